@@ -1,0 +1,1 @@
+"""What is measured: plan, run, errors and orders and work, store, command line."""

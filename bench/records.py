@@ -1,0 +1,147 @@
+"""The typed rows that a run leaves behind; all that a report ever sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+#: Version of the rows below. A store of another version is refused with a hint.
+SCHEMA = 1
+
+GROUPS = ("q", "v", "a", "lam", "x", "y")
+NORMS = ("end", "max", "rms", "settled")
+LEVELS = ("position", "velocity", "acceleration")
+
+
+class Environment(msgspec.Struct, kw_only=True):
+    """The machine, the versions and the command of one invocation that measured something."""
+
+    date: str
+    command: str
+    cpu: str
+    cores: int
+    memory_gib: float
+    platform: str
+    versions: dict[str, str]
+
+
+class Record(msgspec.Struct, kw_only=True):
+    """One cell: one integrator on one scene at one resolution.
+
+    ``errors[group][norm]`` are relative errors; a group that the scene lacks is absent, a value
+    that is not finite is None. ``constraint[level]`` is the largest residual over the rows.
+    ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
+    conserve it. ``reference_error[group]`` is the reference's own estimated error, relative like
+    ``errors``: below a hundred times that, an error says nothing. ``run_s`` holds every timing
+    sample in s; ``environment`` points to the row of the machine that measured.
+    """
+
+    key: str
+    problem: str
+    integrator: str
+    family: str
+    formulation: str
+    controls: str
+    h: float | None = None
+    pattern: tuple[float, ...] = (1.0,)
+    rtol: float | None = None
+    atol: float | None = None
+    t0: float
+    t_end: float
+    status: str
+    message: str = ""
+    errors: dict[str, dict[str, float | None]] = {}
+    reference_error: dict[str, float] = {}
+    constraint: dict[str, float | None] = {}
+    energy_drift: float | None = None
+    work: dict[str, int | None] = {}
+    compile_s: float | None = None
+    run_s: list[float] = []
+    environment: int = 0
+    schema: int = SCHEMA
+
+    @property
+    def resolution(self) -> str:
+        """The resolution in words."""
+        if self.controls == "tolerance":
+            return f"rtol={self.rtol:g}, atol={self.atol:g}"
+        parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
+        return f"h={self.h:.6g}{parts}"
+
+
+class Rows(msgspec.Struct, kw_only=True):
+    """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]``."""
+
+    t: list[float]
+    values: dict[str, list[list[float]]]
+
+
+class SceneRecord(msgspec.Struct, kw_only=True):
+    """A scene as the report shows it; ``problem`` and ``t_end`` are its key."""
+
+    problem: str
+    t_end: float
+    title: str
+    description: str
+    source: str
+    parameters: list[dict[str, Any]]
+    coordinates: list[str]
+    sizes: dict[str, int]
+    t0: float
+    reference_method: str
+    reference_error: dict[str, float]
+    reference: Rows
+    drawings: list[dict[str, Any]] = []
+
+
+class Study(msgspec.Struct, kw_only=True):
+    """A part of a plan: some cells of one scene that belong on one chart."""
+
+    title: str
+    note: str = ""
+    problem: str
+    t_end: float
+    figures: list[str]
+    cells: list[str]
+
+
+class Plan(msgspec.Struct, kw_only=True):
+    """What a store is about: its title, its studies, and how often each run is timed."""
+
+    name: str
+    title: str
+    samples: int
+    budget_s: float
+    studies: list[Study]
+
+
+def flatten(record: Record) -> dict[str, Any]:
+    """One flat row for pandas: ``error_q_end``, ``work_residuals``, ``run_s_median``, ..."""
+    row = msgspec.to_builtins(record)
+    for group in GROUPS:
+        for norm in NORMS:
+            row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
+        row[f"reference_error_{group}"] = record.reference_error.get(group)
+    for level in LEVELS:
+        row[f"constraint_{level}"] = record.constraint.get(level)
+    for name, value in record.work.items():
+        row[f"work_{name}"] = value
+    samples = sorted(record.run_s)
+    row["run_s_median"] = median(samples)
+    row["run_s_min"] = samples[0] if samples else None
+    row["run_s_max"] = samples[-1] if samples else None
+    row["pattern"] = "/".join(f"{f:g}" for f in record.pattern)
+    row["run_s"] = " ".join(f"{s:.9g}" for s in record.run_s)
+    for nested in ("errors", "reference_error", "constraint", "work"):
+        del row[nested]
+    return row
+
+
+def median(values: list[float]) -> float | None:
+    """Median, or None of nothing."""
+    ordered = sorted(values)
+    if not ordered:
+        return None
+    middle = len(ordered) // 2
+    return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2

@@ -1,0 +1,287 @@
+"""Every formulation of a scene, derived from its blocks by automatic differentiation.
+
+Nothing here is hand-differentiated: velocity- and acceleration-level constraints are
+Jacobian-vector products, constraint forces are vector-Jacobian products. Terms of blocks that a
+scene does not have are left out at trace time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem, Sizes, State, Variables
+
+FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
+
+#: A start is consistent when its residuals, relative to the size of q or v, are below this.
+CONSISTENCY_TOLERANCE = 1e-9
+
+
+class InconsistentStart(ValueError):
+    """The initial q or v violates the constraints; the message says by how much."""
+
+
+class NoConsistentStart(ValueError):
+    """No finite initial a, lam, y exist, or Newton's method did not find them."""
+
+
+# ---- the equations ---------------------------------------------------------------------
+def constraint_force(scene: MechatronicSystem, q: Any, t: Any, lam: Any) -> Any:
+    """Phi_q(q, t)^T lam, shape ``(nq,)``."""
+    return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
+
+
+def constraint_velocity(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> Any:
+    """d/dt Phi = Phi_q v + Phi_t, shape ``(nl,)``."""
+    return jax.jvp(scene.constraint, (q, t), (v, jnp.ones_like(t)))[1]
+
+
+def constraint_acceleration(scene: MechatronicSystem, q: Any, v: Any, a: Any, t: Any) -> Any:
+    """d2/dt2 Phi, shape ``(nl,)``: linear in a."""
+    return jax.jvp(
+        lambda q, v, t: constraint_velocity(scene, q, v, t), (q, v, t), (v, a, jnp.ones_like(t))
+    )[1]
+
+
+def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Any:
+    """M a - g + Phi_q^T lam - L y, shape ``(nq,)``."""
+    r = scene.mass(z.q) @ z.a - scene.force(z.q, z.v, z.t)
+    if scene.has("constraint"):
+        r = r + constraint_force(scene, z.q, z.t, z.lam)
+    if scene.has("output"):
+        r = r - scene.actuation() @ z.y
+    return r
+
+
+def control_residuals(scene: MechatronicSystem, z: Variables, xdot: Any) -> list[Any]:
+    """[xdot - f, y - h], each only if the scene has it."""
+    residuals = []
+    if scene.has("state_rate"):
+        residuals.append(xdot - scene.state_rate(z))
+    if scene.has("output"):
+        residuals.append(z.y - scene.output(z))
+    return residuals
+
+
+# ---- index 1: everything from q, v, x --------------------------------------------------
+def _split(sizes: Sizes, u: Any) -> tuple[Any, Any, Any]:
+    nq, nl = sizes.nq, sizes.nl
+    return u[:nq], u[nq : nq + nl], u[nq + nl :]
+
+
+def solve_algebraic(
+    scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any
+) -> tuple[Any, Any, Any]:
+    """Solve the index-1 equations for (a, lam, y) at given q, v, x, t.
+
+    The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be.
+    Without outputs the equations are linear: one solve. With them, Newton's method is run and
+    differentiated by the implicit function theorem. Where it fails the result is NaN.
+    """
+
+    def residual(u: Any) -> Any:
+        a, lam, y = _split(sizes, u)
+        z = Variables(q, v, a, lam, x, y, t)
+        rows = [dynamics_residual(scene, z)]
+        if sizes.nl:
+            rows.append(constraint_acceleration(scene, q, v, a, t))
+        if sizes.ny:
+            rows.append(y - scene.output(z))
+        return jnp.concatenate(rows)
+
+    guess = jnp.zeros(sizes.nq + sizes.nl + sizes.ny)
+    if not sizes.ny:
+        return _split(sizes, -jnp.linalg.solve(jax.jacfwd(residual)(guess), residual(guess)))
+
+    def newton(residual: Callable, guess: Any) -> Any:
+        def go_on(carry: tuple) -> Any:
+            _, size, k = carry
+            return (size > 1e-9) & (k < 50)
+
+        def iterate(carry: tuple) -> tuple:
+            u, _, k = carry
+            du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
+            return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
+
+        u, size, _ = jax.lax.while_loop(go_on, iterate, (guess, jnp.inf, 0))
+        return jnp.where(size <= 1e-9, u, jnp.nan)
+
+    def tangent_solve(linear: Callable, rhs: Any) -> Any:
+        return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
+
+    return _split(sizes, jax.lax.custom_root(residual, guess, newton, tangent_solve))
+
+
+def complete(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> tuple:
+    """Solve for all variables at a state: ``(Variables, xdot)``."""
+    a, lam, y = solve_algebraic(scene, sizes, q, v, x, t)
+    z = Variables(q, v, a, lam, x, y, t)
+    return z, scene.state_rate(z) if sizes.nx else jnp.zeros(0)
+
+
+def ode_rate(scene: MechatronicSystem, sizes: Sizes, t: Any, s: Any) -> Any:
+    """Right-hand side of the explicit ODE for s = [q, v, x], shape ``(2 nq + nx,)``."""
+    q, v, x = jnp.split(s, [sizes.nq, 2 * sizes.nq])
+    z, xdot = complete(scene, sizes, q, v, x, t)
+    return jnp.concatenate([v, z.a, xdot])
+
+
+def jerk(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> Any:
+    """Third derivative of q along the motion, shape ``(nq,)``."""
+    z, xdot = complete(scene, sizes, q, v, x, t)
+    return jax.jvp(
+        lambda q, v, x, t: solve_algebraic(scene, sizes, q, v, x, t)[0],
+        (q, v, x, t),
+        (v, z.a, xdot, jnp.ones_like(t)),
+    )[1]
+
+
+# ---- DAE residuals for general-purpose solvers -----------------------------------------
+class Layout(NamedTuple):
+    """Where q, v, x, lam, y and mu stand in the vector w of a DAE solver (slices)."""
+
+    q: slice
+    v: slice
+    x: slice
+    lam: slice
+    y: slice
+    mu: slice
+    size: int
+
+
+def dae_layout(sizes: Sizes, formulation: str) -> Layout:
+    """Lay out w = [q, v, x, lam, y, mu]; mu, the multiplier of GGL, only where it exists."""
+    nmu = sizes.nl if formulation == "stabilised_index2" else 0
+    ends = np.cumsum([0, sizes.nq, sizes.nq, sizes.nx, sizes.nl, sizes.ny, nmu]).tolist()
+    return Layout(*(slice(a, b) for a, b in zip(ends, ends[1:], strict=False)), size=ends[-1])
+
+
+def dae_residual(
+    scene: MechatronicSystem, sizes: Sizes, formulation: str, t: Any, w: Any, wdot: Any
+) -> Any:
+    """Fully implicit residual F(t, w, wdot) of index3, index2, stabilised_index2 or index1.
+
+    The derivative of v plays the part of the acceleration, so that no unknowns are added. The
+    stabilised form is that of Gear, Gupta & Leimkuhler (1985):
+    0 = qdot - v + Phi_q^T mu, with Phi = 0 and d/dt Phi = 0.
+    """
+    at = dae_layout(sizes, formulation)
+    q, v, a = w[at.q], w[at.v], wdot[at.v]
+    z = Variables(q, v, a, w[at.lam], w[at.x], w[at.y], t)
+    kinematic = wdot[at.q] - v
+    rows = [dynamics_residual(scene, z), *control_residuals(scene, z, wdot[at.x])]
+    if sizes.nl:
+        if formulation in ("index3", "stabilised_index2"):
+            rows.append(scene.constraint(q, t))
+        if formulation in ("index2", "stabilised_index2"):
+            rows.append(constraint_velocity(scene, q, v, t))
+        if formulation == "index1":
+            rows.append(constraint_acceleration(scene, q, v, a, t))
+        if formulation == "stabilised_index2":
+            kinematic = kinematic + constraint_force(scene, q, t, w[at.mu])
+    return jnp.concatenate([kinematic, *rows])
+
+
+# ---- compiled once per scene, for any parameters ---------------------------------------
+@cache
+def _compiled(template: MechatronicSystem, sizes: Sizes) -> dict[str, Callable]:
+    def at(p: dict) -> MechatronicSystem:
+        return template.with_parameters(p)
+
+    def with_jerk(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
+        z, xdot = complete(at(p), sizes, q, v, x, t)
+        return z, xdot, jerk(at(p), sizes, q, v, x, t)
+
+    def levels(p: dict, q: Any, v: Any, a: Any, t: Any) -> tuple:
+        s = at(p)
+        return (
+            s.constraint(q, t),
+            constraint_velocity(s, q, v, t),
+            constraint_acceleration(s, q, v, a, t),
+        )
+
+    each = (None, 0, 0, 0, 0)
+    return {
+        "start": jax.jit(with_jerk),
+        "complete": jax.jit(
+            jax.vmap(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t), each)
+        ),
+        "ode": jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
+        "levels": jax.jit(jax.vmap(levels, each)),
+        "energy": jax.jit(jax.vmap(lambda p, q, v: at(p).energy(q, v), (None, 0, 0))),
+    }
+
+
+def compiled(scene: MechatronicSystem) -> dict[str, Callable]:
+    """Compiled functions of a scene, whose first argument is ``scene.parameters()``.
+
+    ``start(p, q, v, x, t)`` gives Variables, xdot and the jerk; ``complete`` the Variables and
+    xdot at many times; ``ode(p, t, s)`` the rate of s = [q, v, x]; ``levels(p, q, v, a, t)`` the
+    constraint residuals of position, velocity and acceleration; ``energy(p, q, v)``.
+    """
+    return _compiled(scene.template(), scene.sizes)
+
+
+class Start(NamedTuple):
+    """Consistent values at the start: all Variables, xdot ``(nx,)`` and jerk ``(nq,)``."""
+
+    z: Variables
+    xdot: np.ndarray
+    jerk: np.ndarray
+
+
+def consistent_start(scene: MechatronicSystem) -> Start:
+    """Check q, v of a scene's initial state and compute a, lam, y, xdot and the jerk from them.
+
+    Raises
+    ------
+    InconsistentStart
+        If Phi or d/dt Phi is not zero at the given q, v (relative tolerance 1e-9).
+    NoConsistentStart
+        If a, lam, y do not exist: singular equations or no convergence.
+    """
+    t0 = scene.interval[0]
+    state = State(*(np.asarray(part, dtype=float) for part in scene.initial_state()))
+    functions, p = compiled(scene), scene.parameters()
+    _check_dimensions(scene, state)
+    if scene.has("constraint"):
+        one = [np.asarray(part)[None] for part in (state.q, state.v, 0 * state.q, t0)]
+        position, velocity, _ = (np.abs(r[0]).max() for r in functions["levels"](p, *one))
+        for level, size, r, ref in (
+            ("position", "q", position, state.q),
+            ("velocity", "v", velocity, state.v),
+        ):
+            scale = max(1.0, np.abs(ref).max())
+            if not r <= CONSISTENCY_TOLERANCE * scale:
+                raise InconsistentStart(
+                    f"The initial {size} of {scene.spec} violates the constraints at {level} "
+                    f"level by {r:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}); "
+                    f"correct the scene's initial_state or its parameters."
+                )
+    z, xdot, jerk0 = functions["start"](p, *state, t0)
+    z = Variables(*(np.asarray(part) for part in z))
+    if not all(np.isfinite(part).all() for part in z):
+        raise NoConsistentStart(
+            f"{scene.spec} has no finite initial a, lam, y at t={t0:g}: the augmented mass matrix "
+            f"is singular there, or its outputs have no solution near zero."
+        )
+    return Start(z, np.asarray(xdot), np.asarray(jerk0))
+
+
+def _check_dimensions(scene: MechatronicSystem, state: State) -> None:
+    nq = len(state.q)
+    shapes = {
+        "v": (np.shape(state.v), (nq,)),
+        "mass": (jax.eval_shape(scene.mass, state.q).shape, (nq, nq)),
+        "force": (jax.eval_shape(scene.force, state.q, state.v, 0.0).shape, (nq,)),
+    }
+    if scene.has("output"):
+        shapes["actuation"] = (np.shape(scene.actuation())[:1], (nq,))
+    for block, (came, wanted) in shapes.items():
+        if came != wanted:
+            raise ValueError(f"{scene.spec}: {block} has shape {came}, expected {wanted}.")

@@ -1,0 +1,57 @@
+"""JAX as this project uses it: 64 bits, one CPU thread, a persistent compilation cache, loaded late.
+
+JAX reads these settings from the environment when it is first imported, so they are set here,
+and the names ``jax`` and ``jnp`` below import it only when an attribute is asked for: listing
+plugins or printing a help page must not wait for a compiler.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import platformdirs
+
+_SETTINGS = {
+    "JAX_ENABLE_X64": "1",
+    "JAX_PLATFORMS": "cpu",
+    "JAX_COMPILATION_CACHE_DIR": str(Path(platformdirs.user_cache_dir("stepbench")) / "jax"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    # Timing on one thread, for every solver alike: it is the method that is measured.
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    # Reloading a cached program on a sibling CPU warns at length about instruction sets.
+    "TF_CPP_MIN_LOG_LEVEL": "3",
+}
+
+
+def configure() -> None:
+    """Set what JAX and the linear algebra read at import; a user's own settings win."""
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
+    if "jax" in sys.modules:  # imported before us, for example in a notebook
+        sys.modules["jax"].config.update("jax_enable_x64", True)
+
+
+class _LateModule:
+    """Stands for a module that is imported at the first use of one of its names."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        return getattr(importlib.import_module(self._name), attribute)
+
+
+configure()
+if TYPE_CHECKING:
+    import jax
+    import jax.numpy as jnp
+else:
+    jax = _LateModule("jax")
+    jnp = _LateModule("jax.numpy")

@@ -1,0 +1,123 @@
+"""Names with options, ``name[option=value,...]``: how scenes and integrators are written and read.
+
+One grammar serves the command line, profiles, the store's keys, filters and the printed name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+_SPEC = re.compile(r"\s*([A-Za-z_][\w.-]*)\s*(?:\[(.*)\])?\s*", re.DOTALL)
+
+
+class SpecError(ValueError):
+    """A name, option or value that is not known or not allowed; the message says what is."""
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return a hint that names the nearest known words, or all of them."""
+    names = sorted(known)
+    near = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    listed = "known: " + ", ".join(names) if names else "there are none"
+    return f"did you mean {near[0]!r}? ({listed})" if near else listed
+
+
+def split_spec(text: str) -> tuple[str, dict[str, str]]:
+    """Split ``name[a=1,b=two]`` into the name and its options as text.
+
+    Raises
+    ------
+    SpecError
+        If the text does not have this form or names an option twice.
+    """
+    match = _SPEC.fullmatch(text)
+    if not match:
+        raise SpecError(f"{text!r} is not of the form name[option=value,...].")
+    name, body = match.groups()
+    options: dict[str, str] = {}
+    for item in filter(None, (part.strip() for part in (body or "").split(","))):
+        key, equals, value = item.partition("=")
+        key = key.strip()
+        if not equals or not key or not value.strip():
+            raise SpecError(f"{item!r} in {text!r} is not of the form option=value.")
+        if key in options:
+            raise SpecError(f"Option {key!r} is given twice in {text!r}.")
+        options[key] = value.strip()
+    return name, options
+
+
+def format_value(value: Any) -> str:
+    """Write an option's value so that ``convert`` reads back the same value."""
+    return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
+    """Turn text (or a number) into the type of a dataclass field and check its range.
+
+    Raises
+    ------
+    SpecError
+        If it cannot be read, is not finite, or lies outside the choices or limits of the field.
+    """
+    meta = field.metadata
+    where = f"{owner}: {field.name}={value}"
+    if meta.get("optional") and str(value).lower() == "none":
+        return None
+    kind = meta["type"]
+    try:
+        if kind is bool:
+            result: Any = {"true": True, "false": False}[str(value).lower()]
+        elif kind is int:
+            result = int(str(value))
+        else:
+            result = kind(value)
+    except (ValueError, KeyError):
+        raise SpecError(f"{where} is not a {kind.__name__}.") from None
+    if kind is float and not math.isfinite(result):
+        raise SpecError(f"{where} is not a finite number.")
+    if meta.get("choices") and result not in meta["choices"]:
+        raise SpecError(f"{where} is not allowed; {suggest(str(result), meta['choices'])}.")
+    low, high = meta.get("low"), meta.get("high")
+    if (low is not None and result < low) or (high is not None and result > high):
+        limits = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]"
+        raise SpecError(f"{where} lies outside {limits}.")
+    return result
+
+
+def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
+    """Make an instance of an options dataclass from text or values, checked field by field.
+
+    Raises
+    ------
+    SpecError
+        For an unknown option (the nearest one is named) or a value that is not allowed.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls) if "type" in f.metadata}
+    values = {}
+    for key, value in options.items():
+        if key not in fields:
+            raise SpecError(f"{name} has no option {key!r}; {suggest(key, fields)}.")
+        values[key] = convert(name, fields[key], value)
+    return cls(**values)
+
+
+def format_spec(name: str, instance: Any) -> str:
+    """Write ``name[option=value,...]`` with the options that are not default or always shown."""
+    parts = []
+    for field in dataclasses.fields(instance):
+        if "type" not in field.metadata:
+            continue
+        value = getattr(instance, field.name)
+        if field.metadata.get("always") or value != field.default:
+            parts.append(f"{field.name}={format_value(value)}")
+    return f"{name}[{','.join(parts)}]" if parts else name
+
+
+def snake_case(class_name: str) -> str:
+    """``SpringMass`` -> ``spring_mass``; a run of capitals stays one word (``IDA`` -> ``ida``)."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", class_name).lower()
