@@ -59,6 +59,7 @@ class Record(msgspec.Struct, kw_only=True):
     compile_s: float | None = None
     run_s: list[float] = []
     environment: int = 0
+    fingerprint: str = ""
     schema: int = SCHEMA
 
     @property

@@ -205,16 +205,32 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> dict[str, Callable]:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    each = (None, 0, 0, 0, 0)
     return {
         "start": jax.jit(with_jerk),
-        "complete": jax.jit(
-            jax.vmap(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t), each)
-        ),
+        "complete": _over_rows(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t)),
         "ode": jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
-        "levels": jax.jit(jax.vmap(levels, each)),
-        "energy": jax.jit(jax.vmap(lambda p, q, v: at(p).energy(q, v), (None, 0, 0))),
+        "levels": _over_rows(levels),
+        "energy": _over_rows(lambda p, q, v: at(p).energy(q, v)),
     }
+
+
+_ROW_BLOCK = 256
+
+
+def _over_rows(function: Callable) -> Callable:
+    """Vectorise over rows; filled up to whole blocks, so that few row counts are compiled."""
+
+    @jax.jit
+    def blocks(p: dict, rows: tuple) -> Any:
+        return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+    def call(p: dict, *rows: Any) -> Any:
+        count = len(rows[0])
+        fill = -count % _ROW_BLOCK
+        filled = tuple(np.concatenate([r, np.repeat(r[-1:], fill, axis=0)]) for r in rows)
+        return jax.tree.map(lambda out: np.asarray(out)[:count], blocks(p, filled))
+
+    return call
 
 
 def compiled(scene: MechatronicSystem) -> dict[str, Callable]:

@@ -107,11 +107,10 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
 
 
 def format_spec(name: str, instance: Any) -> str:
-    """Write ``name[option=value,...]`` with the options that are not default or always shown."""
+    """Write ``name[option=value,...]``: the options always shown, then those not at default."""
     parts = []
-    for field in dataclasses.fields(instance):
-        if "type" not in field.metadata:
-            continue
+    options = [f for f in dataclasses.fields(instance) if "type" in f.metadata]
+    for field in sorted(options, key=lambda f: not f.metadata.get("always")):
         value = getattr(instance, field.name)
         if field.metadata.get("always") or value != field.default:
             parts.append(f"{field.name}={format_value(value)}")

@@ -14,6 +14,7 @@ A scene is a frozen dataclass: its parameters are fields, its blocks are methods
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
@@ -174,6 +175,17 @@ class MechatronicSystem:
             for f in dataclasses.fields(self)
             if f.metadata.get("type") is float
         }
+
+    def describe(self) -> dict[str, Any]:
+        """Title, description and parameters in words, for reports and lists."""
+        title, _, text = (inspect.getdoc(type(self)) or self.name).partition("\n")
+        parameters = [
+            {"name": f.name, "value": getattr(self, f.name)}
+            | {key: f.metadata[key] for key in ("unit", "doc")}
+            for f in dataclasses.fields(self)
+            if "unit" in f.metadata
+        ]
+        return {"title": title, "description": text.strip(), "parameters": parameters}
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
         """A copy with other parameter values, which may be traced arrays."""

@@ -1,0 +1,1 @@
+"""What is shown: pages and pictures made from stored records alone."""

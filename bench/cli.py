@@ -1,0 +1,422 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench import plan as plans
+from bench.orders import fit_order
+from bench.plan import Cell, check_end, make_suite, read_profile
+from bench.records import GROUPS, NORMS, Record, Rows, flatten, median
+from bench.registry import Registry
+from bench.store import Store, StoreError
+from integrators.contract import Steps, Tolerances
+from problems.spec import SpecError, suggest
+
+DEFAULT_OUT = "stepbench-results"
+#: What `stepbench solve` takes for an adaptive method if --rtol is not given.
+DEFAULT_RTOL = 1e-6
+
+_INTERRUPTED = 130
+
+
+class _Group(click.Group):
+    """A command group whose unknown commands name the nearest one, and whose errors are short."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            raise click.ClickException(
+                f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
+            )
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (SpecError, StoreError) as error:
+            raise click.ClickException(str(error)) from error
+        except KeyboardInterrupt:
+            click.echo("Interrupted. What was finished is stored; the same command goes on.",
+                       err=True)  # fmt: skip
+            sys.exit(_INTERRUPTED)
+        except BrokenPipeError:
+            sys.exit(1)
+        except OSError as error:
+            name = f" ({error.filename})" if error.filename else ""
+            raise click.ClickException(
+                f"The system refused: {error.strerror or error}{name}; check the path, its "
+                f"permissions and the free space."
+            ) from error
+
+
+def _numbers(_: click.Context, parameter: click.Parameter, text: str | None) -> Any:
+    """Read "0.1,0.05" as a tuple of floats."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
+
+
+def _settings(_: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict:
+    """Read name=value pairs."""
+    pairs = [item.partition("=") for item in items]
+    for (name, equals, value), item in zip(pairs, items, strict=True):
+        if not (name and equals and value):
+            raise click.BadParameter(f"{item!r} is not of the form name=value.")
+    return {name.strip(): value for name, _, value in pairs}
+
+
+_plugins = click.option(
+    "--plugins", multiple=True, metavar="FILE_OR_FOLDER",
+    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
+)  # fmt: skip
+_pattern = click.option(
+    "--pattern", callback=_numbers, metavar="F1,F2,...",
+    help="Divide each macro step into these fractions, for example 0.3,0.7.",
+)  # fmt: skip
+_t_end = click.option("--t-end", type=float, help="End time in s; the scene's own if not given.")
+_set = click.option(
+    "--set", "settings", multiple=True, callback=_settings, metavar="NAME=VALUE",
+    help="Set a parameter of the scene; repeatable.",
+)  # fmt: skip
+_budget = click.option(
+    "--budget", type=click.FloatRange(min=0, min_open=True), default=300.0, show_default=True,
+    help="Seconds after which a run is stopped.",
+)  # fmt: skip
+_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+
+
+@click.group(
+    cls=_Group,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="""\b
+Examples:
+  stepbench run
+  stepbench solve pendulum "generalized_alpha[rho_inf=0.8]" --step 0.01
+  stepbench order pendulum newmark --steps 0.02,0.01,0.005,0.0025
+  stepbench run -i my_method --plugins my_method.py
+""",
+)
+@click.version_option(package_name="stepbench")
+def main() -> None:
+    """Compare time integrators for mechanical and mechatronic systems.
+
+    Positions, velocities, accelerations, multipliers and controller states are compared
+    separately, against the work that each integrator does for them.
+    """
+
+
+@main.command("list")
+@click.argument("kind", type=click.Choice(["problems", "integrators", "all"]), default="all")
+@_plugins
+@_as_json
+def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
+    """List the scenes and integrators, with those that are unavailable and why.
+
+    \b
+    Examples:
+      stepbench list
+      stepbench list integrators --json
+    """
+    registry = Registry(plugins)
+    kinds = ["problems", "integrators"] if kind == "all" else [kind]
+    if as_json:
+        rows = {
+            k: [
+                {
+                    "name": p.name, "summary": p.summary, "origin": p.origin,
+                    "available": p.cls is not None, "reason": p.reason,
+                }
+                for p in getattr(registry, k).values()
+            ]
+            for k in kinds
+        }  # fmt: skip
+        click.echo(json.dumps(rows, indent=2))
+        return
+    from bench.console import plugin_table, show
+
+    for k in kinds:
+        show(plugin_table(k, list(getattr(registry, k).values())))
+
+
+@main.command()
+@click.argument("problem")
+@click.argument("integrator")
+@click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
+@_pattern
+@click.option("--rtol", type=float, help=f"Relative tolerance; {DEFAULT_RTOL:g} if not given.")
+@click.option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given.")
+@_t_end
+@_set
+@_budget
+@_plugins
+@_as_json
+def solve(
+    problem: str,
+    integrator: str,
+    step: float | None,
+    pattern: tuple[float, ...] | None,
+    rtol: float | None,
+    atol: float | None,
+    t_end: float | None,
+    settings: dict[str, str],
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Run one integrator on one scene and show the end values, errors and work.
+
+    \b
+    Examples:
+      stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
+      stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
+    """
+    registry = Registry(plugins)
+    registry.require_files()
+    scene = registry.problem(problem, **settings)
+    method = registry.integrator(integrator)
+    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+    if method.controls == "step":
+        _refuse(method.spec, "fixed steps; give --step", rtol=rtol, atol=atol)
+        resolution: Steps | Tolerances = Steps(
+            scene.nominal_step if step is None else step, pattern or (1.0,)
+        )
+        count = resolution.count(scene.interval[0], end)
+        used = (end - scene.interval[0]) / count
+        if abs(used - resolution.h) > 1e-9 * used:
+            click.echo(f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
+                       f"{used:.9g} s are taken.", err=True)  # fmt: skip
+    else:
+        _refuse(method.spec, "steps of its own; give --rtol", step=step, pattern=pattern)
+        resolution = Tolerances(DEFAULT_RTOL if rtol is None else rtol, atol)
+    cell = Cell(scene.spec, method.spec, end, resolution)
+    ((record, rows),) = _solve([cell], registry, samples=5, budget=budget)
+    if as_json:
+        click.echo(json.dumps(_solution(record, rows), indent=2))
+    else:
+        from bench.console import show, solution_table
+
+        show(solution_table(record, rows))
+    if record.status != "ok":
+        raise click.ClickException(f"{record.status}: {record.message}")
+
+
+@main.command()
+@click.argument("problem")
+@click.argument("integrator")
+@click.option("--steps", callback=_numbers, metavar="H1,H2,...",
+              help="Step sizes in s; five halvings of the scene's nominal step if not given.")  # fmt: skip
+@_pattern
+@_t_end
+@_set
+@_budget
+@_plugins
+@_as_json
+def order(
+    problem: str,
+    integrator: str,
+    steps: tuple[float, ...] | None,
+    pattern: tuple[float, ...] | None,
+    t_end: float | None,
+    settings: dict[str, str],
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Fit the order of convergence of a fixed-step integrator, per group and norm.
+
+    \b
+    Examples:
+      stepbench order pendulum "generalized_alpha[rho_inf=0.9]" --steps 0.01,0.005,0.0025,0.00125
+      stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
+    """
+    registry = Registry(plugins)
+    registry.require_files()
+    scene = registry.problem(problem, **settings)
+    method = registry.integrator(integrator)
+    if method.controls != "step":
+        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
+    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+    sizes = steps or tuple(scene.nominal_step * 2.0**-k for k in range(plans.DEFAULT_HALVINGS))
+    if len(sizes) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
+    cells = []
+    for h in sizes:
+        resolution = Steps(h, pattern or (1.0,))
+        resolution.count(scene.interval[0], end)
+        cells.append(Cell(scene.spec, method.spec, end, resolution))
+    records = [record for record, _ in _solve(cells, registry, samples=0, budget=budget)]
+    if as_json:
+        click.echo(json.dumps(_orders(records), indent=2))
+    else:
+        from bench.console import order_table, show
+
+        show(order_table(records, _orders(records)))
+    failed = [record for record in records if record.status != "ok"]
+    for record in failed:
+        click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
+    if len(failed) == len(records):
+        raise click.ClickException("No run succeeded.")
+
+
+@main.command()
+@click.argument("profile", default="quick")
+@click.option("-p", "--problem", "problems", multiple=True, help="Only this scene; repeatable.")
+@click.option("-i", "--integrator", "integrators", multiple=True,
+              help="Only this integrator; repeatable. One that the profile lacks is added.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=DEFAULT_OUT, show_default=True,
+              help="Folder of the results.")  # fmt: skip
+@click.option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True,
+              help="Worker processes; timing is done by one at a time.")  # fmt: skip
+@_plugins
+def run(
+    profile: str,
+    problems: tuple[str, ...],
+    integrators: tuple[str, ...],
+    out: Path,
+    fresh: bool,
+    jobs: int,
+    plugins: tuple[str, ...],
+) -> None:
+    """Run a suite and write its report.
+
+    PROFILE is the name of a built-in profile (quick, paper) or a TOML file. A run that was
+    stopped goes on where it stopped when the same command is given again.
+
+    \b
+    Examples:
+      stepbench run
+      stepbench run paper --out paper-results
+      stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
+    """
+    from bench.console import RunProgress
+    from bench.session import run_suite
+
+    registry = Registry(plugins)
+    registry.require_files()
+    suite = make_suite(*read_profile(profile), registry, problems, integrators)
+    with Store(out, create=True) as store:
+        if fresh:
+            store.clear()
+        with RunProgress() as progress:
+            outcome = run_suite(suite, store, registry, jobs, progress)
+    records = [outcome.records[key] for key in suite.cells]
+    good = sum(record.status == "ok" for record in records)
+    click.echo(f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
+               f"{outcome.measured} measured now, {outcome.kept} kept from before.")  # fmt: skip
+    _write_reports(out)
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path), default=DEFAULT_OUT)
+def report(folder: Path) -> None:
+    """Make the report pages anew from the results in FOLDER."""
+    with Store(folder):
+        pass  # says clearly if there is none
+    _write_reports(folder)
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path), default=DEFAULT_OUT)
+@click.option("--csv", "form", flag_value="csv", default=True, help="Comma-separated (default).")
+@click.option("--json", "form", flag_value="json", help="A JSON array of flat rows.")
+@click.option("--out", "-o", type=click.Path(path_type=Path), help="File; the screen if not given.")
+def export(folder: Path, form: str, out: Path | None) -> None:
+    """Write all records as flat rows, for pandas.
+
+    \b
+    Examples:
+      stepbench export stepbench-results --csv -o records.csv
+      stepbench export --json > records.json
+    """
+    with Store(folder) as store:
+        rows = [flatten(record) for record in store.records().values()]
+    if form == "json":
+        text = json.dumps(rows, indent=1)
+    else:
+        buffer = io.StringIO()
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        writer = csv.DictWriter(buffer, names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        text = buffer.getvalue()
+    if out:
+        out.write_text(text, encoding="utf-8")
+        click.echo(f"{len(rows)} records in {out}")
+    else:
+        click.echo(text, nl=False)
+
+
+# ---- helpers ---------------------------------------------------------------------------
+def _refuse(name: str, takes: str, **given: Any) -> None:
+    for option, value in given.items():
+        if value is not None:
+            raise SpecError(f"{name} takes {takes} instead of --{option}.")
+
+
+def _solve(
+    cells: list[Cell], registry: Registry, samples: int, budget: float
+) -> list[tuple[Record, Rows]]:
+    from bench.session import solve_cells
+
+    return solve_cells(cells, registry, samples, budget)
+
+
+def _solution(record: Record, rows: Rows) -> dict[str, Any]:
+    last = {name: values[-1] for name, values in rows.values.items()}
+    return {
+        "problem": record.problem,
+        "integrator": record.integrator,
+        "resolution": record.resolution,
+        "formulation": record.formulation,
+        "status": record.status,
+        "message": record.message,
+        "t": rows.t[-1] if rows.t else None,
+        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
+        "errors": record.errors,
+        "reference_error": record.reference_error,
+        "constraint": record.constraint,
+        "energy_drift": record.energy_drift,
+        "work": record.work,
+        "time": {"compile_s": record.compile_s, "run_s": record.run_s,
+                 "run_s_median": median(record.run_s)},
+    }  # fmt: skip
+
+
+def _orders(records: list[Record]) -> dict[str, Any]:
+    steps = [record.h for record in records]
+    result: dict[str, Any] = {
+        "steps": steps, "orders": {}, "window": {}, "points": {}, "verdict": {}, "errors": {},
+        "status": [record.status for record in records],
+    }  # fmt: skip
+    for group in GROUPS:
+        floors = [r.reference_error[group] for r in records if group in r.reference_error]
+        if not floors:
+            continue
+        for norm in NORMS:
+            errors = [record.errors.get(group, {}).get(norm) for record in records]
+            fit = fit_order(steps, errors, max(floors))
+            for name, value in (
+                ("orders", fit.order), ("window", fit.window), ("points", fit.points),
+                ("verdict", fit.verdict), ("errors", errors),
+            ):  # fmt: skip
+                result[name].setdefault(group, {})[norm] = value
+    return result
+
+
+def _write_reports(folder: Path) -> None:
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group="stepbench.reports"):
+        click.echo(f"Report: {entry.load()(folder)}")

@@ -1,0 +1,96 @@
+"""Errors, constraint residuals and energy of a trajectory, measured against a reference."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from bench.records import GROUPS, LEVELS, Rows
+from integrators.contract import Trajectory
+from problems.formulations import compiled
+from problems.reference import Reference
+from problems.system import MechatronicSystem
+
+#: "settled" is the last part of the interval, where the start transient has died out.
+SETTLED_PART = 0.25
+
+
+def finite(value: float) -> float | None:
+    """The value as a float, or None if it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def relative_errors(
+    trajectory: Trajectory, reference: Reference
+) -> dict[str, dict[str, float | None]]:
+    """Relative error per group and norm over a trajectory's own rows.
+
+    In every norm it is norm(value - reference) / norm(reference): ``end`` takes the last row,
+    ``max`` the largest row, ``rms`` the root of the mean square over time (trapezoidal rule),
+    ``settled`` the largest row of the last quarter of the interval. A row's size is Euclidean.
+    Where the reference's norm vanishes the error is absolute.
+    """
+    t = trajectory.t
+    exact = reference(t)
+    last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
+    errors = {}
+    for group in GROUPS:
+        if not exact[group].shape[1]:
+            continue
+        difference = np.linalg.norm(getattr(trajectory, group) - exact[group], axis=1)
+        size = np.linalg.norm(exact[group], axis=1)
+        norms = {
+            "end": lambda r: r[-1],
+            "max": lambda r: r.max(),
+            "rms": lambda r: math.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
+            "settled": lambda r: r[last].max(),
+        }
+        errors[group] = {
+            name: finite(norm(difference) / (norm(size) or 1.0)) for name, norm in norms.items()
+        }
+    return errors
+
+
+def relative_reference_error(reference: Reference) -> dict[str, float]:
+    """The reference's own estimated error, relative to the largest value of each group."""
+    exact = reference(np.linspace(reference.scene.interval[0], reference.t_end, 100))
+    return {
+        group: error / (np.linalg.norm(exact[group], axis=1).max() or 1.0)
+        for group, error in reference.error.items()
+        if exact[group].shape[1]
+    }
+
+
+def constraint_residuals(
+    scene: MechatronicSystem, trajectory: Trajectory
+) -> dict[str, float | None]:
+    """Largest absolute residual of Phi and its first two time derivatives over the rows."""
+    if not scene.has("constraint"):
+        return {}
+    y = trajectory
+    levels = compiled(scene)["levels"](scene.parameters(), y.q, y.v, y.a, y.t)
+    return {
+        name: finite(np.abs(r).max(initial=0.0)) for name, r in zip(LEVELS, levels, strict=True)
+    }
+
+
+def energy_drift(scene: MechatronicSystem, trajectory: Trajectory) -> float | None:
+    """Largest change of the energy over the rows, relative to the largest kinetic energy."""
+    if not scene.has("energy"):
+        return None
+    energy, p = compiled(scene)["energy"], scene.parameters()
+    total = np.asarray(energy(p, trajectory.q, trajectory.v))
+    kinetic = total - np.asarray(energy(p, trajectory.q, 0 * trajectory.v))
+    return finite(np.abs(total - total[0]).max() / (np.abs(kinetic).max() or 1.0))
+
+
+def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
+    """A trajectory (or a reference's values with "t") as it is stored."""
+    values = trajectory if isinstance(trajectory, dict) else vars(trajectory)
+    names = (*GROUPS, "xdot")
+    return Rows(
+        t=np.asarray(values["t"]).tolist(),
+        values={n: np.asarray(values[n]).tolist() for n in names if np.size(values[n])},
+    )

@@ -1,0 +1,123 @@
+"""A run from plan to store: measure what is missing, then time what succeeded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from bench.environment import environment
+from bench.plan import Cell, Suite
+from bench.records import Record, Rows
+from bench.registry import Registry
+from bench.runner import Lost, Runner, Task
+from bench.store import Store
+from bench.worker import Measured
+from problems import spec
+
+
+class Progress(Protocol):
+    """What a run tells the person who waits."""
+
+    def phase(self, name: str, total: int) -> None:
+        """A phase begins that has this many steps."""
+
+    def working(self, text: str) -> None:
+        """This is in work."""
+
+    def advance(self) -> None:
+        """One step is done."""
+
+
+@dataclass
+class Outcome:
+    """What an invocation did: cells measured now, cells found in the store, all records."""
+
+    measured: int
+    kept: int
+    records: dict[str, Record]
+
+
+def run_suite(
+    suite: Suite, store: Store, registry: Registry, jobs: int, progress: Progress
+) -> Outcome:
+    """Measure and time every cell of a suite that the store does not have yet.
+
+    Each result is stored before the next is asked for; calling again goes on where it stopped.
+    """
+    plan = suite.plan
+    stored = store.records()
+    missing = [
+        cell
+        for key, cell in suite.cells.items()
+        if key not in stored or stored[key].fingerprint != cell.fingerprint(registry)
+    ]
+    store.save_plan(plan)
+    scenes = {(s.problem, s.t_end) for s in plan.studies} - set(store.scenes())
+    number = store.save_environment(environment()) if missing else 0
+    with Runner(registry.paths, jobs, plan.budget_s, suite.memory_gib) as runner:
+        if missing or scenes:
+            groups = _groups(missing, sorted(scenes))
+            progress.phase("measuring", sum(len(group) for group in groups))
+            for task, answer in runner.run(groups, lambda t: progress.working(_words(t))):
+                if task.kind == "scene":
+                    if not isinstance(answer, Lost):
+                        store.save_scene(answer)
+                else:
+                    record, rows = _row(task.arguments[0], answer, registry)
+                    record.environment = number
+                    store.save(record, rows)
+                progress.advance()
+        _time(suite, store, runner, progress)
+    return Outcome(len(missing), len(suite.cells) - len(missing), store.records())
+
+
+def solve_cells(
+    cells: list[Cell], registry: Registry, samples: int, budget_s: float, memory_gib: float = 4.0
+) -> list[tuple[Record, Rows]]:
+    """Measure a few cells of one integrator without a store, timed ``samples`` times."""
+    with Runner(registry.paths, 1, budget_s, memory_gib) as runner:
+        answers = {}
+        for task, answer in runner.run([[Task("measure", (cell,)) for cell in cells]]):
+            cell = task.arguments[0]
+            answers[cell.key] = _row(cell, answer, registry)
+        good = [cell for cell in cells if answers[cell.key][0].status == "ok"]
+        for cell, _, seconds in runner.time(good, samples, {}):
+            answers[cell.key][0].run_s.append(seconds)
+    return [answers[cell.key] for cell in cells]
+
+
+def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> None:
+    records = store.records()
+    cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
+    have = {cell.key: len(records[cell.key].run_s) for cell in cells}
+    due = sum(max(0, suite.plan.samples - count) for count in have.values())
+    if not due:
+        return
+    progress.phase("timing, one run at a time", due)
+    for cell, sample, seconds in runner.time(cells, suite.plan.samples, have):
+        progress.working(cell.key)
+        store.add_sample(cell.key, sample, seconds)
+        progress.advance()
+
+
+def _groups(cells: list[Cell], scenes: list[tuple[str, float]]) -> list[list[Task]]:
+    """Cells that share compiled code stay together; the scenes come first."""
+    groups: dict[tuple[str, str], list[Task]] = {}
+    for problem, t_end in scenes:
+        groups[problem, str(t_end)] = [Task("scene", (problem, t_end))]
+    for cell in cells:
+        key = (cell.problem, spec.split_spec(cell.integrator)[0])
+        groups.setdefault(key, []).append(Task("measure", (cell,)))
+    return list(groups.values())
+
+
+def _words(task: Task) -> str:
+    if task.kind == "scene":
+        return f"reference of {task.arguments[0]}"
+    return task.arguments[0].key
+
+
+def _row(cell: Cell, answer: Measured | Lost, registry: Registry) -> tuple[Record, Rows]:
+    if isinstance(answer, Measured):
+        return answer.record, answer.rows
+    return cell.record(registry, answer.status, answer.message), Rows(t=[], values={})

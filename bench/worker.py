@@ -1,0 +1,175 @@
+"""The worker process: prepares, measures and times cells, one at a time.
+
+It lives in a process of its own, so that a crash, a hang or a memory blow-up costs the cell in
+work and nothing else. It never writes to the store; it answers the runner through a pipe.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+import traceback
+from dataclasses import asdict, dataclass, field
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from bench import measure
+from bench.plan import Cell
+from bench.records import Record, Rows, SceneRecord
+from bench.registry import Registry, explain
+from integrators.contract import PreparedRun, Trajectory
+from problems.formulations import InconsistentStart, NoConsistentStart
+from problems.reference import Reference
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+#: A timing sample repeats short runs until it has lasted this long.
+SAMPLE_SECONDS = 5e-3
+_GHOSTS = 7
+
+
+@dataclass
+class Measured:
+    """Answer to a measured cell."""
+
+    record: Record
+    rows: Rows
+
+
+@dataclass
+class _Bench:
+    registry: Registry
+    prepared: dict[str, PreparedRun] = field(default_factory=dict)
+    references: dict[tuple[str, float], Reference] = field(default_factory=dict)
+    reference_errors: dict[tuple[str, float], dict[str, float]] = field(default_factory=dict)
+
+    def reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
+        key = (scene.spec, t_end)
+        if key not in self.references:
+            self.references[key] = Reference(scene, t_end)
+            self.reference_errors[key] = measure.relative_reference_error(self.references[key])
+        return self.references[key]
+
+    def measure(self, cell: Cell) -> Measured:
+        scene = self.registry.problem(cell.problem)
+        trajectory, compile_s = self._run(cell)
+        record = cell.record(self.registry, trajectory.status, trajectory.message)
+        record.work = asdict(trajectory.work)
+        record.compile_s = compile_s
+        if trajectory.status == "ok":
+            reference = self.reference(scene, cell.t_end)
+            record.errors = measure.relative_errors(trajectory, reference)
+            record.reference_error = self.reference_errors[scene.spec, cell.t_end]
+            record.constraint = measure.constraint_residuals(scene, trajectory)
+            record.energy_drift = measure.energy_drift(scene, trajectory)
+        return Measured(record, measure.rows_of(trajectory))
+
+    def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
+        scene = self.registry.problem(cell.problem)
+        integrator = self.registry.integrator(cell.integrator)
+        reason = integrator.supports(scene)
+        if reason:
+            return Trajectory.failed("unsupported", reason), None
+        started = time.perf_counter()
+        try:
+            run = integrator.prepare(scene, cell.t_end, cell.resolution)
+            compile_s = time.perf_counter() - started
+            trajectory = run.measure()
+        except (InconsistentStart, NoConsistentStart, SpecError) as error:
+            return Trajectory.failed("crashed", str(error)), None
+        except Exception as error:
+            if os.environ.get("STEPBENCH_TRACEBACK"):
+                traceback.print_exc()
+            return Trajectory.failed("crashed", f"The integrator failed: {explain(error)}"), None
+        self.prepared[cell.key] = run
+        return _checked(trajectory, cell.t_end), compile_s
+
+    def time(self, cell: Cell) -> float:
+        """Seconds per bare run, averaged over as many as fit a sample."""
+        if cell.key not in self.prepared:
+            self._run(cell)
+        run = self.prepared[cell.key]
+        run.execute()  # warm caches after whatever ran in between
+        repeats, started = 0, time.perf_counter()
+        while True:
+            run.execute()
+            repeats += 1
+            elapsed = time.perf_counter() - started
+            if elapsed >= SAMPLE_SECONDS:
+                return elapsed / repeats
+
+    def scene(self, problem: str, t_end: float) -> SceneRecord:
+        """Everything that a report shows of a scene."""
+        scene = self.registry.problem(problem)
+        reference = self.reference(scene, t_end)
+        t0 = scene.interval[0]
+        t = np.linspace(t0, t_end, 301)
+        values = {"t": t} | reference(t)
+        drawings = []
+        if scene.has("draw"):
+            for k in np.linspace(0, len(t) - 1, _GHOSTS).astype(int):
+                lines = [np.asarray(line).tolist() for line in scene.draw(values["q"][k])]
+                drawings.append({"t": float(t[k]), "lines": lines})
+        return SceneRecord(
+            problem=problem,
+            t_end=t_end,
+            source=scene.source,
+            coordinates=list(scene.coordinates),
+            sizes=scene.sizes._asdict(),
+            t0=t0,
+            reference_method=reference.method,
+            reference_error=self.reference_errors[problem, t_end],
+            reference=measure.rows_of(values),
+            drawings=drawings,
+            **scene.describe(),
+        )
+
+
+def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:
+    """Hold an integrator to its word: "ok" means finite values up to the end."""
+    if trajectory.status != "ok":
+        return trajectory
+    parts = (trajectory.q, trajectory.v, trajectory.a, trajectory.lam, trajectory.x)
+    if not all(np.isfinite(part).all() for part in parts):
+        trajectory.status = "diverged"
+        trajectory.message = "It reported success with values that are not finite."
+    elif abs(trajectory.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
+        trajectory.status = "crashed"
+        trajectory.message = (
+            f"It reported success at t={trajectory.t[-1]:.9g} s instead of {t_end:.9g} s."
+        )
+    return trajectory
+
+
+def serve(pipe: Connection, plugin_paths: list[str]) -> None:
+    """Answer jobs ("measure" | "time" | "scene", arguments...) until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the runner's business
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    bench = _Bench(Registry(plugin_paths))
+    pipe.send(("ready", None))
+    while True:
+        try:
+            kind, *arguments = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer: Any = getattr(bench, kind)(*arguments)
+            pipe.send(("done", answer))
+        except BrokenPipeError:
+            return
+        except BaseException as error:
+            if os.environ.get("STEPBENCH_TRACEBACK"):
+                traceback.print_exc()
+            pipe.send(("failed", explain(error)))
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,267 @@
+"""Tables made from records; every number is one that a query of the store gives, too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from bench.orders import Fit
+from bench.records import LEVELS, NORMS, Record, median
+from reports.series import (
+    NORM_NAMES,
+    TRUST,
+    Series,
+    error_of,
+    groups_of,
+    label_of,
+    milliseconds,
+    number,
+    seconds_of,
+)
+
+TARGETS = (1e-2, 1e-4, 1e-6)
+
+
+@dataclass
+class Table:
+    """Cells as plain text; ``best`` are (row, column) to stress, ``code`` columns hold names."""
+
+    caption: str
+    head: list[str]
+    rows: list[list[str]]
+    best: set[tuple[int, int]] = field(default_factory=set)
+    code: tuple[int, ...] = (0,)
+    note: str = ""
+
+
+def targets(series: Sequence[Series]) -> Table | None:
+    """For an accuracy in q and in a: who reaches it for the least time and the least work."""
+    groups = [g for g in groups_of(r for s in series for r in s.ok) if g in "qa"]
+    rows = []
+    for group in groups:
+        for target in TARGETS:
+            row = _target_row(series, group, target)
+            rows.append([f"{group} to {target:.0e}", *row])
+    if not rows:
+        return None
+    return Table(
+        "Cheapest way to an accuracy",
+        ["relative error", "reached by", "least time", "fewest residual evaluations"],
+        rows,
+        code=(),
+        note="Relative error: the largest over all times. The cheapest of the runs that reached "
+        "it; seconds also compare languages, counts do not.",
+    )
+
+
+def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
+    floor = max((r.reference_error.get(group, 0.0) for s in series for r in s.ok), default=0.0)
+    if TRUST * floor > target:
+        return [f"cannot be judged: the reference's own error is {number(floor)}", "", ""]
+    tried = [s for s in series if s.ok]
+    reached = {s.label: [r for r in s.ok if _reaches(r, group, target)] for s in tried}
+    runs = [r for rs in reached.values() for r in rs]
+    count = f"{sum(map(bool, reached.values()))} of {len(series)}"
+    if not runs:
+        errors = [(e, r) for s in tried for r in s.ok if (e := error_of(r, group, "max"))]
+        if not errors:
+            return [count, "", ""]
+        error, record = min(errors, key=lambda pair: pair[0])
+        nearest = f"nearest: {number(error)} by {label_of(record)}, {record.resolution}"
+        return [count, nearest, nearest]
+    return [count, _fastest(runs), _fewest(runs)]
+
+
+def _reaches(record: Record, group: str, target: float) -> bool:
+    error = error_of(record, group, "max")
+    return error is not None and error <= target
+
+
+def _fastest(runs: Sequence[Record]) -> str:
+    timed = [r for r in runs if r.run_s]
+    if not timed:
+        return "no timing samples"
+    best = min(timed, key=seconds_of)
+    text = f"{label_of(best)}, {best.resolution}: {milliseconds(seconds_of(best))} ms"
+    # Another method whose samples overlap the winner's has not lost.
+    close = [r for r in timed if label_of(r) != label_of(best) and min(r.run_s) <= max(best.run_s)]
+    rivals = list(dict.fromkeys(label_of(r) for r in sorted(close, key=seconds_of)))
+    if rivals:
+        more = f" and {len(rivals) - 1} more" if len(rivals) > 1 else ""
+        text += f" (not told apart by its samples: {rivals[0]}{more})"
+    return text
+
+
+def _fewest(runs: Sequence[Record]) -> str:
+    counted = [r for r in runs if r.work.get("residuals") is not None]
+    if not counted:
+        return "not counted"
+    best = min(counted, key=lambda r: r.work["residuals"])
+    return f"{label_of(best)}, {best.resolution}: {best.work['residuals']}"
+
+
+def summary(series: Sequence[Series]) -> Table:
+    """One row per integrator: best errors, orders, work of its most accurate run, statuses."""
+    groups = groups_of(r for s in series for r in s.ok)
+    rows, best_errors, doubtful = [], {}, False
+    for i, s in enumerate(series):
+        cells = []
+        for j, group in enumerate(groups):
+            found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
+            cells.append(number(min(found, default=None)))
+            if found:
+                floor = max(r.reference_error.get(group, 0.0) for r in s.ok)
+                if min(found) <= TRUST * floor:
+                    cells[-1] += " *"
+                    doubtful = True
+                best_errors.setdefault(j, []).append((min(found), i))
+        run = _most_accurate(s)
+        rows.append(
+            [
+                s.label,
+                s.formulations,
+                s.range,
+                *cells,
+                _orders(s, groups),
+                run.resolution if run else number(None),
+                milliseconds(seconds_of(run)) if run else number(None),
+                count(run.work.get("residuals")) if run else number(None),
+                s.statuses,
+            ]
+        )
+    note = (
+        "Smallest relative error at the end over the runs. Orders: fitted in the largest error "
+        "after the start transient. Time and counts are those of the run that is most accurate "
+        "in q."
+    )
+    if doubtful:
+        note += f" * within {TRUST:g} times the reference's own error: says nothing more."
+    return Table(
+        "All integrators",
+        [
+            "integrator",
+            "formulation",
+            "resolutions",
+            *(f"error in {g}" for g in groups),
+            "orders",
+            "most accurate run",
+            "time in ms",
+            "residual evaluations",
+            "runs",
+        ],
+        rows,
+        best={(min(found)[1], 3 + j) for j, found in best_errors.items()} if len(rows) > 1 else (),
+        note=note,
+    )
+
+
+def _most_accurate(s: Series) -> Record | None:
+    runs = [r for r in s.ok if error_of(r, "q", "end") is not None]
+    return min(runs, key=lambda r: error_of(r, "q", "end")) if runs else None
+
+
+def _orders(s: Series, groups: Sequence[str]) -> str:
+    if s.controls != "step":
+        return "by tolerance"
+    fits = [(group, s.fit(group, "settled")) for group in groups]
+    if all(fit.verdict == "not determined" for _, fit in fits):
+        return "not determined"
+    short = {"does not converge": "none", "not determined": "?"}
+    return ", ".join(
+        f"{g} {fit.order:.2f}" if fit.verdict == "converges" else f"{g} {short[fit.verdict]}"
+        for g, fit in fits
+    )
+
+
+def orders(series: Sequence[Series], norms: Sequence[str] = NORMS) -> Table | None:
+    """Fitted orders with window and number of points, a row per integrator and norm."""
+    stepped = [s for s in series if s.controls == "step" and s.ok]
+    groups = groups_of(r for s in stepped for r in s.ok)
+    if not stepped or not groups:
+        return None
+    rows = [
+        [s.label, NORM_NAMES[norm], *(_fit(s.fit(group, norm)) for group in groups)]
+        for s in stepped
+        for norm in norms
+    ]
+    return Table("Fitted orders", ["integrator", "error", *groups], rows)
+
+
+def _fit(fit: Fit) -> str:
+    if fit.order is None or fit.window is None:
+        return fit.verdict
+    span = f"h={number(fit.window[0])} to {number(fit.window[1])}, {fit.points} points"
+    prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
+    return f"{prefix}{fit.order:.2f} ({span})"
+
+
+def drift(series: Sequence[Series]) -> Table | None:
+    """Constraint residuals and energy drift of each integrator's finest run."""
+    runs = [(s, s.ok[-1]) for s in series if s.ok]
+    levels = [
+        level for level in LEVELS if any(r.constraint.get(level) is not None for _, r in runs)
+    ]
+    energy = any(r.energy_drift is not None for _, r in runs)
+    if not levels and not energy:
+        return None
+    rows = []
+    for s, run in runs:
+        cells = [number(run.constraint.get(level)) for level in levels]
+        rows.append([s.label, run.formulation, run.resolution, *cells])
+        if energy:
+            rows[-1].append(number(run.energy_drift))
+    heads = [f"{level} level" for level in levels] + (["energy drift"] if energy else [])
+    return Table(
+        "Constraint residuals and energy drift",
+        ["integrator", "formulation", "finest run", *heads],
+        rows,
+        note="Largest over all times; energy relative to its scale.",
+    )
+
+
+def failures(records: Sequence[Record]) -> Table | None:
+    """Every run that did not reach the end, with its reason."""
+    rows = [
+        [label_of(r), r.problem, r.resolution, r.status, r.message or "no message"]
+        for r in records
+        if r.status != "ok"
+    ]
+    head = ["integrator", "scene", "resolution", "status", "message"]
+    return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None
+
+
+def timing(series: Sequence[Series]) -> Table | None:
+    """Samples, their spread, and what was prepared before and not timed."""
+    rows = []
+    for s in series:
+        timed = [r for r in s.ok if r.run_s]
+        if not timed:
+            continue
+        sizes = sorted({len(r.run_s) for r in timed})
+        spreads = [x for r in timed if (x := spread(r)) is not None]
+        compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
+        rows.append(
+            [
+                s.label,
+                str(len(timed)),
+                " to ".join(str(n) for n in dict.fromkeys((sizes[0], sizes[-1]))),
+                number(median(spreads)),
+                number(max(spreads, default=None)),
+                number(median(compiled)),
+            ]
+        )
+    head = ["integrator", "runs timed", "samples per run", "spread, median", "spread, worst"]
+    return Table("Timing", [*head, "prepared and compiled in s, median"], rows) if rows else None
+
+
+def spread(record: Record) -> float | None:
+    """(max - min) / median of the timing samples; None for fewer than two."""
+    middle = seconds_of(record)
+    if len(record.run_s) < 2 or not middle:
+        return None
+    return (max(record.run_s) - min(record.run_s)) / middle
+
+
+def count(value: int | None) -> str:
+    """A whole number, or that it cannot be counted."""
+    return "not counted" if value is None else str(value)
