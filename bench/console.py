@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -25,14 +25,14 @@ from bench.registry import Plugin
 _QUIET_SECONDS = 5.0
 
 
-def show(table: Table) -> None:
-    """Print a table on standard output."""
-    Console().print(table)
+def show(content: Table | Group) -> None:
+    """Print tables and lines on standard output."""
+    Console().print(content)
 
 
 def plugin_table(kind: str, plugins: list[Plugin]) -> Table:
     """Names, descriptions, and reasons of what is unavailable."""
-    table = Table(title=kind, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = _table(kind)
     table.add_column("name", style="cyan", no_wrap=True)
     table.add_column("description")
     for plugin in plugins:
@@ -47,42 +47,42 @@ def _number(value: float | None, form: str = ".3e") -> str:
     return "-" if value is None else format(value, form)
 
 
-def solution_table(record: Record, rows: Rows) -> Table:
+def solution_table(record: Record, rows: Rows) -> Group:
     """End values with errors, then work and times, of one run."""
-    table = Table(title=escape(f"{record.integrator} on {record.problem}, {record.resolution}: "
-                               f"{record.status}"),
-                  title_justify="left", title_style="bold", box=None, pad_edge=False)  # fmt: skip
+    name = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
     end = f"{rows.t[-1]:.6g}" if rows.t else "-"
+    table = _table(name)
     table.add_column("group", style="cyan")
-    table.add_column(f"value at t={end} s", no_wrap=True)
+    table.add_column(f"at t={end} s", no_wrap=True)
     for norm in NORMS:
-        table.add_column(f"error, {norm}", justify="right")
+        table.add_column(f"error {norm}", justify="right", no_wrap=True)
     for name, values in rows.values.items():
         errors = record.errors.get(name, {})
         table.add_row(name, "\n".join(f"{v: .15g}" for v in values[-1]),
-                      *(_number(errors.get(norm)) for norm in NORMS))  # fmt: skip
-    table.add_section()
+                      *(_number(errors.get(norm), ".2e") for norm in NORMS))  # fmt: skip
+    lines = []
     for title, items in (("constraint residual", record.constraint), ("work", record.work)):
-        text = ", ".join(
-            f"{key} {value:.3g}" if isinstance(value, float) else f"{key} {value}"
-            for key, value in items.items()
-            if value is not None
-        )
-        if text:
-            table.add_row(title, text)
+        known = [f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+                 for key, value in items.items() if value is not None]  # fmt: skip
+        if known:
+            lines.append(f"[bold]{title}[/bold]: {', '.join(known)}")
     if record.energy_drift is not None:
-        table.add_row("energy drift", f"{record.energy_drift:.3g}")
+        lines.append(f"[bold]energy drift[/bold]: {record.energy_drift:.3g}")
     if record.run_s:
-        table.add_row("time", f"{median(record.run_s):.3g} s (median of {len(record.run_s)}), "
-                              f"prepared in {_number(record.compile_s, '.2g')} s")  # fmt: skip
-    return table
+        lines.append(f"[bold]time[/bold]: {median(record.run_s):.3g} s (median of "
+                     f"{len(record.run_s)}), prepared in {_number(record.compile_s, '.2g')} s")  # fmt: skip
+    return Group(table, *lines)
+
+
+def _table(title: str) -> Table:
+    return Table(title=escape(title), title_justify="left", title_style="bold", box=None,
+                 pad_edge=False, padding=(0, 2, 0, 0))  # fmt: skip
 
 
 def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
     """Errors per step in every group (norm "settled"), and the orders in every norm."""
     name = f"{records[0].integrator} on {records[0].problem}"
-    table = Table(title=escape(f"{name}: relative error, norm 'settled', and fitted orders"),
-                  title_justify="left", title_style="bold", box=None, pad_edge=False)  # fmt: skip
+    table = _table(f"{name}: relative error, norm 'settled', and fitted orders")
     table.add_column("h", style="cyan", no_wrap=True)
     for group in orders["orders"]:
         table.add_column(group, justify="right")
@@ -95,10 +95,11 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
         for group, fitted in orders["orders"].items():
             window = orders["window"][group][norm]
             if fitted[norm] is None:
-                cells.append(orders["verdict"][group][norm])
+                cells.append(orders["verdict"][group][norm].replace(" determined", "\ndetermined"))
             else:
                 points = orders["points"][group][norm]
-                cells.append(f"{fitted[norm]:.2f} [{window[0]:.2g}..{window[1]:.2g}, {points}]")
+                cells.append(f"{fitted[norm]:.2f}\n{points} points\n"
+                             f"{window[1]:.2g}-{window[0]:.2g}")  # fmt: skip
         table.add_row(f"order, {norm}", *cells)
     return table
 

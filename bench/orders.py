@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-SPREAD = 0.25
+SPREAD = 0.15
 MOST_DROPPED = 3
 #: A fitted slope below this is no convergence worth the name.
 NO_CONVERGENCE = 0.3

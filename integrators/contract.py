@@ -252,5 +252,5 @@ def spread_rows(steps: int) -> np.ndarray:
     """
     most = min(steps, SPREAD_ROWS)
     rows = next((d for d in range(most, 19, -1) if steps % d == 0), most)
-    spread = np.round(np.arange(rows + 1) * (steps / rows)).astype(np.int64)
+    spread = np.round(np.arange(rows + 1) * (steps / max(rows, 1))).astype(np.int64)
     return np.union1d(np.arange(min(FIRST_ROWS, steps) + 1), spread)

@@ -34,7 +34,8 @@ from problems.system import MechatronicSystem, Sizes
 GROWTH_LIMIT = 1e12
 
 _PATTERN_SLOTS = 16
-_ROW_SLOTS = FIRST_ROWS + SPREAD_ROWS + 1
+#: The first steps, the first macro steps and the spread: as many rows as a run can ask for.
+_ROW_SLOTS = 2 * FIRST_ROWS + SPREAD_ROWS + 1
 _OK, _NEWTON_FAILED, _DIVERGED = 0, 1, 2
 
 
@@ -119,7 +120,7 @@ class _March(PreparedRun):
             np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots
         )
         self._t0, self._t_end = t0, t_end
-        self._rows = rows[rows > 0][:_ROW_SLOTS]
+        self._rows = rows[rows > 0]
         # Slots that are not needed repeat the last row, at which the march stands still.
         padded = np.full(_ROW_SLOTS, self._rows[-1])
         padded[: len(self._rows)] = self._rows

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from integrators.contract import FIRST_ROWS, SPREAD_ROWS
@@ -32,6 +30,8 @@ def rows_from_states(
 
     given = [padded(np.asarray(rows, dtype=float)) for rows in (q, v, x, t)]
     z, xdot = compiled(scene)["complete"](scene.parameters(), *given)
-    values: dict[str, Any] = {"t": t, "q": q, "v": v, "x": x, "xdot": xdot[:k]}
-    values |= {name: getattr(z, name)[:k] for name in ("a", "lam", "y")}
-    return {name: np.asarray(rows, dtype=float) for name, rows in values.items()}
+    solved = {"a": z.a, "lam": z.lam, "y": z.y, "xdot": xdot}
+    # To NumPy first: a slice of a JAX array is compiled anew for every length.
+    return {"t": t, "q": q, "v": v, "x": x} | {
+        name: np.asarray(rows)[:k] for name, rows in solved.items()
+    }

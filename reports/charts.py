@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import altair as alt
 
-from bench.records import NORMS, Rows
-from reports.series import (
-    GROUP_NAMES,
-    NORM_NAMES,
-    Look,
-    Series,
-    error_of,
-    seconds_of,
-    size_of,
+from bench.records import Rows
+from reports.marks import (
+    GREY,
+    MOST_COMPONENTS,
+    View,
+    arrange,
+    component,
+    csv_data,
+    dress,
+    error_panel,
+    over_time,
+    run_lines,
+    short,
+    wide_rows,
 )
-
-GREY = "#808080"
-#: A group with more components than this is drawn by its first ones.
-MOST_COMPONENTS = 3
-_UNITS = {"seconds": "median seconds per run", "residuals": "residual evaluations"}
+from reports.series import Look, Series
 
 
 def convergence(
@@ -38,16 +38,12 @@ def convergence(
     An interactive chart carries all norms and a choice between them.
     """
     stepped = [s for s in series if s.controls == "step" and s.ok]
-    looks = {s.label: looks[s.label] for s in stepped}
-    norms = NORMS if interactive else (norm,)
+    view = View({s.label: looks[s.label] for s in stepped}, norm, interactive)
     panels = []
     for group in groups:
-        rows = _points(stepped, group, norms)
-        floor = _floor(stepped, group, rows)
-        panel = _panel(rows, ("h", "step size h in s"), group, looks, floor, norm, interactive)
+        panel = error_panel(stepped, group, ("h", "step size h in s"), view, first=not panels)
         panels += [panel] if panel else []
-    columns = 2 if len(panels) in (2, 4) else 3
-    return _arrange(panels, columns)
+    return arrange(panels, {1: 1, 2: 2, 4: 2}.get(len(panels), 3))
 
 
 def work_precision(
@@ -59,19 +55,15 @@ def work_precision(
 ) -> alt.Chart | None:
     """Error in the groups against seconds and against counted work; None if nothing to draw."""
     series = [s for s in series if s.ok]
-    looks = {s.label: looks[s.label] for s in series}
-    norms = NORMS if interactive else (norm,)
-    panels, columns = [], 0
-    for unit, title in _UNITS.items():
-        row = []
+    view = View({s.label: looks[s.label] for s in series}, norm, interactive)
+    panels, columns = [], 1
+    for unit in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
+        before = len(panels)
         for group in groups:
-            rows = [r for r in _points(series, group, norms) if r.get(unit)]
-            floor = _floor(series, group, rows)
-            panel = _panel(rows, (unit, title), group, looks, floor, norm, interactive)
-            row += [panel] if panel else []
-        panels += row
-        columns = max(columns, len(row))
-    return _arrange(panels, max(columns, 1))
+            panel = error_panel(series, group, unit, view, first=not panels)
+            panels += [panel] if panel else []
+        columns = max(columns, len(panels) - before)
+    return arrange(panels, columns)
 
 
 def trajectory(
@@ -93,25 +85,26 @@ def trajectory(
     """
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
-    data = [row for i, (_, rows) in enumerate(runs) for row in _wide(rows, groups, i)]
-    back = _wide(reference, groups, -1) if reference else []
-    fields = sorted({key for row in [*data, *back] for key in row} - {"t", "s"})
-    panels = []
+    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, groups, i)]
+    back = wide_rows(reference, groups, -1) if reference else []
+    drawn, behind = csv_data(rows), csv_data(back)
+    in_runs, in_back = ({key for row in some for key in row} for some in (rows, back))
+    view = View(looks, interactive=interactive)
+    panels: list[alt.LayerChart] = []
     for group in groups:
-        sizes = [f for f in fields if f.rstrip("0123456789") == group]
-        for i in range(min(len(sizes), MOST_COMPONENTS)):
-            field, title = f"{group}{i}", _component(group, i, coordinates)
+        for i in range(MOST_COMPONENTS):
+            name, title = f"{group}{i}", component(group, i, coordinates)
             layers = []
-            if any(field in row for row in back):
-                line = alt.Chart(alt.InlineData(values=back)).mark_line(
-                    color=GREY, strokeWidth=5, opacity=0.4, clip=True
+            if name in in_back:
+                layers.append(
+                    alt.Chart(behind)
+                    .mark_line(color=GREY, strokeWidth=5, opacity=0.4, clip=True)
+                    .encode(*over_time(name, title))
                 )
-                layers.append(line.encode(*_over_time(field, title)))
-            if any(field in row for row in data):
-                layers.append(_lines(data, field, title, labels, looks, interactive))
-            if layers:
-                panels.append(alt.layer(*layers))
-    return _arrange(panels, min(3, len(panels)), height=150)
+            if name in in_runs:
+                layers.append(run_lines(drawn, name, title, labels, view, first=not panels))
+            panels += [alt.layer(*layers)] if layers else []
+    return arrange(panels, min(3, len(panels)), height=150)
 
 
 def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
@@ -121,7 +114,7 @@ def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
         fade = 1.0 if i == last else 0.12 + 0.28 * (i / max(last, 1))
         for j, line in enumerate(picture["lines"]):
             rows += [
-                {"line": f"{i}.{j}", "k": k, "x": _short(x), "y": _short(y), "fade": round(fade, 2)}
+                {"line": f"{i}.{j}", "k": k, "x": short(x), "y": short(y), "fade": round(fade, 2)}
                 for k, (x, y) in enumerate(line)
                 if math.isfinite(x) and math.isfinite(y)
             ]
@@ -143,7 +136,7 @@ def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
         }
 
     chart = (
-        alt.Chart(alt.InlineData(values=rows))
+        alt.Chart(csv_data(rows))
         .mark_line(color="#3b82c4", strokeWidth=2.5, strokeJoin="round", strokeCap="round")
         .encode(
             x=alt.X("x:Q", **axis("x", x0, x1, wide)),
@@ -154,220 +147,4 @@ def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
         )
         .properties(width=round(wide * pixels), height=round(high * pixels))
     )
-    return _dress(chart)
-
-
-# ---- pieces ------------------------------------------------------------------------------
-def _points(series: Sequence[Series], group: str, norms: Sequence[str]) -> list[dict[str, Any]]:
-    """One row per run and norm; only what a logarithmic axis can show."""
-    rows = []
-    for s in series:
-        for record in s.ok:
-            seconds = seconds_of(record)
-            extra = {
-                "h": _short(size_of(record)),
-                "run": record.resolution,
-                "seconds": _short(seconds),
-                "fastest": _short(min(record.run_s, default=None)),
-                "slowest": _short(max(record.run_s, default=None)),
-                "residuals": record.work.get("residuals"),
-            }
-            extra = {k: v for k, v in extra.items() if v is not None}
-            for norm in norms:
-                error = _short(error_of(record, group, norm))
-                if error is not None and error > 0:
-                    rows.append({"series": s.label, "norm": norm, "error": error, **extra})
-    return rows
-
-
-def _floor(series: Sequence[Series], group: str, rows: Sequence[Mapping]) -> float | None:
-    """The reference's own error, unless it lies so deep that it would squeeze the lines."""
-    floor = max((r.reference_error.get(group, 0.0) for s in series for r in s.ok), default=0.0)
-    lowest = min((row["error"] for row in rows), default=0.0)
-    return floor if floor > 0 and floor * 1e3 >= lowest else None
-
-
-def _panel(
-    rows: list[dict[str, Any]],
-    across: tuple[str, str],
-    group: str,
-    looks: Mapping[str, Look],
-    floor: float | None,
-    norm: str,
-    interactive: bool,
-) -> alt.LayerChart | None:
-    """Error in one group against something, log-log, with points, lines and the floor."""
-    if not rows:
-        return None
-    field, title = across
-    data = alt.Chart(alt.InlineData(values=rows))
-    if interactive:
-        data = data.transform_filter("datum.norm == norm")
-    x = alt.X(f"{field}:Q", title=title, scale=_log(), axis=_log_axis())
-    y = alt.Y(
-        "error:Q", title=f"relative error in {GROUP_NAMES[group]}", scale=_log(), axis=_log_axis()
-    )
-    color, dash, shape = _channels(looks)
-    tips = [
-        alt.Tooltip("series:N", title="integrator"),
-        alt.Tooltip("run:N", title="resolution"),
-        alt.Tooltip("error:Q", title=f"error in {group}", format=".3g"),
-        alt.Tooltip("seconds:Q", title="median s", format=".3g"),
-        alt.Tooltip("residuals:Q", title="residual evaluations", format="d"),
-    ]
-    layers = []
-    if floor is not None:
-        rule = alt.Chart(alt.InlineData(values=[{"floor": floor}])).mark_rule(
-            color=GREY, strokeDash=[5, 5]
-        )
-        tip = alt.Tooltip("floor:Q", title="reference's own error", format=".2g")
-        layers.append(rule.encode(y=alt.Y("floor:Q", scale=_log()), tooltip=tip))
-    lines = data.mark_line(strokeWidth=1.8).encode(x=x, y=y, strokeDash=dash, order="h:Q")
-    points = data.mark_point(filled=True, size=55).encode(x=x, y=y, shape=shape, tooltip=tips)
-    marks = [lines, points]
-    if field == "seconds":
-        ends = {"x": alt.X("fastest:Q", title=title, scale=_log()), "x2": "slowest:Q"}
-        marks.insert(0, data.mark_rule(strokeWidth=1).encode(y=y, **ends))
-    marks = [mark.encode(color=color) for mark in marks]
-    if interactive:
-        pick = _pick()
-        marks = [mark.encode(opacity=_dimmed(pick)) for mark in marks]
-        marks[-1] = marks[-1].add_params(pick, _zoom(f"{field}_{group}"), _norm_choice(norm))
-    return alt.layer(*layers, *marks)
-
-
-def _lines(
-    data: list[dict[str, Any]],
-    field: str,
-    title: str,
-    labels: Sequence[str],
-    looks: Mapping[str, Look],
-    interactive: bool,
-) -> alt.Chart:
-    color, dash, _ = _channels(looks)
-    chart = (
-        alt.Chart(alt.InlineData(values=data))
-        .transform_calculate(series=f"{json.dumps(list(labels))}[datum.s]")
-        .mark_line(strokeWidth=1.4, clip=True)
-        .encode(*_over_time(field, title), color=color, strokeDash=dash)
-    )
-    if interactive:
-        pick, zoom = _pick(), _zoom(field)
-        chart = chart.encode(opacity=_dimmed(pick)).add_params(pick, zoom)
-    return chart
-
-
-def _over_time(field: str, title: str) -> tuple[alt.X, alt.Y]:
-    return (
-        alt.X("t:Q", title="time in s", scale=alt.Scale(nice=False, zero=False)),
-        alt.Y(f"{field}:Q", title=title, scale=alt.Scale(zero=False)),
-    )
-
-
-def _component(group: str, i: int, coordinates: Sequence[str]) -> str:
-    name = coordinates[i] if group in "qva" and i < len(coordinates) else str(i + 1)
-    return f"{group}[{name}]"
-
-
-def _wide(rows: Rows, groups: Sequence[str], number_of_run: int) -> list[dict[str, Any]]:
-    table = []
-    for k, t in enumerate(rows.t):
-        row: dict[str, Any] = {"t": _short(t), "s": number_of_run}
-        for group in groups:
-            values = rows.values.get(group) or []
-            for i, value in enumerate(values[k][:MOST_COMPONENTS] if k < len(values) else []):
-                short = _short(value)
-                if short is not None:
-                    row[f"{group}{i}"] = short
-        table.append(row)
-    return table
-
-
-def _channels(looks: Mapping[str, Look]) -> tuple[alt.Color, alt.StrokeDash, alt.Shape]:
-    """Colour, dash and shape with one scale over all panels, so that they share a legend."""
-    legend = alt.Legend(
-        title=None, orient="bottom", direction="vertical", columns=2, labelLimit=440, symbolSize=90
-    )
-
-    def scale(values: list[Any]) -> alt.Scale:
-        return alt.Scale(domain=list(looks), range=values)
-
-    kinds = looks.values()
-    return (
-        alt.Color("series:N", scale=scale([look.color for look in kinds]), legend=legend),
-        alt.StrokeDash("series:N", scale=scale([list(look.dash) for look in kinds]), legend=legend),
-        alt.Shape("series:N", scale=scale([look.shape for look in kinds]), legend=legend),
-    )
-
-
-def _log() -> alt.Scale:
-    return alt.Scale(type="log", nice=False, padding=12)
-
-
-def _log_axis() -> alt.Axis:
-    # Whole decades where there are many, everything between where there are few.
-    return alt.Axis(format="~g", tickCount=6, labelOverlap="greedy", labelSeparation=6)
-
-
-def _pick() -> alt.Parameter:
-    """A click on the legend isolates a method; with Shift, several."""
-    return alt.selection_point(name="pick", fields=["series"], bind="legend")
-
-
-def _dimmed(pick: alt.Parameter) -> Any:
-    return alt.condition(pick, alt.value(1.0), alt.value(0.07))
-
-
-def _zoom(name: str) -> alt.Parameter:
-    """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
-    return alt.selection_interval(
-        name=f"zoom_{name}",
-        bind="scales",
-        zoom="wheel![event.ctrlKey]",
-        translate="[pointerdown[event.pointerType === 'mouse'], window:pointerup] "
-        "> window:pointermove!",
-    )
-
-
-def _norm_choice(norm: str) -> alt.Parameter:
-    names = [NORM_NAMES[n] for n in NORMS]
-    return alt.param(
-        name="norm",
-        value=norm,
-        bind=alt.binding_radio(options=list(NORMS), labels=names, name="Error "),
-    )
-
-
-def _arrange(panels: Sequence[alt.LayerChart], columns: int, height: int = 250) -> alt.Chart | None:
-    if not panels:
-        return None
-    width = {1: 620, 2: 410}.get(columns, 270)
-    panels = [panel.properties(width=width, height=height) for panel in panels]
-    return _dress(alt.concat(*panels, columns=columns, spacing=24))
-
-
-def _dress(chart: alt.Chart) -> alt.Chart:
-    """No background and greys that read on light and on dark pages."""
-    text = {"labelColor": GREY, "titleColor": GREY}
-    return (
-        chart.configure(background="transparent", font="system-ui, sans-serif")
-        .configure_view(stroke=GREY, strokeOpacity=0.35)
-        .configure_axis(
-            **text,
-            gridColor=GREY,
-            gridOpacity=0.18,
-            domainColor=GREY,
-            tickColor=GREY,
-            titleFontWeight="normal",
-            titleFontSize=12,
-            labelFontSize=11,
-        )
-        .configure_legend(**text, labelFontSize=12)
-    )
-
-
-def _short(value: float | None) -> float | None:
-    """Five digits are more than a picture shows; None for what is not a number."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(f"{value:.5g}")
+    return dress(chart)

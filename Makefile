@@ -1,0 +1,24 @@
+# Two commands do everything on a fresh machine with Python >= 3.11: `make run` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: run test bench lint clean
+
+.venv/installed: pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	touch $@
+
+run: .venv/installed  ## run the quick suite and write its report
+	$(BIN)/stepbench run quick
+
+test: .venv/installed  ## check the style and pass the tests
+	$(BIN)/ruff check .
+	$(BIN)/python -m pytest -q
+
+bench: .venv/installed  ## microseconds per step and per residual
+	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc
+
+clean:
+	rm -rf .venv build *.egg-info stepbench-results

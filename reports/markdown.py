@@ -1,0 +1,83 @@
+"""report.md: the same content as the HTML page, for reading beside code, with SVG pictures."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import jinja2
+import vl_convert
+
+from reports.content import read_page
+from reports.tables import Table
+
+FILE = "report.md"
+FIGURES = "report_figures"
+
+
+def write(folder: Path) -> Path:
+    """Write report.md and its pictures (report_figures/) into a run folder, from its store alone.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+
+    Returns
+    -------
+    pathlib.Path
+        The page.
+
+    Raises
+    ------
+    bench.store.StoreError
+        If the folder holds no readable store.
+    """
+    page = read_page(folder)
+    pictures = Path(folder) / FIGURES
+    for scene in page.scenes:
+        figures = [figure for study in scene.studies for figure in study.figures]
+        for figure in [scene.picture, *figures] if scene.picture else figures:
+            for name, chart in figure.still.items():
+                pictures.mkdir(exist_ok=True)
+                svg = vl_convert.vegalite_to_svg(chart.to_dict())
+                (pictures / f"{name}.svg").write_text(svg, encoding="utf-8")
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("reports"),
+        autoescape=False,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"md": escape, "code": code, "table": table}
+    text = environment.get_template("report.md.j2").render(page=page, figures=FIGURES)
+    path = Path(folder) / FILE
+    path.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", encoding="utf-8")
+    return path
+
+
+def escape(text: object) -> str:
+    """Text in which no character means markup, on one line."""
+    flat = " ".join(str(text).split())
+    flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", flat)
+
+
+def code(text: object) -> str:
+    """Text set as code, fit for a table's cell."""
+    flat = " ".join(str(text).split()).replace("`", "'")
+    return f"`{flat}`".replace("|", "\\|") if flat else ""
+
+
+def table(content: Table) -> str:
+    """A table in GitHub's dialect, with its caption and note."""
+    lines = [_row(escape(head) for head in content.head), _row("---" for _ in content.head)]
+    for i, cells in enumerate(content.rows):
+        shown = [code(c) if j in content.code else escape(c) for j, c in enumerate(cells)]
+        lines.append(_row(f"**{c}**" if (i, j) in content.best else c for j, c in enumerate(shown)))
+    parts = [f"**{escape(content.caption)}**", "\n".join(lines)]
+    return "\n\n".join([*parts, escape(content.note)] if content.note else parts)
+
+
+def _row(cells: object) -> str:
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,258 @@
+"""The pieces of which charts are made: rows, panels, scales and ways to point at things."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import altair as alt
+
+from bench.records import NORMS, Rows
+from reports.series import (
+    GROUP_NAMES,
+    NORM_NAMES,
+    Look,
+    Series,
+    error_of,
+    seconds_of,
+    size_of,
+)
+
+GREY = "#808080"
+#: A group with more components than this is drawn by its first ones.
+MOST_COMPONENTS = 3
+
+
+@dataclass(frozen=True)
+class View:
+    """How a chart is to look: a look per label, the norm shown, alive or a still picture."""
+
+    looks: Mapping[str, Look]
+    norm: str = "end"
+    interactive: bool = False
+
+
+def csv_data(rows: Sequence[Mapping[str, Any]]) -> alt.InlineData:
+    """Rows as one string of comma-separated values: names once, and nothing to copy or check."""
+    head = list(dict.fromkeys(key for row in rows for key in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, head, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    words = {"series", "norm", "run", "line"}
+    parse = {key: "string" if key in words else "number" for key in head}
+    return alt.InlineData(values=text.getvalue(), format={"type": "csv", "parse": parse})
+
+
+def error_panel(
+    series: Sequence[Series], group: str, across: tuple[str, str], view: View, first: bool
+) -> alt.LayerChart | None:
+    """Error in one group against (field, title), log-log: lines, points and the floor.
+
+    None if nothing is there to draw. The first panel of a chart takes the controls of all.
+    """
+    field, title = across
+    norms = NORMS if view.interactive else (view.norm,)
+    rows = _error_rows(series, group, norms)
+    if not any(row.get(field) for row in rows):
+        return None
+    data = alt.Chart(csv_data(rows)).transform_filter(f"datum.{field} > 0")
+    if view.interactive:
+        data = data.transform_filter("datum.norm == norm")
+    color, dash, shape = _channels(view.looks)
+    x = alt.X(f"{field}:Q", title=title, scale=_log(), axis=_log_axis())
+    y_title = f"relative error in {GROUP_NAMES[group]}"
+    y = alt.Y("error:Q", title=y_title, scale=_log(), axis=_log_axis())
+    tips = [
+        alt.Tooltip("series:N", title="integrator"),
+        alt.Tooltip("run:N", title="resolution"),
+        alt.Tooltip("error:Q", title=f"error in {group}", format=".3g"),
+        alt.Tooltip("seconds:Q", title="median s", format=".3g"),
+        alt.Tooltip("residuals:Q", title="residual evaluations", format="d"),
+    ]
+    lines = data.mark_line(strokeWidth=1.8).encode(x=x, y=y, strokeDash=dash, order="h:Q")
+    points = data.mark_point(filled=True, size=55).encode(x=x, y=y, shape=shape, tooltip=tips)
+    marks = [lines, points]
+    if field == "seconds":
+        ends = {"x": alt.X("fastest:Q", title=title, scale=_log()), "x2": "slowest:Q"}
+        marks.insert(0, data.mark_rule(strokeWidth=1).encode(y=y, **ends))
+    marks = [mark.encode(color=color) for mark in marks]
+    if view.interactive:
+        marks = [mark.encode(opacity=_dimmed()) for mark in marks]
+        controls = [_pick(), _norm_choice(view.norm)] if first else []
+        marks[-1] = marks[-1].add_params(_zoom(f"{field}_{group}"), *controls)
+    return alt.layer(*_floor_rule(series, group, rows), *marks)
+
+
+def _error_rows(series: Sequence[Series], group: str, norms: Sequence[str]) -> list[dict[str, Any]]:
+    """One row per run and norm; only errors that a logarithmic axis can show."""
+    rows = []
+    for s in series:
+        for record in s.ok:
+            run = {
+                "h": short(size_of(record)),
+                "run": record.resolution,
+                "seconds": short(seconds_of(record)),
+                "fastest": short(min(record.run_s, default=None)),
+                "slowest": short(max(record.run_s, default=None)),
+                "residuals": record.work.get("residuals"),
+            }
+            for norm in norms:
+                error = short(error_of(record, group, norm))
+                if error is not None and error > 0:
+                    rows.append({"series": s.label, "norm": norm, "error": error, **run})
+    return rows
+
+
+def _floor_rule(
+    series: Sequence[Series], group: str, rows: Sequence[Mapping[str, Any]]
+) -> list[alt.Chart]:
+    """The reference's own error, unless it lies so deep that it would squeeze the lines."""
+    floor = max((r.reference_error.get(group, 0.0) for s in series for r in s.ok), default=0.0)
+    if floor <= 0 or floor * 1e3 < min(row["error"] for row in rows):
+        return []
+    tip = alt.Tooltip("floor:Q", title="reference's own error", format=".2g")
+    rule = alt.Chart(csv_data([{"floor": floor}])).mark_rule(color=GREY, strokeDash=[5, 5])
+    return [rule.encode(y=alt.Y("floor:Q", scale=_log()), tooltip=tip)]
+
+
+def run_lines(
+    data: alt.InlineData, field: str, title: str, labels: Sequence[str], view: View, first: bool
+) -> alt.Chart:
+    """One component over time, a line per run."""
+    color, dash, _ = _channels(view.looks)
+    chart = (
+        alt.Chart(data)
+        .transform_calculate(series=f"{json.dumps(list(labels))}[datum.s]")
+        .mark_line(strokeWidth=1.4, clip=True)
+        .encode(*over_time(field, title), color=color, strokeDash=dash)
+    )
+    if view.interactive:
+        controls = [_pick()] if first else []
+        chart = chart.encode(opacity=_dimmed()).add_params(_zoom(field), *controls)
+    return chart
+
+
+def over_time(field: str, title: str) -> tuple[alt.X, alt.Y]:
+    """The two axes of a component over time."""
+    return (
+        alt.X("t:Q", title="time in s", scale=alt.Scale(nice=False, zero=False)),
+        alt.Y(f"{field}:Q", title=title, scale=alt.Scale(zero=False)),
+    )
+
+
+def component(group: str, i: int, coordinates: Sequence[str]) -> str:
+    """A component as an axis names it: q[X], lam[1]."""
+    name = coordinates[i] if group in "qva" and i < len(coordinates) else str(i + 1)
+    return f"{group}[{name}]"
+
+
+def wide_rows(rows: Rows, groups: Sequence[str], number_of_run: int) -> list[dict[str, Any]]:
+    """A row per time with the first components of every group."""
+    table = []
+    for k, t in enumerate(rows.t):
+        row: dict[str, Any] = {"t": short(t), "s": number_of_run}
+        for group in groups:
+            values = rows.values.get(group) or []
+            for i, value in enumerate(values[k][:MOST_COMPONENTS] if k < len(values) else []):
+                short = short(value)
+                if short is not None:
+                    row[f"{group}{i}"] = short
+        table.append(row)
+    return table
+
+
+def _channels(looks: Mapping[str, Look]) -> tuple[alt.Color, alt.StrokeDash, alt.Shape]:
+    """Colour, dash and shape with one scale over all panels, so that they share a legend."""
+    legend = alt.Legend(
+        title=None, orient="bottom", direction="vertical", columns=2, labelLimit=440, symbolSize=90
+    )
+
+    def scale(values: list[Any]) -> alt.Scale:
+        return alt.Scale(domain=list(looks), range=values)
+
+    kinds = looks.values()
+    return (
+        alt.Color("series:N", scale=scale([look.color for look in kinds]), legend=legend),
+        alt.StrokeDash("series:N", scale=scale([list(look.dash) for look in kinds]), legend=legend),
+        alt.Shape("series:N", scale=scale([look.shape for look in kinds]), legend=legend),
+    )
+
+
+def _log() -> alt.Scale:
+    return alt.Scale(type="log", nice=False, padding=12)
+
+
+def _log_axis() -> alt.Axis:
+    # Whole decades where there are many, everything between where there are few.
+    return alt.Axis(format="~g", tickCount=6, labelOverlap="greedy", labelSeparation=6)
+
+
+def _pick() -> alt.Parameter:
+    """A click on the legend isolates a method; with Shift, several."""
+    return alt.selection_point(name="pick", fields=["series"], bind="legend")
+
+
+def _dimmed() -> Any:
+    return alt.condition(alt.param("pick"), alt.value(1.0), alt.value(0.07))
+
+
+def _zoom(name: str) -> alt.Parameter:
+    """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
+    return alt.selection_interval(
+        name=f"zoom_{name}",
+        bind="scales",
+        zoom="wheel![event.ctrlKey]",
+        translate="[pointerdown[event.pointerType === 'mouse'], window:pointerup] "
+        "> window:pointermove!",
+    )
+
+
+def _norm_choice(norm: str) -> alt.Parameter:
+    names = [NORM_NAMES[n] for n in NORMS]
+    return alt.param(
+        name="norm",
+        value=norm,
+        bind=alt.binding_radio(options=list(NORMS), labels=names, name="Error "),
+    )
+
+
+def arrange(panels: Sequence[alt.LayerChart], columns: int, height: int = 250) -> alt.Chart | None:
+    """Panels in a grid, dressed; None of none."""
+    if not panels:
+        return None
+    width = {1: 620, 2: 410}.get(columns, 270)
+    panels = [panel.properties(width=width, height=height) for panel in panels]
+    return dress(alt.concat(*panels, columns=columns, spacing=24))
+
+
+def dress(chart: alt.Chart) -> alt.Chart:
+    """No background and greys that read on light and on dark pages."""
+    text = {"labelColor": GREY, "titleColor": GREY}
+    return (
+        chart.configure(background="transparent", font="system-ui, sans-serif")
+        .configure_view(stroke=GREY, strokeOpacity=0.35)
+        .configure_axis(
+            **text,
+            gridColor=GREY,
+            gridOpacity=0.18,
+            domainColor=GREY,
+            tickColor=GREY,
+            titleFontWeight="normal",
+            titleFontSize=12,
+            labelFontSize=11,
+        )
+        .configure_legend(**text, labelFontSize=12)
+    )
+
+
+def short(value: float | None) -> float | None:
+    """Five digits are more than a picture shows; None for what is not a number."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.5g}")

@@ -1,0 +1,42 @@
+"""What several tests need: errors and slopes measured independently of the bench."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from integrators import Integrator, Steps
+from problems import MechatronicSystem
+from problems.reference import Reference
+
+
+def errors_at(
+    integrator: Integrator,
+    scene: MechatronicSystem,
+    t_end: float,
+    h: float,
+    pattern: tuple[float, ...] = (1.0,),
+) -> dict[str, np.ndarray]:
+    """Absolute error (Euclidean) per group at every row of a fixed-step run."""
+    run = integrator.prepare(scene, t_end, Steps(h, pattern)).measure()
+    assert run.status == "ok", run.message
+    exact = Reference(scene, t_end)(run.t)
+    return {
+        group: np.linalg.norm(getattr(run, group) - exact[group], axis=1)
+        for group in ("q", "v", "a", "lam", "x", "y")
+        if exact[group].shape[1]
+    }
+
+
+def slope(steps: list[float], errors: list[float]) -> float:
+    """Least-squares slope in log-log."""
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def local_slopes(steps: list[float], errors: list[float]) -> list[float]:
+    """Slopes between neighbours."""
+    return [
+        float(np.log(e1 / e2) / np.log(h1 / h2))
+        for (h1, e1), (h2, e2) in pairwise(zip(steps, errors, strict=True))
+    ]

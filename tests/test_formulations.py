@@ -1,0 +1,219 @@
+"""The formulations that are derived from a scene's blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import formulations as form
+from problems.pendulum import Pendulum
+from problems.reference import Reference
+from problems.spring_mass import SpringMass
+
+
+@dataclass(frozen=True)
+class NonlinearFeedback(MechatronicSystem):
+    """m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a."""
+
+    c: float = parameter(2.0, "N", "limit of the actuator")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -3.0 * q
+
+    def state_rate(self, z):
+        return z.a**3 - z.x
+
+    def output(self, z):
+        return self.c * jnp.tanh(z.x + z.a - z.y)
+
+    def actuation(self):
+        return np.eye(1)
+
+    def initial_state(self):
+        return State(q=np.array([0.7]), v=np.array([0.2]), x=np.array([0.4]))
+
+
+@dataclass(frozen=True)
+class DrivenBead(MechatronicSystem):
+    """A bead on a parabola that is moved by time: rheonomic, with a configuration-dependent mass."""
+
+    interval = (0.3, 1.0)
+
+    def mass(self, q):
+        return jnp.diag(jnp.stack([1.0 + q[0] ** 2, jnp.asarray(2.0)]))
+
+    def force(self, q, v, t):
+        return jnp.stack([-q[0] * v[0] ** 2, -9.81 * jnp.cos(t)])
+
+    def constraint(self, q, t):
+        return (q[1] - q[0] ** 2 - jnp.sin(2 * t))[None]
+
+    def initial_state(self):
+        t, x, xd = 0.3, 0.5, -0.4
+        return State(
+            q=np.array([x, x**2 + np.sin(2 * t)]),
+            v=np.array([xd, 2 * x * xd + 2 * np.cos(2 * t)]),
+        )
+
+
+@dataclass(frozen=True)
+class OffTheRod(Pendulum):
+    """A pendulum whose bob is set beside its circle."""
+
+    gap: float = parameter(1e-3, "m", "distance from the circle")
+    slip: float = parameter(0.0, "m/s", "radial velocity")
+
+    def initial_state(self):
+        q, v, x = super().initial_state()
+        return State(q * (1 + self.gap), v + self.slip * q, x)
+
+
+@dataclass(frozen=True)
+class MasslessAlone(MechatronicSystem):
+    """Two coordinates of which one has no mass: only the augmented matrix is regular."""
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([1.0, 0.0]))
+
+    def force(self, q, v, t):
+        return jnp.stack([-2.0 * q[0], jnp.asarray(0.0)])
+
+    def constraint(self, q, t):
+        return (q[1] - q[0])[None]
+
+    def initial_state(self):
+        return State(q=np.array([1.0, 1.0]), v=np.array([0.5, 0.5]))
+
+
+def test_the_paper_start_of_the_spring_mass_is_found():
+    start = form.consistent_start(SpringMass())
+    assert start.z.a == pytest.approx([-5.0], abs=1e-14)
+    assert start.xdot == pytest.approx([7.0], abs=1e-14)
+    assert start.z.y == pytest.approx([0.0, 0.0], abs=1e-14)
+
+
+def test_an_output_implicit_in_y_and_nonlinear_in_a_is_solved():
+    scene = NonlinearFeedback()
+    start = form.consistent_start(scene)
+    q, _, x = scene.initial_state()
+
+    def eliminated(y):  # a = y - 3 q put into the output equation
+        a = y - 3 * q[0]
+        return y - scene.c * np.tanh(x[0] + a - y)
+
+    y = brentq(eliminated, -10, 10, xtol=1e-15)
+    assert start.z.y == pytest.approx([y], rel=1e-12)
+    assert start.z.a == pytest.approx([y - 3 * q[0]], rel=1e-12)
+    assert start.xdot == pytest.approx([start.z.a[0] ** 3 - x[0]], rel=1e-12)
+
+
+@pytest.mark.parametrize("scene", [Pendulum(), SpringMass(), NonlinearFeedback(), DrivenBead()])
+def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion(scene):
+    start = form.consistent_start(scene)
+    z, xdot, eps = start.z, start.xdot, 1e-5
+    functions, p = form.compiled(scene), scene.parameters()
+    ends = []
+    for s in (-eps, eps):
+        rows = (z.q + s * z.v + s**2 / 2 * z.a, z.v + s * z.a, z.x + s * xdot)
+        rows = [np.asarray(row)[None] for row in rows]
+        ends.append(functions["complete"](p, *rows, np.array([z.t + s]))[0].a[0])
+    assert start.jerk == pytest.approx((ends[1] - ends[0]) / (2 * eps), rel=1e-6, abs=1e-6)
+
+
+def test_constraint_levels_are_time_derivatives_of_the_constraint():
+    scene, eps = DrivenBead(), 1e-4
+    rng = np.random.default_rng(1)
+    q, v, a = rng.normal(size=(3, 2))
+    t = 0.6
+
+    def phi(s):
+        return np.asarray(scene.constraint(q + s * v + s * s / 2 * a, t + s))
+
+    velocity = form.constraint_velocity(scene, q, v, t)
+    acceleration = form.constraint_acceleration(scene, q, v, a, t)
+    assert velocity == pytest.approx((phi(eps) - phi(-eps)) / (2 * eps), rel=1e-6)
+    assert acceleration == pytest.approx(
+        (phi(eps) - 2 * phi(0) + phi(-eps)) / eps**2, rel=1e-5
+    )
+
+
+def test_the_constraint_force_is_the_transposed_jacobian_times_lambda():
+    scene, q = DrivenBead(), np.array([0.3, 0.1])
+    jacobian = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.5))(q))
+    force = form.constraint_force(scene, q, 0.5, np.array([1.7]))
+    assert force == pytest.approx(jacobian.T @ [1.7], rel=1e-14)
+
+
+@pytest.mark.parametrize("scene", [Pendulum(), SpringMass(), DrivenBead(), NonlinearFeedback()])
+@pytest.mark.parametrize("formulation", ["index3", "index2", "stabilised_index2", "index1"])
+def test_every_dae_formulation_vanishes_on_the_motion(scene, formulation):
+    start, sizes = form.consistent_start(scene), scene.sizes
+    at = form.dae_layout(sizes, formulation)
+    w, wdot = np.zeros(at.size), np.zeros(at.size)
+    for name in ("q", "v", "x", "lam", "y"):
+        w[getattr(at, name)] = getattr(start.z, name)
+    wdot[at.q], wdot[at.v], wdot[at.x] = start.z.v, start.z.a, start.xdot
+    residual = np.asarray(form.dae_residual(scene, sizes, formulation, start.z.t, w, wdot))
+    assert residual.size == at.size
+    assert np.abs(residual).max() < 1e-12 * max(1.0, np.abs(w).max(), np.abs(wdot).max())
+    # ... and off it it does not: each row answers to some variable.
+    jacobian = jax.jacfwd(
+        lambda s: form.dae_residual(scene, sizes, formulation, start.z.t, w + s, wdot + 3.7 * s)
+    )(np.zeros(at.size))
+    assert (np.abs(np.asarray(jacobian)).max(axis=1) > 0).all()
+
+
+def test_the_ode_form_agrees_with_the_closed_form():
+    scene = Pendulum()
+    t = np.linspace(*scene.interval, 15)
+    exact = Reference(scene, scene.interval[1])(t)
+    z, _ = form.compiled(scene)["complete"](
+        scene.parameters(), exact["q"], exact["v"], exact["x"], t
+    )
+    assert z.a == pytest.approx(exact["a"], abs=1e-12)
+    assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
+
+
+def test_a_mass_matrix_that_is_singular_alone_is_no_obstacle():
+    # One oscillator of mass 1 and stiffness 2; the second coordinate follows without force.
+    start = form.consistent_start(MasslessAlone())
+    assert start.z.a == pytest.approx([-2.0, -2.0], abs=1e-13)
+    assert start.z.lam == pytest.approx([0.0], abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("scene", "level", "amount"),
+    [
+        (OffTheRod(gap=1e-3), "position", r"1\.000e-03|1\.001e-03"),
+        (OffTheRod(gap=0.0, slip=0.02), "velocity", r"2\.000e-02"),
+    ],
+)
+def test_an_inconsistent_start_is_refused_with_its_size(scene, level, amount):
+    with pytest.raises(form.InconsistentStart, match=f"{level} level by ({amount})"):
+        form.consistent_start(scene)
+
+
+def test_a_wrong_shape_is_named():
+    @dataclass(frozen=True)
+    class Lopsided(SpringMass):
+        """A scene whose force has one entry too many."""
+
+        def force(self, q, v, t):
+            return jnp.zeros(2)
+
+    with pytest.raises(ValueError, match=r"force has shape \(2,\), expected \(1,\)"):
+        form.consistent_start(Lopsided())
+
+
+def test_parameters_are_traced_and_compile_nothing_new():
+    light, heavy = SpringMass(m=1.0), SpringMass(m=7.0)
+    assert form.compiled(light) is form.compiled(heavy)
+    a = [form.consistent_start(s).z.a[0] for s in (light, heavy)]
+    assert a == pytest.approx([-5.0, -5.0 / 7.0])
