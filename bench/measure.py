@@ -57,7 +57,7 @@ def relative_reference_error(reference: Reference) -> dict[str, float]:
     """The reference's own estimated error, relative to the largest value of each group."""
     exact = reference(np.linspace(reference.scene.interval[0], reference.t_end, 100))
     return {
-        group: error / (np.linalg.norm(exact[group], axis=1).max() or 1.0)
+        group: float(error / (np.linalg.norm(exact[group], axis=1).max() or 1.0))
         for group, error in reference.error.items()
         if exact[group].shape[1]
     }
@@ -70,7 +70,7 @@ def constraint_residuals(
     if not scene.has("constraint"):
         return {}
     y = trajectory
-    levels = compiled(scene)["levels"](scene.parameters(), y.q, y.v, y.a, y.t)
+    levels = compiled(scene).levels(scene.parameters(), y.q, y.v, y.a, y.t)
     return {
         name: finite(np.abs(r).max(initial=0.0)) for name, r in zip(LEVELS, levels, strict=True)
     }
@@ -80,7 +80,7 @@ def energy_drift(scene: MechatronicSystem, trajectory: Trajectory) -> float | No
     """Largest change of the energy over the rows, relative to the largest kinetic energy."""
     if not scene.has("energy"):
         return None
-    energy, p = compiled(scene)["energy"], scene.parameters()
+    energy, p = compiled(scene).energy, scene.parameters()
     total = np.asarray(energy(p, trajectory.q, trajectory.v))
     kinetic = total - np.asarray(energy(p, trajectory.q, 0 * trajectory.v))
     return finite(np.abs(total - total[0]).max() / (np.abs(kinetic).max() or 1.0))

@@ -20,7 +20,7 @@ from bench.worker import serve
 #: How often the memory of a worker is looked at.
 _WATCH_SECONDS = 0.1
 #: A run that is long is timed less often: no more samples once they have lasted this long.
-_TIMING_SECONDS = 3.0
+_TIMING_SECONDS = 1.0
 _LEAST_SAMPLES = 3
 
 

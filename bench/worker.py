@@ -30,6 +30,8 @@ from problems.system import MechatronicSystem
 
 #: A timing sample repeats short runs until it has lasted this long.
 SAMPLE_SECONDS = 5e-3
+#: A run that lasts longer warms its caches itself.
+_LONG_SECONDS = 0.05
 _GHOSTS = 7
 
 
@@ -45,6 +47,7 @@ class Measured:
 class _Bench:
     registry: Registry
     prepared: dict[str, PreparedRun] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
     references: dict[tuple[str, float], Reference] = field(default_factory=dict)
     reference_errors: dict[tuple[str, float], dict[str, float]] = field(default_factory=dict)
 
@@ -79,6 +82,7 @@ class _Bench:
         try:
             run = integrator.prepare(scene, cell.t_end, cell.resolution)
             compile_s = time.perf_counter() - started
+            measuring = time.perf_counter()
             trajectory = run.measure()
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", str(error)), None
@@ -87,6 +91,7 @@ class _Bench:
                 traceback.print_exc()
             return Trajectory.failed("crashed", f"The integrator failed: {explain(error)}"), None
         self.prepared[cell.key] = run
+        self.seconds[cell.key] = time.perf_counter() - measuring
         return _checked(trajectory, cell.t_end), compile_s
 
     def time(self, cell: Cell) -> float:
@@ -94,13 +99,15 @@ class _Bench:
         if cell.key not in self.prepared:
             self._run(cell)
         run = self.prepared[cell.key]
-        run.execute()  # warm caches after whatever ran in between
+        if self.seconds.get(cell.key, 0.0) < _LONG_SECONDS:
+            run.execute()  # warms caches after whatever ran in between
         repeats, started = 0, time.perf_counter()
         while True:
             run.execute()
             repeats += 1
             elapsed = time.perf_counter() - started
             if elapsed >= SAMPLE_SECONDS:
+                self.seconds[cell.key] = elapsed / repeats
                 return elapsed / repeats
 
     def scene(self, problem: str, t_end: float) -> SceneRecord:

@@ -172,11 +172,11 @@ class _IDARun(PreparedRun):
 
     def _new(self) -> tuple[Any, _Equations]:
         """A new solver: a used one keeps counters and history."""
-        from sksundae.ida import IDA as Solver
+        from sksundae import ida
 
         equations = _Equations(self._functions, self._p, self._method.max_calls)
         options = {"max_order": self._method.max_order, **self._tolerances}
-        return Solver(equations.residual, jacfn=equations.jacobian, **options), equations
+        return ida.IDA(equations.residual, jacfn=equations.jacobian, **options), equations
 
     def execute(self) -> Any:
         with contextlib.suppress(_Stop, RuntimeError), _silence():

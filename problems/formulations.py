@@ -188,8 +188,30 @@ def dae_residual(
 
 
 # ---- compiled once per scene, for any parameters ---------------------------------------
+class Compiled(NamedTuple):
+    """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
+
+    ``start(p, q, v, x, t)``
+        Variables, xdot and the jerk at one time
+    ``ode(p, t, s)``
+        rate of s = [q, v, x]
+    ``complete(p, q, v, x, t)``
+        Variables and xdot at many times; arrays of shape ``(k, n)``, t of shape ``(k,)``
+    ``levels(p, q, v, a, t)``
+        constraint residuals of position, velocity and acceleration at many times
+    ``energy(p, q, v)``
+        energy at many times
+    """
+
+    start: Callable
+    ode: Callable
+    complete: Callable
+    levels: Callable
+    energy: Callable
+
+
 @cache
-def _compiled(template: MechatronicSystem, sizes: Sizes) -> dict[str, Callable]:
+def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
     def at(p: dict) -> MechatronicSystem:
         return template.with_parameters(p)
 
@@ -205,13 +227,13 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> dict[str, Callable]:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    return {
-        "start": jax.jit(with_jerk),
-        "complete": _over_rows(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t)),
-        "ode": jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
-        "levels": _over_rows(levels),
-        "energy": _over_rows(lambda p, q, v: at(p).energy(q, v)),
-    }
+    return Compiled(
+        start=jax.jit(with_jerk),
+        ode=jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
+        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t)),
+        levels=_over_rows(levels),
+        energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
+    )
 
 
 _ROW_BLOCK = 256
@@ -233,13 +255,8 @@ def _over_rows(function: Callable) -> Callable:
     return call
 
 
-def compiled(scene: MechatronicSystem) -> dict[str, Callable]:
-    """Compiled functions of a scene, whose first argument is ``scene.parameters()``.
-
-    ``start(p, q, v, x, t)`` gives Variables, xdot and the jerk; ``complete`` the Variables and
-    xdot at many times; ``ode(p, t, s)`` the rate of s = [q, v, x]; ``levels(p, q, v, a, t)`` the
-    constraint residuals of position, velocity and acceleration; ``energy(p, q, v)``.
-    """
+def compiled(scene: MechatronicSystem) -> Compiled:
+    """The compiled functions of a scene, shared by all its parameter values."""
     return _compiled(scene.template(), scene.sizes)
 
 
@@ -267,7 +284,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
     _check_dimensions(scene, state)
     if scene.has("constraint"):
         one = [np.asarray(part)[None] for part in (state.q, state.v, 0 * state.q, t0)]
-        position, velocity, _ = (np.abs(r[0]).max() for r in functions["levels"](p, *one))
+        position, velocity, _ = (np.abs(r[0]).max() for r in functions.levels(p, *one))
         for level, size, r, ref in (
             ("position", "q", position, state.q),
             ("velocity", "v", velocity, state.v),
@@ -279,7 +296,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
                     f"level by {r:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}); "
                     f"correct the scene's initial_state or its parameters."
                 )
-    z, xdot, jerk0 = functions["start"](p, *state, t0)
+    z, xdot, jerk0 = functions.start(p, *state, t0)
     z = Variables(*(np.asarray(part) for part in z))
     if not all(np.isfinite(part).all() for part in z):
         raise NoConsistentStart(

@@ -72,7 +72,7 @@ class Reference:
         s = dense(t).T
         nq = self.scene.sizes.nq
         q, v, x = s[:, :nq], s[:, nq : 2 * nq], s[:, 2 * nq :]
-        z, xdot = compiled(self.scene)["complete"](self.scene.parameters(), q, v, x, t)
+        z, xdot = compiled(self.scene).complete(self.scene.parameters(), q, v, x, t)
         values = {g: np.asarray(getattr(z, g)) for g in GROUPS}
         return values | {"xdot": np.asarray(xdot)}
 
@@ -90,7 +90,7 @@ class Reference:
         t0 = self.scene.interval[0]
         start = consistent_start(self.scene).z
         s0 = np.concatenate([start.q, start.v, start.x])
-        rate, p = compiled(self.scene)["ode"], self.scene.parameters()
+        rate, p = compiled(self.scene).ode, self.scene.parameters()
         # The continuous output is one order below the steps; steps well below the free choice
         # at this tolerance keep it at their accuracy.
         solution = solve_ivp(

@@ -91,19 +91,21 @@ def trajectory(
     in_runs, in_back = ({key for row in some for key in row} for some in (rows, back))
     view = View(looks, interactive=interactive)
     panels: list[alt.LayerChart] = []
-    for group in groups:
-        for i in range(MOST_COMPONENTS):
-            name, title = f"{group}{i}", component(group, i, coordinates)
-            layers = []
-            if name in in_back:
-                layers.append(
-                    alt.Chart(behind)
-                    .mark_line(color=GREY, strokeWidth=5, opacity=0.4, clip=True)
-                    .encode(*over_time(name, title))
-                )
-            if name in in_runs:
-                layers.append(run_lines(drawn, name, title, labels, view, first=not panels))
-            panels += [alt.layer(*layers)] if layers else []
+    # Motion side by side, a row per coordinate, then what holds and drives it.
+    motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
+    rest = [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
+    for group, i in motion + rest:
+        name, title = f"{group}{i}", component(group, i, coordinates)
+        layers = []
+        if name in in_back:
+            layers.append(
+                alt.Chart(behind)
+                .mark_line(color=GREY, strokeWidth=5, opacity=0.4, clip=True)
+                .encode(*over_time(name, title))
+            )
+        if name in in_runs:
+            layers.append(run_lines(drawn, name, title, labels, view, first=not panels))
+        panels += [alt.layer(*layers)] if layers else []
     return arrange(panels, min(3, len(panels)), height=150)
 
 

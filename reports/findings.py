@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from bench.orders import Fit
 from bench.records import Record
-from reports.series import Series, error_of, groups_of, number, size_of, words
+from reports.series import TRUST, Series, error_of, groups_of, number, order_text, size_of, words
 
 _ORDINALS = ("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 #: A fitted order this close to a whole number is called by it.
@@ -98,7 +98,7 @@ def _order_sentence(members: Sequence[Series]) -> str:
             f"{verdict} in " + words(f"{g} ({show(members, g, norm)})" for g in by_verdict[verdict])
         )
     when = "after the start transient" if norm == "settled" else "in the maximum over all times"
-    text = f"{formulation}, {when}, {_window(members)}: {'; '.join(parts)}."
+    text = f"{when}, {'; '.join(parts)}."
     if lost:
         text += " The maximum over all times "
         text += words(
@@ -111,20 +111,23 @@ def _order_sentence(members: Sequence[Series]) -> str:
             for g, verdict in lost
         )
         text += ": the start transient."
-    return text
+    return f"{text} ({formulation}; {_window(members)})"
 
 
 def _fitted(members: Sequence[Series], group: str, norm: str) -> str:
-    orders = sorted(f"{s.fit(group, norm).order:.2f}" for s in members)
+    orders = sorted(order_text(s.fit(group, norm).order) for s in members)
     return " to ".join(dict.fromkeys((orders[0], orders[-1])))
 
 
 def _stuck(members: Sequence[Series], group: str, norm: str) -> str:
     """The errors at the coarsest and the finest step, where there is no order to show."""
     ends = [_range([error_of(s.ok[i], group, norm) for s in members]) for i in (0, -1)]
-    floor = max(r.reference_error.get(group, 0.0) for s in members for r in s.ok)
     text = f"error {ends[0]} at the coarsest step, {ends[1]} at the finest"
-    return text + (f"; the reference's own error is {number(floor)}" if floor else "")
+    floor = max(r.reference_error.get(group, 0.0) for s in members for r in s.ok)
+    finest = [e for s in members if (e := error_of(s.ok[-1], group, norm)) is not None]
+    if finest and min(finest) <= TRUST * floor:
+        text += f"; the reference's own error is {number(floor)}"
+    return text
 
 
 def _window(members: Sequence[Series]) -> str:
@@ -140,10 +143,11 @@ def _tolerance_sentence(s: Series) -> str:
     parts = [
         f"{number(error_of(loose, g, 'max'))} to {number(error_of(tight, g, 'max'))} in {g}"
         for g in groups_of(s.ok)
+        if g in ("q", "a", "lam", "x")
     ]
     return (
-        f"{s.formulations}, from rtol={number(loose.rtol)} to {number(tight.rtol)} the largest "
-        f"error over all times goes from {words(parts)}."
+        f"from rtol={number(loose.rtol)} to {number(tight.rtol)} the largest error over all times "
+        f"goes from {words(parts)}. ({s.formulations}; {len(s.ok)} runs)"
     )
 
 

@@ -30,7 +30,7 @@ def write(folder: Path) -> Path:
     bench.store.StoreError
         If the folder holds no readable store.
     """
-    page = read_page(folder)
+    page = read_page(folder, interactive=True)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports"),
         autoescape=True,

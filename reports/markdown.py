@@ -33,14 +33,14 @@ def write(folder: Path) -> Path:
     bench.store.StoreError
         If the folder holds no readable store.
     """
-    page = read_page(folder)
+    page = read_page(folder, interactive=False)
     pictures = Path(folder) / FIGURES
     for scene in page.scenes:
         figures = [figure for study in scene.studies for figure in study.figures]
         for figure in [scene.picture, *figures] if scene.picture else figures:
-            for name, chart in figure.still.items():
+            for name, chart in figure.charts.items():
                 pictures.mkdir(exist_ok=True)
-                svg = vl_convert.vegalite_to_svg(chart.to_dict())
+                svg = vl_convert.vegalite_to_svg(chart.to_dict(validate=False))
                 (pictures / f"{name}.svg").write_text(svg, encoding="utf-8")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports"),

@@ -26,6 +26,9 @@ from reports.series import (
 GREY = "#808080"
 #: A group with more components than this is drawn by its first ones.
 MOST_COMPONENTS = 3
+#: The bars from the fastest to the slowest sample stay behind the lines.
+SPREAD_OPACITY = 0.45
+_FORMATS = {"seconds": ".0e", "residuals": "~s"}
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ def csv_data(rows: Sequence[Mapping[str, Any]]) -> alt.InlineData:
     writer = csv.DictWriter(text, head, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    words = {"series", "norm", "run", "line"}
+    words = {"series", "look", "norm", "run", "line"}
     parse = {key: "string" if key in words else "number" for key in head}
     return alt.InlineData(values=text.getvalue(), format={"type": "csv", "parse": parse})
 
@@ -58,16 +61,22 @@ def error_panel(
     """
     field, title = across
     norms = NORMS if view.interactive else (view.norm,)
-    rows = _error_rows(series, group, norms)
+    rows = _error_rows(series, group, norms, list(view.looks))
     if not any(row.get(field) for row in rows):
         return None
     data = alt.Chart(csv_data(rows)).transform_filter(f"datum.{field} > 0")
     if view.interactive:
         data = data.transform_filter("datum.norm == norm")
-    color, dash, shape = _channels(view.looks)
-    x = alt.X(f"{field}:Q", title=title, scale=_log(), axis=_log_axis())
+    looks = view.looks.values()
+    color = _channel(alt.Color, view.looks, [look.color for look in looks])
+    shape = _channel(alt.Shape, view.looks, [look.shape for look in looks])
+    # Dashes around a point would spoil the legend: they go by number and stay out of it.
+    numbers = [str(i) for i in range(len(looks))]
+    dashes = alt.Scale(domain=numbers, range=[list(look.dash) for look in looks])
+    dash = alt.StrokeDash("look:N", scale=dashes, legend=None)
+    x = alt.X(f"{field}:Q", title=title, scale=_log(), axis=_log_axis(_FORMATS.get(field, "~g")))
     y_title = f"relative error in {GROUP_NAMES[group]}"
-    y = alt.Y("error:Q", title=y_title, scale=_log(), axis=_log_axis())
+    y = alt.Y("error:Q", title=y_title, scale=_log(), axis=_log_axis(".0e", room=38))
     tips = [
         alt.Tooltip("series:N", title="integrator"),
         alt.Tooltip("run:N", title="resolution"),
@@ -80,21 +89,26 @@ def error_panel(
     marks = [lines, points]
     if field == "seconds":
         ends = {"x": alt.X("fastest:Q", title=title, scale=_log()), "x2": "slowest:Q"}
-        marks.insert(0, data.mark_rule(strokeWidth=1).encode(y=y, **ends))
+        marks.append(data.mark_rule(strokeWidth=1, opacity=SPREAD_OPACITY).encode(y=y, **ends))
     marks = [mark.encode(color=color) for mark in marks]
     if view.interactive:
-        marks = [mark.encode(opacity=_dimmed()) for mark in marks]
+        full = [1.0] * len(marks) if len(marks) == 2 else [1.0, 1.0, SPREAD_OPACITY]
+        marks = [m.encode(opacity=_dimmed(o)) for m, o in zip(marks, full, strict=True)]
         controls = [_pick(), _norm_choice(view.norm)] if first else []
-        marks[-1] = marks[-1].add_params(_zoom(f"{field}_{group}"), *controls)
+        # The first layer: the shared legend answers only to that one's selection.
+        marks[0] = marks[0].add_params(_zoom(f"{field}_{group}"), *controls)
     return alt.layer(*_floor_rule(series, group, rows), *marks)
 
 
-def _error_rows(series: Sequence[Series], group: str, norms: Sequence[str]) -> list[dict[str, Any]]:
+def _error_rows(
+    series: Sequence[Series], group: str, norms: Sequence[str], labels: Sequence[str]
+) -> list[dict[str, Any]]:
     """One row per run and norm; only errors that a logarithmic axis can show."""
     rows = []
     for s in series:
         for record in s.ok:
             run = {
+                "look": labels.index(s.label),
                 "h": short(size_of(record)),
                 "run": record.resolution,
                 "seconds": short(seconds_of(record)),
@@ -125,7 +139,9 @@ def run_lines(
     data: alt.InlineData, field: str, title: str, labels: Sequence[str], view: View, first: bool
 ) -> alt.Chart:
     """One component over time, a line per run."""
-    color, dash, _ = _channels(view.looks)
+    looks = view.looks.values()
+    color = _channel(alt.Color, view.looks, [look.color for look in looks], "line")
+    dash = _channel(alt.StrokeDash, view.looks, [list(look.dash) for look in looks], "line")
     chart = (
         alt.Chart(data)
         .transform_calculate(series=f"{json.dumps(list(labels))}[datum.s]")
@@ -160,37 +176,40 @@ def wide_rows(rows: Rows, groups: Sequence[str], number_of_run: int) -> list[dic
         for group in groups:
             values = rows.values.get(group) or []
             for i, value in enumerate(values[k][:MOST_COMPONENTS] if k < len(values) else []):
-                short = short(value)
-                if short is not None:
-                    row[f"{group}{i}"] = short
+                if (shown := short(value)) is not None:
+                    row[f"{group}{i}"] = shown
         table.append(row)
     return table
 
 
-def _channels(looks: Mapping[str, Look]) -> tuple[alt.Color, alt.StrokeDash, alt.Shape]:
-    """Colour, dash and shape with one scale over all panels, so that they share a legend."""
+def _channel(kind: Any, looks: Mapping[str, Look], values: list[Any], symbol: str = "point") -> Any:
+    """A channel by series; all channels and panels have one domain, so they share a legend."""
     legend = alt.Legend(
-        title=None, orient="bottom", direction="vertical", columns=2, labelLimit=440, symbolSize=90
+        title=None,
+        orient="bottom",
+        direction="vertical",
+        columns=2,
+        labelLimit=440,
+        **({"symbolType": "stroke", "symbolSize": 400} if symbol == "line" else {"symbolSize": 90}),
     )
-
-    def scale(values: list[Any]) -> alt.Scale:
-        return alt.Scale(domain=list(looks), range=values)
-
-    kinds = looks.values()
-    return (
-        alt.Color("series:N", scale=scale([look.color for look in kinds]), legend=legend),
-        alt.StrokeDash("series:N", scale=scale([list(look.dash) for look in kinds]), legend=legend),
-        alt.Shape("series:N", scale=scale([look.shape for look in kinds]), legend=legend),
-    )
+    return kind("series:N", scale=alt.Scale(domain=list(looks), range=values), legend=legend)
 
 
 def _log() -> alt.Scale:
     return alt.Scale(type="log", nice=False, padding=12)
 
 
-def _log_axis() -> alt.Axis:
-    # Whole decades where there are many, everything between where there are few.
-    return alt.Axis(format="~g", tickCount=6, labelOverlap="greedy", labelSeparation=6)
+def _log_axis(numbers: str, room: int = 0) -> alt.Axis:
+    exponent = "log(datum.value) / LN10"
+    decade = f"abs({exponent} - round({exponent})) < 1e-6"
+    return alt.Axis(
+        format=numbers,
+        tickCount=6,
+        labelOverlap="greedy",
+        minExtent=room,
+        labelSeparation=6,
+        gridOpacity=alt.condition(decade, alt.value(1.0), alt.value(0.25)),
+    )
 
 
 def _pick() -> alt.Parameter:
@@ -198,8 +217,8 @@ def _pick() -> alt.Parameter:
     return alt.selection_point(name="pick", fields=["series"], bind="legend")
 
 
-def _dimmed() -> Any:
-    return alt.condition(alt.param("pick"), alt.value(1.0), alt.value(0.07))
+def _dimmed(full: float = 1.0) -> Any:
+    return alt.condition(alt.param("pick"), alt.value(full), alt.value(0.07))
 
 
 def _zoom(name: str) -> alt.Parameter:
@@ -240,7 +259,7 @@ def dress(chart: alt.Chart) -> alt.Chart:
         .configure_axis(
             **text,
             gridColor=GREY,
-            gridOpacity=0.18,
+            gridOpacity=0.3,
             domainColor=GREY,
             tickColor=GREY,
             titleFontWeight="normal",

@@ -105,6 +105,11 @@ def label_of(record: Record) -> str:
     return f"{record.integrator} x {'/'.join(f'{f:g}' for f in record.pattern)}"
 
 
+def run_name(record: Record) -> str:
+    """Integrator and resolution of one run."""
+    return f"{record.integrator}, {record.resolution}"
+
+
 def size_of(record: Record) -> float:
     """What is refined: h in s, or the relative tolerance."""
     value = record.h if record.controls == "step" else record.rtol
@@ -136,9 +141,11 @@ def looks_of(members: Iterable[tuple[str, str]]) -> dict[str, Look]:
     for f, labels in enumerate(families.values()):
         for m, label in enumerate(labels):
             # Shade and a little of the hue vary: members stay apart and families together.
-            place = m / (len(labels) - 1) - 0.5 if len(labels) > 1 else 0.0
-            hue = (_HUES[f % len(_HUES)] + 36 * place) % 360
-            red, green, blue = colorsys.hls_to_rgb(hue / 360, 0.49 + 0.22 * place, 0.72)
+            span = min(1.0, (len(labels) - 1) / 4)
+            place = span * (m / (len(labels) - 1) - 0.5) if span else 0.0
+            hue = (_HUES[f % len(_HUES)] + 56 * place) % 360
+            light = 0.48 + (0.14 if m % 2 else -0.1) * span
+            red, green, blue = colorsys.hls_to_rgb(hue / 360, light, 0.68)
             color = f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
             dash, shape = _DASHES[m % len(_DASHES)], _SHAPES[(m + f) % len(_SHAPES)]
             looks[label] = Look(color, tuple(dash), shape)
@@ -152,7 +159,12 @@ def number(value: float | None) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         rounded = float(f"{value:.3g}")
         return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
-    return f"{value:.2e}"
+    return f"{value:.3g}"
+
+
+def order_text(order: float) -> str:
+    """Two decimals; a zero has no sign."""
+    return f"{round(order, 2) + 0.0:.2f}"
 
 
 def milliseconds(seconds: float | None) -> str:

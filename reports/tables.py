@@ -16,6 +16,8 @@ from reports.series import (
     label_of,
     milliseconds,
     number,
+    order_text,
+    run_name,
     seconds_of,
 )
 
@@ -35,10 +37,13 @@ class Table:
 
 
 def targets(series: Sequence[Series]) -> Table | None:
-    """For an accuracy in q and in a: who reaches it for the least time and the least work."""
+    """For an accuracy in q and in a: who reaches it for the least time and the least work.
+
+    None if there is nobody to compare.
+    """
     groups = [g for g in groups_of(r for s in series for r in s.ok) if g in "qa"]
     rows = []
-    for group in groups:
+    for group in groups if len(series) > 1 else ():
         for target in TARGETS:
             row = _target_row(series, group, target)
             rows.append([f"{group} to {target:.0e}", *row])
@@ -67,8 +72,8 @@ def _target_row(series: Sequence[Series], group: str, target: float) -> list[str
         if not errors:
             return [count, "", ""]
         error, record = min(errors, key=lambda pair: pair[0])
-        nearest = f"nearest: {number(error)} by {label_of(record)}, {record.resolution}"
-        return [count, nearest, nearest]
+        nearest = f"nearest: {number(error)} by {run_name(record)}"
+        return [count, nearest, number(None)]
     return [count, _fastest(runs), _fewest(runs)]
 
 
@@ -82,7 +87,7 @@ def _fastest(runs: Sequence[Record]) -> str:
     if not timed:
         return "no timing samples"
     best = min(timed, key=seconds_of)
-    text = f"{label_of(best)}, {best.resolution}: {milliseconds(seconds_of(best))} ms"
+    text = f"{run_name(best)}: {milliseconds(seconds_of(best))} ms"
     # Another method whose samples overlap the winner's has not lost.
     close = [r for r in timed if label_of(r) != label_of(best) and min(r.run_s) <= max(best.run_s)]
     rivals = list(dict.fromkeys(label_of(r) for r in sorted(close, key=seconds_of)))
@@ -97,7 +102,7 @@ def _fewest(runs: Sequence[Record]) -> str:
     if not counted:
         return "not counted"
     best = min(counted, key=lambda r: r.work["residuals"])
-    return f"{label_of(best)}, {best.resolution}: {best.work['residuals']}"
+    return f"{run_name(best)}: {best.work['residuals']}"
 
 
 def summary(series: Sequence[Series]) -> Table:
@@ -119,14 +124,14 @@ def summary(series: Sequence[Series]) -> Table:
         rows.append(
             [
                 s.label,
-                s.formulations,
-                s.range,
                 *cells,
                 _orders(s, groups),
-                run.resolution if run else number(None),
                 milliseconds(seconds_of(run)) if run else number(None),
                 count(run.work.get("residuals")) if run else number(None),
                 s.statuses,
+                run.resolution if run else number(None),
+                s.range,
+                s.formulations,
             ]
         )
     note = (
@@ -140,17 +145,19 @@ def summary(series: Sequence[Series]) -> Table:
         "All integrators",
         [
             "integrator",
-            "formulation",
-            "resolutions",
             *(f"error in {g}" for g in groups),
             "orders",
-            "most accurate run",
             "time in ms",
             "residual evaluations",
             "runs",
+            "most accurate run",
+            "resolutions",
+            "formulation",
         ],
         rows,
-        best={(min(found)[1], 3 + j) for j, found in best_errors.items()} if len(rows) > 1 else (),
+        best={(min(found)[1], 1 + j) for j, found in best_errors.items()}
+        if len(rows) > 1
+        else set(),
         note=note,
     )
 
@@ -168,7 +175,9 @@ def _orders(s: Series, groups: Sequence[str]) -> str:
         return "not determined"
     short = {"does not converge": "none", "not determined": "?"}
     return ", ".join(
-        f"{g} {fit.order:.2f}" if fit.verdict == "converges" else f"{g} {short[fit.verdict]}"
+        f"{g} {order_text(fit.order)}"
+        if fit.verdict == "converges"
+        else f"{g} {short[fit.verdict]}"
         for g, fit in fits
     )
 
@@ -184,15 +193,22 @@ def orders(series: Sequence[Series], norms: Sequence[str] = NORMS) -> Table | No
         for s in stepped
         for norm in norms
     ]
-    return Table("Fitted orders", ["integrator", "error", *groups], rows)
+    caption, head = "Fitted orders", ["integrator", "error", *groups]
+    if len(norms) == 1:
+        caption += f" of the error {NORM_NAMES[norms[0]]}"
+        head.pop(1)
+        rows = [[label, *cells] for label, _, *cells in rows]
+    note = "Order (window of step sizes in s, number of points)."
+    return Table(caption, head, rows, note=note)
 
 
 def _fit(fit: Fit) -> str:
     if fit.order is None or fit.window is None:
         return fit.verdict
-    span = f"h={number(fit.window[0])} to {number(fit.window[1])}, {fit.points} points"
+    largest, smallest = fit.window
+    window = f"{number(largest)} to {number(smallest)}, {fit.points}"
     prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
-    return f"{prefix}{fit.order:.2f} ({span})"
+    return f"{prefix}{order_text(fit.order)} ({window})"
 
 
 def drift(series: Sequence[Series]) -> Table | None:
@@ -222,7 +238,7 @@ def drift(series: Sequence[Series]) -> Table | None:
 def failures(records: Sequence[Record]) -> Table | None:
     """Every run that did not reach the end, with its reason."""
     rows = [
-        [label_of(r), r.problem, r.resolution, r.status, r.message or "no message"]
+        [r.integrator, r.problem, r.resolution, r.status, r.message or "no message"]
         for r in records
         if r.status != "ok"
     ]

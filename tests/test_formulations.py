@@ -123,7 +123,7 @@ def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion(scene):
     for s in (-eps, eps):
         rows = (z.q + s * z.v + s**2 / 2 * z.a, z.v + s * z.a, z.x + s * xdot)
         rows = [np.asarray(row)[None] for row in rows]
-        ends.append(functions["complete"](p, *rows, np.array([z.t + s]))[0].a[0])
+        ends.append(functions.complete(p, *rows, np.array([z.t + s]))[0].a[0])
     assert start.jerk == pytest.approx((ends[1] - ends[0]) / (2 * eps), rel=1e-6, abs=1e-6)
 
 
@@ -174,7 +174,7 @@ def test_the_ode_form_agrees_with_the_closed_form():
     scene = Pendulum()
     t = np.linspace(*scene.interval, 15)
     exact = Reference(scene, scene.interval[1])(t)
-    z, _ = form.compiled(scene)["complete"](
+    z, _ = form.compiled(scene).complete(
         scene.parameters(), exact["q"], exact["v"], exact["x"], t
     )
     assert z.a == pytest.approx(exact["a"], abs=1e-12)

@@ -1,0 +1,293 @@
+"""One scene's part of a report: what it is, what was found, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import altair as alt
+import msgspec
+
+from bench.records import GROUPS, Record, Rows, SceneRecord, Study
+from reports import charts, tables
+from reports.findings import Finding, findings
+from reports.series import (
+    NORM_NAMES,
+    Look,
+    Series,
+    groups_of,
+    label_of,
+    looks_of,
+    number,
+    run_name,
+    series_of,
+    words,
+)
+from reports.tables import Table
+
+#: A study of at most so many runs shows them all over time, a larger one the finest of each.
+ALL_RUNS = 6
+ALL_FIGURES = ("trajectory", "convergence", "work_precision")
+
+
+@dataclass
+class Figure:
+    """Charts by name (an anchor, a file name) that share a caption; a page draws them all."""
+
+    caption: str
+    charts: dict[str, alt.Chart]
+
+
+@dataclass
+class StudyPart:
+    """One study: what was found, its figures, its tables."""
+
+    title: str
+    note: str
+    state: str
+    findings: list[Finding]
+    figures: list[Figure]
+    tables: list[Table]
+    more: list[Table]
+
+
+@dataclass
+class ScenePart:
+    """One scene over one interval."""
+
+    anchor: str
+    name: str
+    title: str
+    about: list[str]
+    facts: list[tuple[str, str]]
+    picture: Figure | None
+    parameters: Table | None
+    targets: Table | None
+    summary: Table | None
+    studies: list[StudyPart]
+    drift: Table | None
+
+
+@dataclass
+class SceneReader:
+    """Makes one scene's part of the page from its records.
+
+    ``rows`` reads the sampled values of a record by key; ``interactive`` asks for charts that
+    answer to a pointer instead of pictures.
+    """
+
+    anchor: str
+    name: str
+    scene: SceneRecord | None
+    records: list[Record]
+    looks: dict[str, Look]
+    rows: Callable[[str], Rows]
+    interactive: bool
+
+    def read(self, studies: Sequence[Study]) -> ScenePart:
+        """The part, with these studies or, if there are none, all runs together."""
+        series, scene = series_of(self.records), self.scene
+        parts = [self._study(study, f"{self.anchor}-{n}") for n, study in enumerate(studies, 1)]
+        if not studies and self.records:
+            first = self.records[0]
+            everything = Study(
+                title="All runs",
+                problem=first.problem,
+                t_end=first.t_end,
+                figures=list(ALL_FIGURES),
+                cells=[r.key for r in self.records],
+            )
+            parts = [self._study(everything, f"{self.anchor}-1")]
+        return ScenePart(
+            anchor=self.anchor,
+            name=self.name,
+            title=scene.title.rstrip(".") if scene else "",
+            about=_paragraphs(scene.description) if scene else [],
+            facts=_facts(scene) if scene else [],
+            picture=self._picture(),
+            parameters=_parameters(scene) if scene else None,
+            targets=tables.targets(series) if series else None,
+            summary=tables.summary(series) if series else None,
+            studies=parts,
+            drift=tables.drift(series),
+        )
+
+    def _picture(self) -> Figure | None:
+        chart = charts.drawing(self.scene.drawings) if self.scene else None
+        if chart is None:
+            return None
+        times = [drawing["t"] for drawing in self.scene.drawings]
+        caption = f"The scene from t={number(times[0])} s to {number(times[-1])} s (solid)."
+        return Figure(caption, {f"{self.anchor}-scene": chart})
+
+    def _study(self, study: Study, anchor: str) -> StudyPart:
+        by_key = {r.key: r for r in self.records}
+        records = [by_key[key] for key in study.cells if key in by_key]
+        series = series_of(records)
+        makers = {
+            "trajectory": self._trajectory,
+            "convergence": self._convergence,
+            "work_precision": self._work_precision,
+        }
+        made = [
+            makers[figure](series, f"{anchor}-{figure}")
+            for figure in study.figures
+            if figure in makers
+        ]
+        settled, every = tables.orders(series, ("settled",)), tables.orders(series)
+        fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
+        return StudyPart(
+            title=study.title or "All runs",
+            note=study.note,
+            state=_study_state(study, records),
+            findings=findings(series),
+            figures=[figure for figure in made if figure],
+            tables=[settled] if settled and fitted else [],
+            more=[every] if every and fitted else [],
+        )
+
+    def _convergence(self, series: Sequence[Series], name: str) -> Figure | None:
+        groups = groups_of(r for s in series for r in s.ok)
+        # A page that answers offers every norm in one chart; pictures show those that matter.
+        held = any(r.constraint for r in self.records)
+        norms = ["end", "max"] if held and not self.interactive else ["end"]
+        made = {
+            f"{name}-{norm}": charts.convergence(series, groups, self.looks, norm, self.interactive)
+            for norm in norms
+        }
+        caption = f"Error {self._which(norms)} against step size. {self._floor(groups)}"
+        return _figure(caption, made)
+
+    def _work_precision(self, series: Sequence[Series], name: str) -> Figure | None:
+        groups = [g for g in groups_of(r for s in series for r in s.ok) if g in "qa"]
+        chart = charts.work_precision(series, groups, self.looks, "end", self.interactive)
+        caption = (
+            f"Error {self._which(['end'])} against cost: median seconds per run (bars: fastest "
+            "to slowest sample) and counted residual evaluations. A line joins the resolutions "
+            f"of one integrator. {self._floor(groups)}"
+        )
+        return _figure(caption, {name: chart})
+
+    def _which(self, norms: Sequence[str]) -> str:
+        if self.interactive:
+            return "(choose the norm below the chart)"
+        return words(NORM_NAMES[norm] for norm in norms)
+
+    def _floor(self, groups: Iterable[str]) -> str:
+        errors = {
+            g: max((r.reference_error.get(g, 0.0) for r in self.records), default=0.0)
+            for g in groups
+        }
+        shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
+        return f"The reference's own error (dashed where near): {shown}." if shown else ""
+
+    def _trajectory(self, series: Sequence[Series], name: str) -> Figure | None:
+        runs = [r for s in series for r in s.records]
+        if len(runs) > ALL_RUNS:
+            # The finest run that came to the end; of a method that never did, how far it came.
+            runs = [(s.ok or s.records)[-1] for s in series]
+        shown = []
+        for record in runs:
+            rows = self._rows(record)
+            if rows:
+                shown.append((record, run_name(record), rows))
+        reference = self.scene.reference if self.scene else None
+        if not shown and reference is None:
+            return None
+        if len({label_of(r) for r, _, _ in shown}) == len(shown):
+            looks = {label: self.looks[label_of(r)] for r, label, _ in shown}
+        else:
+            looks = looks_of((label, r.family) for r, label, _ in shown)
+        groups = _sampled([rows for *_, rows in shown] or [reference])
+        lines = [(label, rows) for _, label, rows in shown]
+        names = self.scene.coordinates if self.scene else []
+        chart = charts.trajectory(lines, reference, groups, looks, names, self.interactive)
+        caption = "Values over time" + (
+            "; the reference is the broad grey line." if reference else "."
+        )
+        sizes = self.scene.sizes if self.scene else {}
+        if any(size > charts.MOST_COMPONENTS for size in sizes.values()):
+            caption += f" Of each group the first {charts.MOST_COMPONENTS} components are shown."
+        return _figure(caption, {name: chart})
+
+    def _rows(self, record: Record) -> Rows | None:
+        """What can be drawn of a run; a run that broke off may have left no numbers at all."""
+        try:
+            rows = self.rows(record.key)
+        except (KeyError, msgspec.ValidationError):
+            return None
+        if record.status == "ok" or not self.scene:
+            return rows if rows.t else None
+        return _within(rows, self.scene.reference)
+
+
+def _figure(caption: str, made: dict[str, alt.Chart | None]) -> Figure | None:
+    drawn = {name: chart for name, chart in made.items() if chart is not None}
+    return Figure(caption, drawn) if drawn else None
+
+
+def _within(rows: Rows, reference: Rows) -> Rows | None:
+    """The rows before a run leaves all proportion, so that it does not flatten the others."""
+    limits = {
+        name: 5 * max((abs(x) for row in values for x in row), default=0.0)
+        for name, values in reference.values.items()
+    }
+    keep = 0
+    while keep < len(rows.t) and all(
+        abs(x) <= limits.get(name, 0.0)
+        for name, values in rows.values.items()
+        if name in limits
+        for x in values[keep]
+    ):
+        keep += 1
+    if keep < 2:
+        return None
+    return Rows(t=rows.t[:keep], values={name: v[:keep] for name, v in rows.values.items()})
+
+
+def _sampled(tables_of_rows: Iterable[Rows]) -> list[str]:
+    present = {name for rows in tables_of_rows for name, values in rows.values.items() if values}
+    return [group for group in GROUPS if group in present]
+
+
+def _paragraphs(text: str) -> list[str]:
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def _facts(scene: SceneRecord) -> list[tuple[str, str]]:
+    names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
+    sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
+    errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
+    facts = [
+        ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
+        ("Size", ", ".join(sizes)),
+        ("Reference", scene.reference_method),
+        ("Its own relative error", ", ".join(errors)),
+        ("Source", scene.source),
+    ]
+    return [(name, text) for name, text in facts if text]
+
+
+def _parameters(scene: SceneRecord) -> Table | None:
+    if not scene.parameters:
+        return None
+    head = list(dict.fromkeys(key for row in scene.parameters for key in row))
+    rows = [[_cell(row.get(key)) for key in head] for row in scene.parameters]
+    return Table("Parameters", ["meaning" if h == "doc" else h for h in head], rows)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "" if value is None else str(value)
+
+
+def _study_state(study: Study, records: Sequence[Record]) -> str:
+    parts = []
+    if len(records) < len(set(study.cells)):
+        parts.append(f"{len(set(study.cells)) - len(records)} of {len(set(study.cells))} runs "
+                     "are not measured yet.")  # fmt: skip
+    failed = sum(r.status != "ok" for r in records)
+    if failed:
+        parts.append(f"{failed} of {len(records)} runs did not reach the end.")
+    return " ".join(parts)

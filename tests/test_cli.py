@@ -1,0 +1,236 @@
+"""The command line: what it answers, and how it refuses."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+
+from bench.cli import main
+
+DIGITS = {
+    "q": -0.569897683826460,
+    "v": 2.052987649185013,
+    "a": -0.427636884093702,
+    "x": -3.348650952505259,
+}
+
+
+def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
+    result = stepbench(
+        "solve", "spring_mass", "generalized_alpha[rho_inf=0.8]", "--step", 0.1, "--t-end", 5,
+        "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    for group, digits in DIGITS.items():
+        assert answer[group] == [pytest.approx(digits, abs=1e-11)]
+    assert answer["t"] == 5.0
+    assert answer["lam"] == []
+    assert len(answer["y"]) == 2
+    # Relative errors at t = 5 s, as measured with an independent program.
+    for group, error in {"q": 6.792e-3, "v": 2.709e-3, "a": 8.815e-3, "x": 2.493e-3}.items():
+        assert answer["errors"][group]["end"] == pytest.approx(error, rel=1e-3)
+        assert set(answer["errors"][group]) == {"end", "max", "rms", "settled"}
+    assert answer["work"]["steps"] == 50
+    assert answer["status"] == "ok"
+    assert answer["message"] == ""
+    assert len(answer["time"]["run_s"]) == 5
+
+
+def test_order_gives_orders_windows_and_errors(stepbench):
+    steps = "0.01,0.005,0.0025,0.00125"
+    result = stepbench("order", "pendulum", "generalized_alpha[rho_inf=0.5]", "--steps", steps,
+                       "--json")  # fmt: skip
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    for group in ("q", "v", "a", "lam"):
+        assert answer["orders"][group]["settled"] == pytest.approx(2.0, abs=0.06)
+        assert answer["window"][group]["settled"] == pytest.approx([0.01, 0.00125])
+        assert len(answer["errors"][group]["settled"]) == 4
+    assert answer["orders"]["lam"]["max"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_order_that_is_not_there_is_null(stepbench):
+    result = stepbench("order", "pendulum", "generalized_alpha[rho_inf=1]", "--steps",
+                       "0.02,0.01,0.005", "--json")  # fmt: skip
+    answer = json.loads(result.stdout)
+    assert answer["verdict"]["lam"]["max"] == "does not converge"
+    assert answer["orders"]["q"]["max"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_tables_for_people_show_the_same(stepbench):
+    shown = stepbench("solve", "pendulum", "newmark", "--step", "0.01", "--set", "th0=1.0")
+    assert shown.exit_code == 0, shown.output
+    assert "constraint residual" in shown.output
+    ordered = stepbench("order", "spring_mass", "hht", "--t-end", 2)
+    assert ordered.exit_code == 0, ordered.output
+    assert "order, settled" in ordered.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["solve", "pendulm", "newmark"], "did you mean 'pendulum'"),
+        (["solve", "pendulum", "newmrk"], "did you mean 'newmark'"),
+        (["solve", "pendulum", "newmark[betta=1]"], "did you mean 'beta'"),
+        (["solve", "pendulum", "newmark", "--set", "mass=1"], "has no option 'mass'"),
+        (["solve", "pendulum", "newmark", "--set", "m=nan"], "not a finite number"),
+        (["solve", "pendulum", "newmark", "--set", "m"], "not of the form name=value"),
+        (["solve", "pendulum", "newmark", "--set", "m=-1"], "outside"),
+        (["solve", "pendulum", "newmark", "--step", "0"], "give a positive number"),
+        (["solve", "pendulum", "newmark", "--step", "-0.1"], "give a positive number"),
+        (["solve", "pendulum", "newmark", "--step", "nan"], "give a positive number"),
+        (["solve", "pendulum", "newmark", "--step", "7"], "larger than the interval"),
+        (["solve", "pendulum", "newmark", "--t-end", "0.1"], "does not lie after the start"),
+        (["solve", "pendulum", "newmark", "--t-end", "nan"], "does not lie after the start"),
+        (["solve", "pendulum", "newmark", "--t-end", "inf"], "does not lie after the start"),
+        (["solve", "pendulum", "newmark", "--rtol", "1e-3"], "takes fixed steps"),
+        (["solve", "pendulum", "ida", "--step", "0.1"], "takes steps of its own"),
+        (["solve", "pendulum", "ida", "--rtol", "0"], "rtol=0 is not allowed"),
+        (["solve", "pendulum", "newmark", "--pattern", "0.3,x"], "not a list of numbers"),
+        (["solve", "pendulum", "newmark", "--pattern", "0.3,0.3"], "sum to 1"),
+        (["solve", "pendulum", "newmark[beta=0]"], "constraints need beta > 0"),
+        (["solve", "pendulum", "newmark", "--plugins", "no_such.py"], "no plugin file or folder"),
+        (["order", "pendulum", "newmark", "--steps", "0.1,0.05"], "at least three"),
+        (["order", "pendulum", "ida"], "chooses its own steps"),
+        (["slove", "pendulum"], "did you mean 'solve'"),
+        (["run", "quik"], "did you mean 'quick'"),
+        (["run", "none.toml"], "cannot be read"),
+        (["run", "-p", "nothing"], "no scene 'nothing'"),
+        (["run", "-i", "nothing"], "no integrator 'nothing'"),
+        (["report", "nowhere"], "no stepbench results"),
+        (["export", "nowhere"], "no stepbench results"),
+    ],
+)
+def test_bad_input_is_one_sentence(stepbench, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    result = stepbench(*arguments)
+    assert result.exit_code != 0
+    assert words in result.output
+    assert "Traceback" not in result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("stepps = 1", "unknown key 'stepps'"),
+        ("[[study]]\nproblem = ['pendulum']", "did you mean 'problems'"),
+        ("[[study]]\nproblems = ['pendulum']\nintegrators = 3", "integrators"),
+        ("[[study]]\nproblems = ['pendulum']", "integrators"),
+        ("study = [", "not valid TOML"),
+        ("samples = 0\nstudy = []", "samples=0"),
+        ("budget_s = -1\nstudy = []", "budget_s=-1"),
+        ("study = []", "Nothing is left to run"),
+        ("[[study]]\nproblems=['pendulum']\nintegrators=['hht']\nsteps=[0.0]", "positive number"),
+        ("[[study]]\nproblems=['pendulum']\nintegrators=['hht']\nsteps=[9]", "larger than"),
+        ("[[study]]\nproblems=['pendulum']\nintegrators=['hht']\nrtol=[-1]", "rtol=-1"),
+        (
+            "[[study]]\nproblems=['pendulum']\nintegrators=['hht']\nfigures=['convergance']",
+            "did you mean 'convergence'",
+        ),
+    ],
+)
+def test_a_wrong_profile_is_one_sentence(stepbench, tmp_path, text, words):
+    profile = tmp_path / "wrong.toml"
+    profile.write_text(text)
+    result = stepbench("run", profile, "--out", tmp_path / "out")
+    assert result.exit_code != 0
+    assert words in result.output
+    assert isinstance(result.exception, SystemExit)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_an_output_folder_that_cannot_be_written_is_refused(stepbench, tmp_path):
+    tmp_path.chmod(0o500)
+    result = stepbench("run", "--out", tmp_path / "out")
+    assert result.exit_code != 0
+    assert "cannot be opened" in result.output
+
+
+def test_an_output_folder_that_is_a_file_is_refused(stepbench, tmp_path):
+    (tmp_path / "out").write_text("a file")
+    result = stepbench("run", "--out", tmp_path / "out")
+    assert result.exit_code != 0
+    assert "cannot be opened" in result.output
+    assert isinstance(result.exception, SystemExit)
+
+
+def test_failed_runs_exit_with_their_reason_and_still_answer(stepbench):
+    result = stepbench("solve", "pendulum", "ida[formulation=index3]", "--json")
+    assert result.exit_code != 0
+    answer = json.loads(result.stdout)
+    assert answer["status"] != "ok"
+    assert "stabilised_index2" in answer["message"]
+    assert answer["message"] in result.stderr
+
+
+def test_records_open_in_pandas(stepbench, tmp_path):
+    out = tmp_path / "out"
+    profile = tmp_path / "small.toml"
+    profile.write_text(
+        "samples = 2\n[[study]]\nproblems = ['pendulum']\nintegrators = ['newmark', 'ida']\n"
+        "steps = [0.02, 0.01, 0.005]\nrtol = [1e-4]\n"
+    )
+    result = stepbench("run", profile, "--out", out, "--jobs", 2)
+    assert result.exit_code == 0, result.output
+    frame = pd.read_csv(io.StringIO(stepbench("export", out).stdout))
+    assert len(frame) == 4
+    steps = frame[frame.integrator.str.startswith("newmark")]
+    assert (steps.error_q_max.diff().dropna() < 0).all()
+    stepbench("export", out, "--json", "-o", tmp_path / "records.json")
+    again = pd.read_json(tmp_path / "records.json")
+    assert again.error_q_max.tolist() == frame.error_q_max.tolist()
+    # The pages can be made anew from the store alone.
+    (out / "report.html").unlink()
+    assert stepbench("report", out).exit_code == 0
+    assert (out / "report.html").stat().st_size > 100_000
+
+
+def test_select_and_add_on_the_command_line(tmp_path):
+    from bench.plan import make_suite, read_profile
+    from bench.registry import Registry
+
+    registry = Registry()
+    name, profile = read_profile("quick")
+    everything = make_suite(name, profile, registry)
+    one = make_suite(name, profile, registry, ["pendulum"], ["generalized_alpha"])
+    assert {c.problem for c in one.cells.values()} == {"pendulum"}
+    assert len({c.integrator for c in one.cells.values()}) == 5
+    assert set(one.cells) < set(everything.cells)
+    exact = make_suite(name, profile, registry, [], ["generalized_alpha[rho_inf=0.8]"])
+    assert {c.integrator for c in exact.cells.values()} == {"generalized_alpha[rho_inf=0.8]"}
+    added = make_suite(name, profile, registry, ["pendulum[th0=2]"], ["newmark[gamma=0.6]"])
+    assert {c.problem for c in added.cells.values()} == {"pendulum[th0=2.0]"}
+    assert {c.integrator for c in added.cells.values()} == {"newmark[beta=0.25,gamma=0.6]"}
+
+
+def test_help_has_examples_for_every_command(stepbench):
+    for name, command in main.commands.items():
+        text = stepbench(name, "--help").output
+        assert "Usage:" in text
+        if name != "report":
+            assert "Examples:" in text, name
+        assert command.help
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["list"]])
+def test_help_and_list_do_not_wait_for_heavy_libraries(arguments):
+    code = (
+        "import sys; from bench.cli import main\n"
+        f"try: main({arguments})\nexcept SystemExit: pass\n"
+        "heavy = {'jax', 'scipy', 'diffrax', 'sksundae', 'altair'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    started = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - started < 30  # a hang, not a benchmark

@@ -1,0 +1,207 @@
+"""IDA: accuracy, formulations, honest counts, and every way in which a run can end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from probe import Probe, worst
+
+from integrators import Tolerances, Trajectory, ida
+from integrators.ida import IDA
+from problems import MechatronicSystem
+from problems.formulations import dae_layout
+from problems.pendulum import Pendulum
+from problems.spring_mass import SpringMass
+
+FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
+
+
+@dataclass(frozen=True)
+class WeighedPendulum(Pendulum):
+    """A pendulum whose motor's torque follows the measured force in the rod."""
+
+    def output(self, z):
+        return z.lam
+
+    def actuation(self):
+        return np.array([[0.01], [0.0]])
+
+
+def run(scene: MechatronicSystem, rtol: float, t_end: float = 0.0, **options) -> Trajectory:
+    t_end = t_end or scene.interval[1]
+    return IDA(**options).prepare(scene, t_end, Tolerances(rtol)).measure()
+
+
+# ---- accuracy --------------------------------------------------------------------------
+@pytest.mark.parametrize("scene", [SpringMass(), Pendulum()], ids=lambda s: s.name)
+def test_it_reaches_eight_digits_in_positions_velocities_and_accelerations(scene):
+    t_end = 5.0 if scene.name == "spring_mass" else 1.35
+    trajectory = run(scene, 1e-11, t_end)
+    assert trajectory.status == "ok", trajectory.message
+    assert trajectory.t[[0, -1]].tolist() == [scene.interval[0], t_end]
+    for group in ("q", "v", "a"):
+        assert worst(trajectory, scene, group) < 1e-8
+
+
+@pytest.mark.parametrize("formulation", ["index1", "index2", "stabilised_index2"])
+def test_the_error_falls_with_the_tolerance(formulation):
+    errors = [
+        worst(run(Pendulum(), rtol, formulation=formulation), Pendulum(), "q")
+        for rtol in (1e-5, 1e-7, 1e-9)
+    ]
+    assert errors[0] < 1e-3
+    assert errors[1] < errors[0] / 10
+    assert errors[2] < errors[1] / 10
+
+
+def test_controller_states_and_outputs_are_followed_too():
+    trajectory = run(SpringMass(), 1e-10, 5.0)
+    for group in ("x", "y"):
+        assert worst(trajectory, SpringMass(), group) < 1e-8
+    assert trajectory.y == pytest.approx(np.stack(
+        [trajectory.x[:, 0], np.tanh(trajectory.y[:, 0])], axis=1), abs=1e-8)  # fmt: skip
+
+
+def test_the_stabilised_form_keeps_position_and_velocity_constraints_and_index_1_drifts():
+    def violation(formulation):
+        z = run(Pendulum(), 1e-6, 10.0, formulation=formulation)
+        return max(np.abs(np.sum(z.q * w, axis=1) - w0).max() for w, w0 in ((z.q, 1), (z.v, 0)))
+
+    # Newton's method leaves a violation of the size of the tolerance, but it does not add up.
+    assert violation("stabilised_index2") < 1e-5
+    assert violation("index1") > 1e-4
+
+
+def test_the_reported_multiplier_is_the_solvers_own_and_the_acceleration_that_of_the_equations():
+    z = run(Pendulum(), 1e-6)
+    weight = np.array([0.0, -9.81])
+    exact = (z.q @ weight + np.sum(z.v**2, axis=1)) / np.sum(z.q**2, axis=1)
+    assert z.a == pytest.approx(weight - exact[:, None] * z.q, abs=1e-12)
+    difference = np.abs(z.lam[:, 0] - exact).max()
+    assert 1e-9 < difference < 1e-2
+
+
+def test_outputs_that_measure_a_multiplier_do_not_stop_the_stabilised_form():
+    scene = WeighedPendulum()
+    trajectory = run(scene, 1e-8, max_calls=20_000)
+    assert trajectory.status == "ok", trajectory.message
+    assert trajectory.y == pytest.approx(trajectory.lam, abs=1e-6)
+
+
+def test_another_end_and_other_parameters_are_taken():
+    scene = replace(Pendulum(), length=2.0)
+    trajectory = run(scene, 1e-9, 0.8)
+    assert trajectory.t[-1] == 0.8
+    assert worst(trajectory, scene, "q") < 1e-6
+
+
+# ---- equations given to the solver -----------------------------------------------------
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("scene", [SpringMass(), Pendulum(), WeighedPendulum()],
+                         ids=lambda s: s.name)  # fmt: skip
+def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(scene, formulation):
+    at = dae_layout(scene.sizes, formulation)
+    w, wdot = ida.start_vectors(scene, at)
+    residual, jacobian = ida._compiled(scene.template(), scene.sizes, formulation)
+    p, t0, cj = np.array(list(scene.parameters().values())), scene.interval[0], 37.0
+    assert np.abs(residual(p, t0, w, wdot)).max() < 1e-12
+
+    generator = np.random.default_rng(1)
+    w, wdot = w + generator.normal(size=at.size), wdot + generator.normal(size=at.size)
+    e = 1e-6 * np.eye(at.size)
+    differences = [
+        (residual(p, t0, w + d, wdot + cj * d) - residual(p, t0, w - d, wdot - cj * d)) / 2e-6
+        for d in e
+    ]
+    assert jacobian(p, t0, w, wdot, cj) == pytest.approx(
+        np.stack(differences, axis=1), rel=1e-6, abs=1e-5
+    )
+
+
+# ---- work ------------------------------------------------------------------------------
+@pytest.mark.parametrize("scene", [SpringMass(), Pendulum()], ids=lambda s: s.name)
+def test_counts_agree_with_idas_own_and_the_timed_solve_takes_the_same_steps(scene):
+    prepared = IDA().prepare(scene, 1.0, Tolerances(1e-7))
+    trajectory, timed = prepared.measure(), prepared.execute()
+    work = trajectory.work
+    assert (work.steps, work.residuals, work.jacobians) == (
+        len(timed.t) - 1, timed.nfev, timed.njev,
+    )  # fmt: skip
+    assert work.residuals > work.steps > work.jacobians == work.factorisations > 0
+    assert work.rejected is work.newton is work.solves is None
+    at = dae_layout(scene.sizes, "stabilised_index2")
+    assert trajectory.q[-1].tolist() == timed.y[-1, at.q].tolist()
+
+
+def test_runs_are_equal_to_the_bit():
+    prepared = IDA().prepare(Pendulum(), 1.0, Tolerances(1e-6))
+    first, second = prepared.measure(), prepared.measure()
+    assert first.work == second.work
+    for name in ("t", "q", "v", "a", "lam"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+# ---- ways to end -----------------------------------------------------------------------
+def test_raw_index_3_ends_within_its_budget_and_says_what_to_use():
+    trajectory = run(Pendulum(), 1e-6, formulation="index3", max_calls=10_000)
+    assert trajectory.status in ("budget_exceeded", "newton_failed", "step_too_small")
+    assert trajectory.work.residuals <= 10_000
+    assert "formulation=stabilised_index2" in trajectory.message
+    assert 0.35 <= trajectory.t[-1] < 1.35
+
+
+@pytest.mark.parametrize("formulation", ["index2", "stabilised_index2"])
+def test_multipliers_in_the_error_test_fail_with_a_reason_and_without_a_word(formulation, capsys):
+    trajectory = run(
+        Pendulum(), 1e-6, formulation=formulation, multipliers_in_error_test=True, max_calls=10_000
+    )
+    assert trajectory.status in ("budget_exceeded", "newton_failed", "step_too_small")
+    assert "; use " in trajectory.message
+    assert capsys.readouterr().out == ""
+
+
+def test_a_budget_ends_the_run_after_exactly_that_many_calls_and_keeps_its_rows():
+    trajectory = run(Pendulum(), 1e-8, max_calls=100)
+    assert trajectory.status == "budget_exceeded"
+    assert "raise max_calls" in trajectory.message
+    assert trajectory.work.residuals == 100
+    assert len(trajectory.t) == len(trajectory.q) == len(trajectory.a) > 10
+    assert worst(trajectory, Pendulum(), "q") < 1e-6
+
+
+def test_a_run_that_ends_before_its_first_step_keeps_the_start():
+    trajectory = run(Probe(breaks_at=0.0), 1e-6)
+    assert trajectory.status == "diverged"
+    assert trajectory.t.tolist() == [0.0]
+    assert trajectory.a == pytest.approx(-4.0)
+
+
+def test_a_force_that_becomes_nan_ends_the_run_at_once_and_names_the_time():
+    trajectory = run(Probe(breaks_at=0.5), 1e-6)
+    assert trajectory.status == "diverged"
+    assert trajectory.t[-1] <= 0.5
+    assert f"t={trajectory.t[-1]:.6g} s" in trajectory.message
+    assert trajectory.work.residuals < 1000
+    prepared = IDA().prepare(Probe(breaks_at=0.5), 2.0, Tolerances(1e-6))
+    assert prepared.execute() is None
+
+
+def test_a_pole_of_the_solution_ends_the_run_near_it():
+    # q'' = 6 q^2 with q = 1/(1-t)^2.
+    trajectory = run(Probe(k=0.0, c=6.0, v0=2.0), 1e-6)
+    assert trajectory.status in ("step_too_small", "newton_failed", "diverged", "budget_exceeded")
+    assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+# ---- options ---------------------------------------------------------------------------
+def test_the_formulation_is_always_part_of_the_name():
+    assert IDA().spec == "ida[formulation=stabilised_index2]"
+    assert IDA(max_order=2).spec == "ida[formulation=stabilised_index2,max_order=2]"
+
+
+def test_a_lower_order_needs_more_steps():
+    low, high = run(Probe(), 1e-6, max_order=2), run(Probe(), 1e-6)
+    assert low.status == high.status == "ok"
+    assert low.work.steps > 2 * high.work.steps

@@ -1,0 +1,138 @@
+"""A cell that goes wrong costs itself alone and becomes a row with a reason."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.plan import Cell
+from bench.registry import Registry
+from bench.session import solve_cells
+from bench.store import Store
+from integrators import Steps
+
+PLUGINS = Path(__file__).parent / "bad_plugins.py"
+
+FATES = {
+    "well": ("ok", ""),
+    "crash": ("crashed", "SIGSEGV"),
+    "exit": ("crashed", "exit code 3"),
+    "hang": ("budget_exceeded", "time budget of 5 s"),
+    "hog": ("budget_exceeded", "GiB"),
+    "raise": ("crashed", "ZeroDivisionError: so it goes (bad_plugins.py, line"),
+    "nan": ("diverged", "not finite"),
+    "stop_early": ("crashed", "instead of 1.35"),
+    "refuse": ("unsupported", "does not like"),
+}
+
+
+def test_each_fate_is_a_row_and_the_good_cells_are_measured():
+    registry = Registry([PLUGINS])
+    cells = [
+        Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01)) for how in (*FATES, "last")
+    ]
+    records = [
+        record
+        for record, _ in solve_cells(cells, registry, samples=2, budget_s=5.0, memory_gib=1.0)
+    ]
+    for record, (how, (status, words)) in zip(records, FATES.items(), strict=False):
+        assert (record.status, how) == (status, how)
+        assert words in record.message
+        assert "\n" not in record.message
+    for good in (records[0], records[-1]):  # "last" goes well, after all the others
+        assert good.status == "ok"
+        assert good.errors["q"]["max"] == 0.0
+        assert len(good.run_s) == 2
+
+
+def test_a_crash_while_timing_keeps_the_measured_row():
+    cells = [
+        Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01))
+        for how in ("crash_when_timed", "well")
+    ]
+    (crashed, _), (well, _) = solve_cells(cells, Registry([PLUGINS]), samples=2, budget_s=20.0)
+    assert crashed.status == well.status == "ok"
+    assert crashed.run_s == []
+    assert len(well.run_s) == 2
+
+
+def test_an_inconsistent_start_is_one_sentence(stepbench):
+    result = stepbench("solve", "unhinged", "newmark", "--step", "0.01", "--plugins", PLUGINS)
+    assert result.exit_code != 0
+    assert "violates the constraints at position level by 2.8" in result.output
+    assert "Traceback" not in result.output
+
+
+def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
+    profile = tmp_path / "fates.toml"
+    profile.write_text(
+        "budget_s = 3.0\nsamples = 1\n[[study]]\nproblems = ['pendulum']\nsteps = [0.01]\n"
+        "integrators = ['misbehaving[how=crash]', 'misbehaving[how=hang]', 'misbehaving']\n"
+    )
+    out = tmp_path / "out"
+    result = stepbench("run", profile, "--out", out, "--plugins", PLUGINS)
+    assert result.exit_code == 0, result.output
+    assert "3 cells: 1 ok, 2 failed with a reason" in result.output
+    with Store(out) as store:
+        statuses = [record.status for record in store.records().values()]
+    assert sorted(statuses) == ["budget_exceeded", "crashed", "ok"]
+    page = (out / "report.md").read_text()
+    assert "SIGSEGV" in page
+    assert "time budget of 3 s" in page
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("def broken(:\n", "SyntaxError"),
+        ("import no_such_package\n", "No module named 'no_such_package'"),
+        ("raise SystemExit('bye')\n", "SystemExit: bye"),
+        ("x = 1\n", "defines no MechatronicSystem"),
+        (
+            "from problems.pendulum import Pendulum as P\n"
+            "class Pendulum(P):\n    'Another.'\n",
+            "is taken by stepbench",
+        ),
+        (
+            "from problems import MechatronicSystem\n"
+            "class Half(MechatronicSystem):\n    'Half a scene.'\n",
+            "it lacks mass, force, initial_state",
+        ),
+        (
+            "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+            "class Bare(Pendulum):\n    'No decorator.'\n    c = parameter(1.0, 'kg', 'c')\n",
+            "decorate Bare",
+        ),
+    ],
+)
+def test_a_broken_plugin_is_listed_with_its_reason_and_stops_nothing(
+    stepbench, tmp_path, code, words
+):
+    file = tmp_path / "plug.py"
+    file.write_text(code)
+    listed = stepbench("list", "--json", "--plugins", file)
+    assert listed.exit_code == 0, listed.output
+    rows = [row for kind in json.loads(listed.output).values() for row in kind]
+    assert any(words in row["reason"] and not row["available"] for row in rows)
+    assert {"pendulum", "newmark"} <= {row["name"] for row in rows if row["available"]}
+    # To use it is another matter.
+    used = stepbench("solve", "pendulum", "newmark", "--plugins", file)
+    assert used.exit_code != 0
+    assert words in used.output
+    assert "Traceback" not in used.output
+
+
+def test_a_plugin_file_takes_part_by_its_name(stepbench, tmp_path):
+    (tmp_path / "heavy.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+        "@dataclass(frozen=True)\nclass HeavyBob(Pendulum):\n    'A heavy bob.'\n"
+        "    m: float = parameter(50.0, 'kg', 'mass')\n"
+    )
+    result = stepbench(
+        "solve", "heavy_bob", "newmark", "--step", "0.01", "--plugins", tmp_path, "--json"
+    )
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["errors"]["q"]["max"] < 1e-3

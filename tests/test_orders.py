@@ -1,0 +1,79 @@
+"""The rule that fits orders in the asymptotic window."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.orders import fit_order
+
+STEPS = [0.1 * 2.0**-k for k in range(8)]
+
+
+@given(st.integers(1, 5), st.floats(1e-3, 1e3))
+def test_a_clean_power_law_is_found_over_all_points(order, factor):
+    fit = fit_order(STEPS, [factor * h**order for h in STEPS])
+    assert fit.order == pytest.approx(order, abs=1e-6)
+    assert fit.points == 8
+    assert fit.window == pytest.approx((STEPS[0], STEPS[-1]))
+    assert fit.verdict == "converges"
+
+
+def test_the_order_of_the_points_does_not_matter():
+    errors = [h**2 + 30 * h**4 for h in STEPS]
+    assert fit_order(STEPS[::-1], errors[::-1]) == fit_order(STEPS, errors)
+
+
+def test_coarse_points_before_the_asymptotic_range_are_dropped():
+    errors = [h**2 * (1 + 400 * h * h) for h in STEPS]
+    fit = fit_order(STEPS, errors)
+    assert fit.window[0] < STEPS[0]
+    assert fit.order == pytest.approx(2.0, abs=0.06)
+
+
+def test_an_order_that_is_lost_only_at_fine_steps_is_seen():
+    # Second order in appearance, first order in truth.
+    fit = fit_order(STEPS, [h**2 + 0.03 * h for h in STEPS])
+    assert fit.order < 1.2
+
+
+def test_fine_points_spoilt_by_round_off_are_dropped():
+    errors = [h**2 for h in STEPS]
+    errors[-1], errors[-2] = errors[-3] * 1.5, errors[-3] * 0.9
+    fit = fit_order(STEPS, errors)
+    assert fit.order == pytest.approx(2.0, abs=1e-6)
+    assert fit.window[1] == pytest.approx(STEPS[-3])
+
+
+def test_points_near_the_error_of_the_reference_do_not_count():
+    errors = [h**2 + 1e-6 for h in STEPS]
+    fit = fit_order(STEPS, errors, floor=1e-6)
+    assert fit.window[1] ** 2 > 1e-4
+
+
+@pytest.mark.parametrize(
+    "errors",
+    [
+        [1e-2, 1e-3] + [None] * 6,
+        [1e-2, 1e-3] + [math.inf, math.nan] * 3,
+        [1e-2, 1e-3] + [0.0] * 6,
+        [None] * 8,
+    ],
+)
+def test_fewer_than_three_points_determine_nothing(errors):
+    fit = fit_order(STEPS, errors)
+    assert fit.order is None
+    assert fit.window is None
+    assert fit.verdict == "not determined"
+
+
+def test_errors_that_do_not_fall_are_called_so():
+    level = fit_order(STEPS, [0.3] * 8)
+    assert level.verdict == "does not converge"
+    assert level.order == pytest.approx(0.0, abs=1e-9)
+    scattered = fit_order(STEPS, [0.3, 0.8, 0.2, 0.9, 0.3, 1.1, 0.25, 0.7])
+    assert scattered.verdict == "does not converge"
+    assert scattered.order is None

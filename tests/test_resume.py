@@ -1,0 +1,135 @@
+"""A run that is killed or interrupted goes on where it stopped."""
+
+from __future__ import annotations
+
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bench.store import FILE, Store
+
+PROFILE = """
+samples = 3
+[[study]]
+problems = ["spring_mass"]
+t_end = 2.0
+integrators = ["generalized_alpha", "newmark"]
+steps = [0.1, 0.05, 0.025, 0.0125]
+[[study]]
+problems = ["pendulum"]
+integrators = ["generalized_alpha[rho_inf=0.5]", "ida", "ida[formulation=index3,max_calls=2000]"]
+steps = [0.02, 0.01, 0.005]
+rtol = [1e-4, 1e-6]
+"""
+CELLS = 8 + 3 + 4
+
+
+def start(folder: Path, *more: str) -> subprocess.Popen:
+    """Run the suite as a person would, in a process of its own."""
+    profile = folder / "profile.toml"
+    profile.write_text(PROFILE)
+    command = [sys.executable, "-m", "bench", "run", str(profile), "--out", str(folder / "out")]
+    return subprocess.Popen(
+        [*command, *more], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def finish(folder: Path) -> str:
+    process = start(folder)
+    output, _ = process.communicate(timeout=240)
+    assert process.returncode == 0, output
+    return output
+
+
+def rows(out: Path) -> int:
+    """Finished cells and samples so far, read beside the running process."""
+    try:
+        with sqlite3.connect(f"file:{out / FILE}?mode=ro", uri=True, timeout=5) as db:
+            return sum(
+                db.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
+                for table in ("records", "samples")
+            )
+    except sqlite3.Error:
+        return 0
+
+
+def table(out: Path) -> dict[str, tuple]:
+    """The final table without times."""
+    with Store(out) as store:
+        return {
+            key: (r.status, r.message, r.errors, r.constraint, r.work, len(r.run_s))
+            for key, r in store.records().items()
+        }
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed")
+    finish(folder)
+    result = table(folder / "out")
+    assert len(result) == CELLS
+    return result
+
+
+def test_ten_kills_at_random_moments_change_nothing(tmp_path, undisturbed):
+    chance, out = random.Random(20081), tmp_path / "out"
+    for _ in range(10):
+        process = start(tmp_path)
+        wanted = rows(out) + chance.randint(0, 5)
+        while process.poll() is None and rows(out) < wanted:
+            time.sleep(0.005)
+        time.sleep(chance.random() * 0.3)
+        process.kill()
+        process.communicate()
+        kept = table(out) if (out / FILE).exists() else {}
+        for key, row in kept.items():  # every row that is there is whole
+            assert row[:-1] == undisturbed[key][:-1]
+    finish(tmp_path)
+    assert table(out) == undisturbed
+
+
+def test_a_finished_run_measures_nothing_again(tmp_path, undisturbed):
+    finish(tmp_path)
+    with Store(tmp_path / "out") as store:
+        before = store.records()
+    assert f"0 measured now, {CELLS} kept" in finish(tmp_path)
+    with Store(tmp_path / "out") as store:
+        assert store.records() == before
+    process = start(tmp_path, "--fresh")
+    output, _ = process.communicate(timeout=240)
+    assert f"{CELLS} measured now, 0 kept" in output
+    assert table(tmp_path / "out") == undisturbed
+
+
+def test_ctrl_c_is_one_sentence_and_leaves_no_process(tmp_path):
+    process = start(tmp_path)
+    while rows(tmp_path / "out") < 2 and process.poll() is None:
+        time.sleep(0.01)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Interrupted. What was finished is stored" in output
+    assert "Traceback" not in output
+    _, alive = psutil.wait_procs(workers, timeout=10)
+    assert not alive
+    assert len(table(tmp_path / "out")) >= 1
+
+
+def test_a_killed_parent_leaves_no_worker_behind(tmp_path):
+    process = start(tmp_path)
+    while rows(tmp_path / "out") < 2 and process.poll() is None:
+        time.sleep(0.01)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    assert workers
+    process.kill()
+    process.communicate()
+    _, alive = psutil.wait_procs(workers, timeout=10)
+    assert not alive

@@ -1,0 +1,66 @@
+"""Names with options: what is printed is read back, what is wrong is named."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from integrators.alpha_family import HHT, GeneralizedAlpha, Newmark
+from problems import spec
+from problems.pendulum import Pendulum
+from problems.spec import SpecError, build, split_spec
+
+
+def read(cls, text):
+    name, options = split_spec(text)
+    assert name == cls.name
+    return build(cls, options, name)
+
+
+@given(
+    st.floats(0, 1),
+    st.none() | st.floats(0, 1),
+    st.sampled_from(["fixed", "updated"]),
+    st.integers(1, 99),
+)
+def test_options_round_trip_through_the_printed_name(rho, rho_x, gamma, most):
+    method = GeneralizedAlpha(rho_inf=rho, rho_inf_x=rho_x, gamma=gamma, newton_max=most)
+    assert read(GeneralizedAlpha, method.spec) == method
+
+
+def test_the_printed_name_shows_what_matters():
+    assert GeneralizedAlpha().spec == "generalized_alpha[rho_inf=0.8]"
+    method = GeneralizedAlpha(gamma="updated")
+    assert method.spec == "generalized_alpha[rho_inf=0.8,gamma=updated]"
+    assert Newmark().spec == "newmark[beta=0.25,gamma=0.5]"
+    assert Pendulum().spec == "pendulum"
+    assert read(Pendulum, " pendulum[ th0 = 2 , g=1]") == Pendulum(th0=2.0, g=1.0)
+
+
+@pytest.mark.parametrize(
+    ("cls", "text", "words"),
+    [
+        (GeneralizedAlpha, "generalized_alpha[rho=1]", "rho_inf"),
+        (GeneralizedAlpha, "generalized_alpha[rho_inf=1.5]", r"\[0.0, 1.0\]"),
+        (GeneralizedAlpha, "generalized_alpha[rho_inf=nan]", "not a finite number"),
+        (GeneralizedAlpha, "generalized_alpha[rho_inf=half]", "not a float"),
+        (GeneralizedAlpha, "generalized_alpha[gamma=updatd]", "did you mean 'updated'"),
+        (GeneralizedAlpha, "generalized_alpha[newton_max=2.5]", "not a int"),
+        (GeneralizedAlpha, "generalized_alpha[rho_inf]", "option=value"),
+        (GeneralizedAlpha, "generalized_alpha[rho_inf=1,rho_inf=0]", "twice"),
+        (HHT, "hht[alpha=0.4]", "outside"),
+        (Pendulum, "pendulum[th0=nan]", "not a finite number"),
+        (Pendulum, "pendulum]th0", "not of the form"),
+    ],
+)
+def test_a_wrong_option_is_named_with_what_is_allowed(cls, text, words):
+    with pytest.raises(SpecError, match=words):
+        read(cls, text)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("SpringMass", "spring_mass"), ("IDA", "ida"), ("KenCarp4", "ken_carp4")]
+)
+def test_class_names_become_plugin_names(name, wanted):
+    assert spec.snake_case(name) == wanted
