@@ -73,7 +73,7 @@ class IDA(Integrator):
         False, "test the errors of multipliers like those of q, v and x"
     )
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
-    max_calls: int = option(300_000, "most residual calls in a run", low=1)
+    max_calls: int = option(50_000, "most residual calls in a run", low=1)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

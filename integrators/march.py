@@ -121,24 +121,24 @@ class _March(PreparedRun):
         )
         self._t0, self._t_end = t0, t_end
         self._rows = rows[rows > 0]
-        # Slots that are not needed repeat the last row, at which the march stands still.
-        padded = np.full(_ROW_SLOTS, self._rows[-1])
+        padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
         self._start = start
         clock = Clock(t0, t_end - t0, macro, fractions, ends, slots)
         self._kernel = kernel(type(method), scene.template(), scene.sizes)
-        arguments = (scene.parameters(), method.numbers(), start, clock, padded)
-        self._arguments = jax.tree.map(jnp.asarray, arguments)
-        # A march of no steps compiles the kernel and costs nothing else.
-        nothing = (*self._arguments[:-1], jnp.zeros_like(self._arguments[-1]))
-        jax.block_until_ready(self._kernel(*nothing))
+        self._arguments = self._kernel.pack(scene.parameters(), method.numbers(), start, clock)
+        self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
+        self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
+        # A march that keeps no row takes no step: it compiles the kernel and costs nothing else.
+        jax.block_until_ready(self._kernel(self._arguments, self._end_only[0], jnp.asarray(0)))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self._kernel(*self._arguments))
+        return jax.block_until_ready(self._kernel(self._arguments, *self._end_only))
 
     def measure(self) -> Trajectory:
-        reading, reached, times, status, counts, t = self.execute()
+        results = self._kernel(self._arguments, *self._all_rows)
+        reading, times, reached, status, counts, t = results
         kept = np.flatnonzero(np.asarray(reached)[: len(self._rows)] == self._rows)
         z = self._start.z
         first = Reading(z.q, z.v, z.a, z.lam, z.x, self._start.xdot, z.y)
@@ -168,8 +168,46 @@ def _outcome(status: int, t: float) -> tuple[str, str]:
     return "ok", ""
 
 
+class Kernel:
+    """A compiled march; its many small arguments travel as one array.
+
+    Each array that is handed to a compiled program costs microseconds, as much as a step.
+    """
+
+    def __init__(self, march: Callable) -> None:
+        self._unpack: Callable | None = None
+        self._compiled = jax.jit(lambda packed, *rows: march(*self._unpack(packed), *rows))
+
+    def pack(self, *arguments: Any) -> Any:
+        """Pack parameters, numbers, start and clock (floats, and integers below 2^53)."""
+        leaves, tree = jax.tree.flatten(arguments)
+        leaves = [np.asarray(leaf) for leaf in leaves]
+        cuts = np.cumsum([leaf.size for leaf in leaves])[:-1]
+
+        def unpack(packed: Any) -> Any:
+            parts = jnp.split(packed, cuts)
+            return jax.tree.unflatten(
+                tree,
+                [
+                    part.reshape(leaf.shape).astype(leaf.dtype)
+                    for part, leaf in zip(parts, leaves, strict=True)
+                ],
+            )
+
+        self._unpack = self._unpack or unpack
+        return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
+
+    def __call__(self, packed: Any, rows: Any, row_count: Any) -> Any:
+        return self._compiled(packed, rows, row_count)
+
+    @property
+    def compilations(self) -> int:
+        """How many programs were compiled; one serves all schemes, steps and parameters."""
+        return self._compiled._cache_size()
+
+
 @cache
-def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) -> Callable:
+def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) -> Kernel:
     """The compiled march of a method class on a scene, for any numbers and parameters."""
 
     def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
@@ -177,14 +215,16 @@ def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) 
         t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
         return t, clock.length / clock.macro_steps * clock.fractions[j]
 
-    def march(p: dict, numbers: Any, start: Start, clock: Clock, rows: Any) -> tuple:
+    def march(
+        p: dict, numbers: Any, start: Start, clock: Clock, rows: Any, row_count: Any
+    ) -> tuple:
         scene = template.with_parameters(p)
         state = method.start(scene, sizes, numbers, start, step_times(clock, 0)[1])
         first = method.read(state)
         bound = GROWTH_LIMIT * (1.0 + _largest(first.q, first.v))
 
-        def one_step(carry: tuple) -> tuple:
-            n, state, _, counts, _ = carry
+        def one_step(progress: tuple) -> tuple:
+            n, state, _, counts, _ = progress
             t, h = step_times(clock, n)
             state, report = method.step(scene, sizes, numbers, state, t, h)
             now = method.read(state)
@@ -196,20 +236,30 @@ def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) 
             counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
             return n + 1, state, status, counts, t
 
-        def to_row(carry: tuple, row: Any) -> tuple:
-            carry = jax.lax.while_loop(
-                lambda c: (c[0] < row) & (c[2] == _OK), one_step, carry
+        def to_row(carry: tuple) -> tuple:
+            k, kept, progress = carry
+            progress = jax.lax.while_loop(
+                lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
             )
-            n, state, status, _, t = carry
-            return carry, (method.read(state), jnp.where(status == _OK, n, -1), t)
+            n, state, status, _, t = progress
+            row = (method.read(state), t, jnp.where(status == _OK, n, -1))
+            return k + 1, jax.tree.map(lambda all_, one: all_.at[k].set(one), kept, row), progress
 
         counts = (jnp.asarray(0),) * len(StepReport._fields)
-        carry = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
-        carry, (reading, reached, times) = jax.lax.scan(to_row, carry, rows)
-        _, _, status, counts, t = carry
-        return reading, reached, times, status, counts, t
+        progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
+        kept = jax.tree.map(
+            lambda one: jnp.zeros((_ROW_SLOTS, *jnp.shape(one)), jnp.result_type(one)),
+            (first, clock.t0, progress[0]),
+        )
+        _, kept, progress = jax.lax.while_loop(
+            lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
+            to_row,
+            (jnp.asarray(0), kept, progress),
+        )
+        _, _, status, counts, t = progress
+        return *kept, status, counts, t
 
-    return jax.jit(march)
+    return Kernel(march)
 
 
 def _largest(*parts: Any) -> Any:

@@ -57,17 +57,17 @@ def read_page(folder: Path, interactive: bool) -> Page:
                 f"scene-{i}", name, scenes.get(key), own, looks, store.rows, interactive
             )
             parts.append(part.read([s for s in _studies(plan) if (s.problem, s.t_end) == key]))
-        environments = list(store.environments().items())
+        environments = store.environments()
     everything = list(records.values())
     return Page(
         title=(plan.title or plan.name) if plan else "Results",
         state=_state(plan, everything),
-        missing=_missing(plan, scenes, records, keys),
+        missing=_missing(plan, scenes, records, keys, environments),
         scenes=parts,
         failures=tables.failures(everything),
         timing=tables.timing(series_of(everything)),
         noise=_noise(everything),
-        environments=environments,
+        environments=list(environments.items()),
         fairness=_fairness(plan),
     )
 
@@ -97,6 +97,7 @@ def _missing(
     scenes: dict[tuple[str, float], SceneRecord],
     records: dict[str, Record],
     keys: Sequence[tuple[str, float]],
+    environments: dict[int, Environment],
 ) -> list[str]:
     """What a reader might look for and not find."""
     said = []
@@ -125,10 +126,14 @@ def _missing(
         said.append(f"{short} runs have fewer than the {plan.samples} timing samples planned.")
     if any(error_of(r, g, n) is None for r in ok for g in r.errors for n in r.errors[g]):
         said.append("Some errors of runs that reached the end are not finite; they are not drawn.")
-    machines = {r.environment for r in ok if r.run_s}
+    used = {r.environment: environments.get(r.environment) for r in ok if r.run_s}
+    machines = {(e.cpu, e.cores, tuple(e.versions.items())) for e in used.values() if e}
     if len(machines) > 1:
-        numbers = ", ".join(map(str, sorted(machines)))
-        said.append(f"The times come from several invocations (environments {numbers}).")
+        numbers = ", ".join(map(str, sorted(used)))
+        said.append(
+            f"The times come from different machines or versions (environments {numbers}): "
+            "do not compare them."
+        )
     return said
 
 

@@ -26,8 +26,6 @@ from reports.series import (
 GREY = "#808080"
 #: A group with more components than this is drawn by its first ones.
 MOST_COMPONENTS = 3
-#: The bars from the fastest to the slowest sample stay behind the lines.
-SPREAD_OPACITY = 0.45
 _FORMATS = {"seconds": ".0e", "residuals": "~s"}
 
 
@@ -86,18 +84,19 @@ def error_panel(
     ]
     lines = data.mark_line(strokeWidth=1.8).encode(x=x, y=y, strokeDash=dash, order="h:Q")
     points = data.mark_point(filled=True, size=55).encode(x=x, y=y, shape=shape, tooltip=tips)
-    marks = [lines, points]
+    marks = [(lines, 1.0), (points, 1.0)]
     if field == "seconds":
         ends = {"x": alt.X("fastest:Q", title=title, scale=_log()), "x2": "slowest:Q"}
-        marks.append(data.mark_rule(strokeWidth=1, opacity=SPREAD_OPACITY).encode(y=y, **ends))
-    marks = [mark.encode(color=color) for mark in marks]
+        marks.append((data.mark_rule(strokeWidth=1).encode(y=y, **ends), 0.45))
+    layers = [
+        mark.encode(color=color, opacity=_dimmed(full) if view.interactive else alt.value(full))
+        for mark, full in marks
+    ]
     if view.interactive:
-        full = [1.0] * len(marks) if len(marks) == 2 else [1.0, 1.0, SPREAD_OPACITY]
-        marks = [m.encode(opacity=_dimmed(o)) for m, o in zip(marks, full, strict=True)]
         controls = [_pick(), _norm_choice(view.norm)] if first else []
         # The first layer: the shared legend answers only to that one's selection.
-        marks[0] = marks[0].add_params(_zoom(f"{field}_{group}"), *controls)
-    return alt.layer(*_floor_rule(series, group, rows), *marks)
+        layers[0] = layers[0].add_params(_zoom(f"{field}_{group}"), *controls)
+    return alt.layer(*_floor_rule(series, group, rows), *layers)
 
 
 def _error_rows(
@@ -150,7 +149,7 @@ def run_lines(
     )
     if view.interactive:
         controls = [_pick()] if first else []
-        chart = chart.encode(opacity=_dimmed()).add_params(_zoom(field), *controls)
+        chart = chart.encode(opacity=_dimmed(1.0)).add_params(_zoom(field), *controls)
     return chart
 
 
@@ -189,6 +188,7 @@ def _channel(kind: Any, looks: Mapping[str, Look], values: list[Any], symbol: st
         orient="bottom",
         direction="vertical",
         columns=2,
+        columnPadding=40,
         labelLimit=440,
         **({"symbolType": "stroke", "symbolSize": 400} if symbol == "line" else {"symbolSize": 90}),
     )
@@ -217,7 +217,7 @@ def _pick() -> alt.Parameter:
     return alt.selection_point(name="pick", fields=["series"], bind="legend")
 
 
-def _dimmed(full: float = 1.0) -> Any:
+def _dimmed(full: float) -> Any:
     return alt.condition(alt.param("pick"), alt.value(full), alt.value(0.07))
 
 
@@ -246,17 +246,20 @@ def arrange(panels: Sequence[alt.LayerChart], columns: int, height: int = 250) -
     if not panels:
         return None
     width = {1: 620, 2: 410}.get(columns, 270)
-    panels = [panel.properties(width=width, height=height) for panel in panels]
+    for panel in panels:
+        panel.width, panel.height = width, height
     return dress(alt.concat(*panels, columns=columns, spacing=24))
 
 
 def dress(chart: alt.Chart) -> alt.Chart:
     """No background and greys that read on light and on dark pages."""
     text = {"labelColor": GREY, "titleColor": GREY}
-    return (
-        chart.configure(background="transparent", font="system-ui, sans-serif")
-        .configure_view(stroke=GREY, strokeOpacity=0.35)
-        .configure_axis(
+    # Set in place: each fluent call would copy the whole chart.
+    chart.config = alt.Config(
+        background="transparent",
+        font="Arial, Liberation Sans, Helvetica, sans-serif",
+        view=alt.ViewConfig(stroke=GREY, strokeOpacity=0.35),
+        axis=alt.AxisConfig(
             **text,
             gridColor=GREY,
             gridOpacity=0.3,
@@ -265,9 +268,10 @@ def dress(chart: alt.Chart) -> alt.Chart:
             titleFontWeight="normal",
             titleFontSize=12,
             labelFontSize=11,
-        )
-        .configure_legend(**text, labelFontSize=12)
+        ),
+        legend=alt.LegendConfig(**text, labelFontSize=12),
     )
+    return chart
 
 
 def short(value: float | None) -> float | None:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import colorsys
+import csv
+import io
 import json
 import math
 import re
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import vl_convert
 
 from bench.orders import fit_order
 from bench.records import Environment, Plan, Record, Rows, SceneRecord, Study, median
 from bench.store import Store
-from reports import html, markdown
+from reports import charts, html, markdown
 from reports.findings import findings
 from reports.series import looks_of, milliseconds, number, series_of
 from reports.tables import summary, targets
@@ -29,11 +35,10 @@ def planted(
     groups: dict[str, tuple[float, float]],
     *,
     h: float,
-    cost: float = 1e-6,
     family: str = "alpha",
     **changes,
 ) -> Record:
-    """A record with errors C h^p for {group: (C, p)}, ``cost`` seconds per step, 3 residuals."""
+    """A record with errors C h^p for {group: (C, p)} and three residuals per step."""
     steps = round(1 / h)
     known = {
         "key": f"{problem} | {integrator} | h={h!r}",
@@ -74,7 +79,7 @@ def everything() -> list[Record]:
     records = []
     for h in STEPS:
         records += [
-            planted("spring_mass", "good[rho_inf=0.8]", free, h=h, cost=1e-6),
+            planted("spring_mass", "good[rho_inf=0.8]", free, h=h),
             planted("spring_mass", "poor", {g: (c, 1) for g, (c, _) in free.items()}, h=h),
             planted("pendulum", "good[rho_inf=0.8]", held, h=h),
             planted("pendulum", "good[rho_inf=0.5]", held, h=h),
@@ -162,3 +167,382 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                 Plan(name="planted", title="Planted", samples=3, budget_s=1.0, studies=studies)
             )
     return folder
+
+
+class Document(HTMLParser):
+    """Tables by caption, attributes that name a place, scripts, and the visible text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables: list[tuple[str, list[list[str]]]] = []
+        self.places: list[tuple[str, str]] = []
+        self.charts: dict[str, dict] = {}
+        self.words = ""
+        self.scripts = 0
+        self._caption = self._cell = self._chart = None
+        self._hidden = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = dict(attrs)
+        self.places += [(tag, v or "") for k, v in attrs if k in ("src", "href", "action", "data")]
+        if tag == "table":
+            self.tables.append(("", []))
+        elif tag == "tr":
+            self.tables[-1][1].append([])
+        elif tag in ("td", "th"):
+            self._cell = ""
+        elif tag == "caption":
+            self._caption = ""
+        elif tag in ("script", "style"):
+            self._hidden = True
+            self.scripts += tag == "script"
+            self._chart = known.get("data-chart")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self.tables[-1][1][-1].append(self._cell)
+            self._cell = None
+        elif tag == "caption":
+            self.tables[-1] = (self._caption, self.tables[-1][1])
+            self._caption = None
+        elif tag in ("script", "style"):
+            self._hidden, self._chart = False, None
+
+    def handle_data(self, data: str) -> None:
+        if self._chart:
+            self.charts[self._chart] = json.loads(data)
+        elif not self._hidden:
+            self.words += data
+        if self._cell is not None:
+            self._cell += data
+        if self._caption is not None:
+            self._caption += data
+
+    def rows(self, caption: str, place: int = 0) -> list[dict[str, str]]:
+        head, *body = [rows for name, rows in self.tables if name == caption][place]
+        return [dict(zip(head, row, strict=True)) for row in body]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = plant(tmp_path_factory.mktemp("planted"), everything())
+    html.write(path)
+    markdown.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Document:
+    return Document((folder / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def paper(folder: Path) -> str:
+    return (folder / "report.md").read_text(encoding="utf-8")
+
+
+def stored(folder: Path) -> list[Record]:
+    with Store(folder) as store:
+        return list(store.records().values())
+
+
+@pytest.mark.parametrize(("place", "problem"), [(0, "spring_mass"), (1, "pendulum")])
+def test_every_number_of_the_summary_is_one_of_the_store(
+    folder: Path, page: Document, place: int, problem: str
+) -> None:
+    records = [r for r in stored(folder) if r.problem == problem]
+    rows = page.rows("All integrators", place)
+    assert [row["integrator"] for row in rows] == list(dict.fromkeys(r.integrator for r in records))
+    groups = list(dict.fromkeys(g for r in records for g in r.errors))
+    for row in rows:
+        own = [r for r in records if r.integrator == row["integrator"] and r.status == "ok"]
+        for group in groups:
+            smallest = min((r.errors[group]["end"] for r in own), default=None)
+            assert row[f"error in {group}"] == (f"{smallest:.3g}" if own else number(None))
+        if own:
+            best = min(own, key=lambda r: r.errors["q"]["end"])
+            assert row["residual evaluations"] == str(best.work["residuals"])
+            assert row["time in ms"] == milliseconds(median(best.run_s))
+            assert row["most accurate run"] == best.resolution
+
+
+def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> None:
+    rows = page.rows("Fitted orders of the error largest after the start transient", 1)
+    assert len(rows) == 3
+    for row in rows:
+        own = [r for r in stored(folder) if r.problem == "pendulum"]
+        own = [r for r in own if r.integrator == row["integrator"]]
+        for group in ("q", "v", "a", "lam"):
+            errors = [r.errors[group]["settled"] for r in own]
+            fit = fit_order([r.h for r in own], errors, 1e-15)
+            assert f"{fit.order:.2f}".replace("-0.00", "0.00") in row[group]
+            assert f"{fit.window[0]:.3g} to {fit.window[1]:.3g}, {fit.points}" in row[group]
+    assert rows[2]["lam"].startswith("does not converge")
+
+
+def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Document) -> None:
+    rows = {row["relative error"]: row for row in page.rows("Cheapest way to an accuracy", 1)}
+    records = [r for r in stored(folder) if r.problem == "pendulum" and r.status == "ok"]
+    for target in (1e-2, 1e-4, 1e-6):
+        reached = [r for r in records if r.errors["a"]["max"] <= target]
+        fewest = min(reached, key=lambda r: r.work["residuals"])
+        fastest = min(reached, key=lambda r: median(r.run_s))
+        row = rows[f"a to {target:.0e}"]
+        assert row["fewest residual evaluations"] == (
+            f"{fewest.integrator}, {fewest.resolution}: {fewest.work['residuals']}"
+        )
+        assert row["least time"].startswith(
+            f"{fastest.integrator}, {fastest.resolution}: {milliseconds(median(fastest.run_s))} ms"
+        )
+        assert row["reached by"] == f"{len({r.integrator for r in reached})} of 5"
+
+
+def test_a_target_nobody_reached_names_the_nearest() -> None:
+    records = [
+        planted("spring_mass", name, {"q": (c, 2), "a": (c, 2)}, h=0.01)
+        for name, c in (("near", 1.0), ("far", 50.0))
+    ]
+    row = targets(series_of(records)).rows[2]
+    assert row[:3] == ["q to 1e-06", "0 of 2", "nearest: 0.0001 by near, h=0.01"]
+
+
+def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
+    records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
+    for record in records:
+        record.reference_error = {"q": 1e-7}
+    rows = targets(series_of(records)).rows
+    assert "1 of" not in rows[2][1]
+    assert rows[2][1] == "cannot be judged: the reference's own error is 1e-07"
+    assert rows[1][1] == "2 of 2"
+
+
+def test_rivals_whose_samples_overlap_are_not_called_slower() -> None:
+    records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-2) for n in ("one", "two", "three")]
+    for record, samples in zip(records, ([1.0, 1.4], [1.3, 1.5], [1.5, 1.6]), strict=True):
+        record.run_s = samples
+    fastest = targets(series_of(records)).rows[0][2]
+    assert fastest == "one, h=0.01: 1200 ms (not told apart by its samples: two)"
+
+
+def test_equal_findings_share_a_sentence_with_the_order_lost_at_the_start(page: Document) -> None:
+    assert (
+        "good[rho_inf=0.8], good[rho_inf=0.5]: after the start transient, second order in "
+        "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over all times of the error in "
+        "lam is only first order (1.00): the start transient." in page.words
+    )
+
+
+def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: str) -> None:
+    text = "does not converge in lam (error 0.3 at the coarsest step, 0.3 at the finest)"
+    assert f"ringing[rho_inf=1]: after the start transient, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
+    assert text in paper
+
+
+@pytest.mark.parametrize(
+    ("power", "said"),
+    [(1, "first order in q (1.00)"), (2.4, "order 2.4 in q (2.40)"), (4, "fourth order in q")],
+)
+def test_the_order_is_named_after_the_slope(power: float, said: str) -> None:
+    records = [planted("spring_mass", "m", {"q": (1.0, power)}, h=h) for h in STEPS]
+    (finding,) = findings(series_of(records))
+    assert said in finding.text
+
+
+def test_two_steps_make_no_finding_about_order() -> None:
+    records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS[:2]]
+    assert findings(series_of(records)) == []
+    assert summary(series_of(records)).rows[0][2] == "not determined"
+
+
+def test_a_step_pattern_is_a_line_of_its_own() -> None:
+    even = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
+    uneven = [planted("spring_mass", "m", {"q": (1.0, 1)}, h=h, pattern=(0.3, 0.7)) for h in STEPS]
+    text = {f.subjects: f.text for f in findings(series_of(even + uneven))}
+    assert "second order" in text[("m",)]
+    assert "first order" in text[("m x 0.3/0.7",)]
+
+
+def test_failures_are_listed_with_their_reason_and_do_no_harm(page: Document, paper: str) -> None:
+    rows = page.rows("Runs that did not reach the end")
+    assert [row["message"] for row in rows] == [ATTACK, ATTACK]
+    assert [row["resolution"] for row in rows] == ["h=0.1", "h=0.05"]
+    assert {row["status"] for row in rows} == {"newton_failed"}
+    assert "fragile: 2 of 2 runs did not reach the end: 2 newton_failed (h=0.1; h=0.05)." in page.words  # fmt: skip  # noqa: E501
+    # The library, the code that calls it, and one block of data per chart: no other script.
+    assert page.scripts == 2 + len(page.charts)
+    assert "<script>" not in paper
+    (line, _) = [x for x in paper.splitlines() if "Newton stopped" in x]
+    assert "&lt;script&gt;" in line
+    assert len(re.findall(r"(?<!\\)\|", line)) == 6
+
+
+def test_the_page_asks_nothing_of_any_network(folder: Path, page: Document) -> None:
+    assert page.places
+    for tag, place in page.places:
+        assert place.startswith(("#", "data:")), (tag, place)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"@import|url\(\s*['\"]?http", text)
+    anchors = set(re.findall(r'<section id="([^"]+)"', text))
+    assert {place[1:] for tag, place in page.places if tag == "a"} <= anchors
+
+    def keys(node: object) -> set[str]:
+        if isinstance(node, dict):
+            return set(node).union(*(keys(v) for v in node.values()))
+        return set().union(*(keys(v) for v in node)) if isinstance(node, list) else set()
+
+    assert len(page.charts) == 8
+    assert "url" not in keys(list(page.charts.values()))
+    assert len(text) < 3_000_000
+
+
+def test_the_charts_carry_the_numbers_of_the_store(folder: Path, page: Document) -> None:
+    found = set()
+    for text in page.charts["scene-2-1-convergence-end"]["datasets"].values():
+        found |= {
+            (row["series"], row["norm"], row["run"], float(row["error"]))
+            for row in csv.DictReader(io.StringIO(text))
+        }
+    expected = {
+        (r.integrator, norm, r.resolution, float(f"{error:.5g}"))
+        for r in stored(folder)
+        if r.problem == "pendulum" and r.status == "ok" and r.controls == "step"
+        for norms in r.errors.values()
+        for norm, error in norms.items()
+    }
+    assert found == expected
+
+
+def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
+    records = [r for r in everything() if r.problem == "pendulum"]
+    for record in records:
+        record.run_s = [1e-3, 2e-3]
+    series = series_of(records)
+    looks = looks_of((s.label, s.family) for s in series)
+    for chart in (
+        charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True),
+        charts.work_precision(series, ["q", "a"], looks, interactive=True),
+    ):
+        spec = chart.to_dict(validate=True)
+        assert len(spec["concat"]) == 4
+        vega = json.dumps(vl_convert.vegalite_to_vega(spec))
+        # The legend has a name only if a click on it is heard.
+        assert vega.count('"name": "series_legend_symbols"') == 1
+
+
+def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
+    looks = looks_of([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
+    assert len({(look.color, look.dash, look.shape) for look in looks.values()}) == 8
+
+    def hue(label: str) -> float:
+        color = looks[label].color
+        parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        return colorsys.rgb_to_hls(*parts)[0] * 360
+
+    alpha = [hue(f"a{i}") for i in range(6)]
+    assert max(alpha) - min(alpha) < 60
+    assert min(abs(hue("b") - h) for h in alpha) > 60
+
+
+def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
+    pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
+    # Per scene one picture of it, motion, convergence, cost; a held scene shows the maximum, too.
+    assert len(pictures) == len(set(pictures)) == 9
+    for picture in pictures:
+        assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
+
+
+def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
+    captions = [name for name, _ in page.tables if name]
+    for caption in set(captions):
+        if not caption.startswith("Fitted orders of"):
+            assert paper.count(f"**{caption}**") == captions.count(caption)
+    for name, rows in page.tables:
+        if name == "Constraint residuals and energy drift":
+            assert [row[3:] for row in rows[1:3]] == [
+                ["1e-13", "9.77e-06", "0.00313", "1.4e-06"]
+            ] * 2
+
+
+def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
+    assert "quiet enough" in page.words
+    assert "0 of 36 timed runs spread by more than 50%" in page.words
+    records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
+    plant(tmp_path, records, samples=1)
+    with Store(tmp_path) as store:
+        for record in records[:4]:
+            store.add_sample(record.key, 1, 1.0)
+        store.add_sample(records[5].key, 1, 1e-6 * records[5].work["residuals"])
+    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    assert "The machine was noisy" in text
+    assert "4 of 5 timed runs spread by more than 50%" in text
+
+
+def failed_only() -> list[Record]:
+    return [r for r in everything() if r.status != "ok"]
+
+
+def some() -> list[Record]:
+    return [r for r in everything() if r.integrator in ("poor", "fragile") and r.h != STEPS[-1]]
+
+
+@pytest.mark.parametrize(
+    ("records", "how", "said"),
+    [
+        ([], {"plan": False}, "The store holds no finished run."),
+        (some, {"plan": False}, "The store holds no plan"),
+        (some, {"samples": 0}, "5 of 5 runs that reached the end have no timing samples."),
+        (some, {"samples": 2}, "5 runs have fewer than the 3 timing samples planned."),
+        (failed_only, {}, "No run reached the end"),
+    ],
+    ids=["nothing", "no plan", "no samples", "few samples", "only failures"],
+)
+def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
+    tmp_path: Path, records: object, how: dict, said: str
+) -> None:
+    planted_records = records() if callable(records) else records
+    plant(tmp_path, planted_records, **how)
+    page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
+    assert said in page.words
+    assert said.split(":")[0] in markdown.write(tmp_path).read_text(encoding="utf-8")
+    shown = [row["message"] for row in page.rows("Runs that did not reach the end")] if any(
+        r.status != "ok" for r in planted_records
+    ) else []  # fmt: skip
+    assert shown == [r.message for r in planted_records if r.status != "ok"]
+    drawn = any(name.endswith("convergence-end") for name in page.charts)
+    assert drawn == any(r.status == "ok" for r in planted_records)
+
+
+def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
+    plant(tmp_path, some())
+    with Store(tmp_path) as store:
+        plan = store.plan()
+        plan.studies[0].cells += ["later 1", "later 2"]
+        plan.studies.append(
+            Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
+        )
+        store.save_plan(plan)
+    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    assert "3 of 10 planned runs are not measured yet." in text
+    assert "2 of 7 runs are not measured yet." in text
+    assert "The scene arm (t\\_end=2 s) has no description" in text
+    assert "### To come" in text
+
+
+def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) -> None:
+    wild = planted("pendulum", "wild", {"q": (1.0, 2)}, h=0.1)
+    wild.errors["q"] = dict.fromkeys(("end", "max", "rms", "settled"))
+    plant(tmp_path, [wild])
+    with Store(tmp_path) as store:
+        store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
+    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    assert "Some errors of runs that reached the end are not finite" in text
+
+
+def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
+    code = (
+        "import sys, reports.html, reports.markdown; "
+        "print([m for m in ('jax', 'integrators', 'problems') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
