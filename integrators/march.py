@@ -137,19 +137,21 @@ class _March(PreparedRun):
         return jax.block_until_ready(self._kernel(self._arguments, *self._end_only))
 
     def measure(self) -> Trajectory:
-        results = self._kernel(self._arguments, *self._all_rows)
-        reading, times, reached, status, counts, t = results
-        kept = np.flatnonzero(np.asarray(reached)[: len(self._rows)] == self._rows)
+        rows, end = (np.asarray(part) for part in self._kernel(self._arguments, *self._all_rows))
+        reached, times = rows[:, 0], rows[:, 1]
+        kept = np.flatnonzero(reached[: len(self._rows)] == self._rows)
         z = self._start.z
         first = Reading(z.q, z.v, z.a, z.lam, z.x, self._start.xdot, z.y)
+        cuts = np.cumsum([len(part) for part in first])[:-1]
+        parts = np.split(rows[kept, 2:], cuts, axis=1)
         values = {
-            name: np.concatenate([np.asarray(row0)[None], np.asarray(rows)[kept]])
-            for name, row0, rows in zip(Reading._fields, first, reading, strict=True)
+            name: np.concatenate([np.asarray(row0)[None], part])
+            for name, row0, part in zip(Reading._fields, first, parts, strict=True)
         }
-        counts = [int(c) for c in counts]
-        work = Work(counts[0], 0, *counts[1:])
+        status, t, *counts = end
+        work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         name, message = _outcome(int(status), float(t))
-        t_rows = np.concatenate([[self._t0], np.asarray(times)[kept]])
+        t_rows = np.concatenate([[self._t0], times[kept]])
         return Trajectory(t=t_rows, **values, status=name, message=message, work=work)
 
 
@@ -169,9 +171,12 @@ def _outcome(status: int, t: float) -> tuple[str, str]:
 
 
 class Kernel:
-    """A compiled march; its many small arguments travel as one array.
+    """A compiled march; its many small arguments travel as one array, and so do its results.
 
-    Each array that is handed to a compiled program costs microseconds, as much as a step.
+    Each array that is handed to a compiled program or back costs as much as a step.
+
+    It returns rows ``(row, [steps done or -1, t, q, v, a, lam, x, xdot, y])`` and
+    ``[status, t, counts...]``.
     """
 
     def __init__(self, march: Callable) -> None:
@@ -242,22 +247,20 @@ def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) 
                 lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
             )
             n, state, status, _, t = progress
-            row = (method.read(state), t, jnp.where(status == _OK, n, -1))
-            return k + 1, jax.tree.map(lambda all_, one: all_.at[k].set(one), kept, row), progress
+            reached = jnp.where(status == _OK, n, -1)
+            row = jnp.concatenate([jnp.stack([reached, t]), *method.read(state)])
+            return k + 1, kept.at[k].set(row), progress
 
         counts = (jnp.asarray(0),) * len(StepReport._fields)
         progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
-        kept = jax.tree.map(
-            lambda one: jnp.zeros((_ROW_SLOTS, *jnp.shape(one)), jnp.result_type(one)),
-            (first, clock.t0, progress[0]),
-        )
+        width = 2 + sum(part.size for part in first)
         _, kept, progress = jax.lax.while_loop(
             lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
             to_row,
-            (jnp.asarray(0), kept, progress),
+            (jnp.asarray(0), jnp.zeros((_ROW_SLOTS, width)), progress),
         )
         _, _, status, counts, t = progress
-        return *kept, status, counts, t
+        return kept, jnp.stack([status, t, *counts])
 
     return Kernel(march)
 
