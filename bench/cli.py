@@ -5,99 +5,27 @@ from __future__ import annotations
 import csv
 import io
 import json
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from bench import answers, options
 from bench import plan as plans
-from bench.orders import fit_order
 from bench.plan import Cell, check_end, make_suite, read_profile
-from bench.records import GROUPS, NORMS, Record, Rows, flatten, median
+from bench.records import Record, Rows, flatten
 from bench.registry import Registry
-from bench.store import Store, StoreError
+from bench.store import Store
 from integrators.contract import Steps, Tolerances
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError
 
 DEFAULT_OUT = "stepbench-results"
 #: What `stepbench solve` takes for an adaptive method if --rtol is not given.
 DEFAULT_RTOL = 1e-6
 
-_INTERRUPTED = 130
-
-
-class _Group(click.Group):
-    """A command group whose unknown commands name the nearest one, and whose errors are short."""
-
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            raise click.ClickException(
-                f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
-            )
-        return super().resolve_command(ctx, args)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except (SpecError, StoreError) as error:
-            raise click.ClickException(str(error)) from error
-        except KeyboardInterrupt:
-            click.echo("Interrupted. What was finished is stored; the same command goes on.",
-                       err=True)  # fmt: skip
-            sys.exit(_INTERRUPTED)
-        except BrokenPipeError:
-            sys.exit(1)
-        except OSError as error:
-            name = f" ({error.filename})" if error.filename else ""
-            raise click.ClickException(
-                f"The system refused: {error.strerror or error}{name}; check the path, its "
-                f"permissions and the free space."
-            ) from error
-
-
-def _numbers(_: click.Context, parameter: click.Parameter, text: str | None) -> Any:
-    """Read "0.1,0.05" as a tuple of floats."""
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(",") if part.strip())
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
-
-
-def _settings(_: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict:
-    """Read name=value pairs."""
-    pairs = [item.partition("=") for item in items]
-    for (name, equals, value), item in zip(pairs, items, strict=True):
-        if not (name and equals and value):
-            raise click.BadParameter(f"{item!r} is not of the form name=value.")
-    return {name.strip(): value for name, _, value in pairs}
-
-
-_plugins = click.option(
-    "--plugins", multiple=True, metavar="FILE_OR_FOLDER",
-    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
-)  # fmt: skip
-_pattern = click.option(
-    "--pattern", callback=_numbers, metavar="F1,F2,...",
-    help="Divide each macro step into these fractions, for example 0.3,0.7.",
-)  # fmt: skip
-_t_end = click.option("--t-end", type=float, help="End time in s; the scene's own if not given.")
-_set = click.option(
-    "--set", "settings", multiple=True, callback=_settings, metavar="NAME=VALUE",
-    help="Set a parameter of the scene; repeatable.",
-)  # fmt: skip
-_budget = click.option(
-    "--budget", type=click.FloatRange(min=0, min_open=True), default=300.0, show_default=True,
-    help="Seconds after which a run is stopped.",
-)  # fmt: skip
-_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-
 
 @click.group(
-    cls=_Group,
+    cls=options.ShortErrors,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
 Examples:
@@ -118,8 +46,8 @@ def main() -> None:
 
 @main.command("list")
 @click.argument("kind", type=click.Choice(["problems", "integrators", "all"]), default="all")
-@_plugins
-@_as_json
+@options.with_plugins
+@options.with_as_json
 def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
     """List the scenes and integrators, with those that are unavailable and why.
 
@@ -134,13 +62,16 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
         rows = {
             k: [
                 {
-                    "name": p.name, "summary": p.summary, "origin": p.origin,
-                    "available": p.cls is not None, "reason": p.reason,
+                    "name": p.name,
+                    "summary": p.summary,
+                    "origin": p.origin,
+                    "available": p.cls is not None,
+                    "reason": p.reason,
                 }
                 for p in getattr(registry, k).values()
             ]
             for k in kinds
-        }  # fmt: skip
+        }
         click.echo(json.dumps(rows, indent=2))
         return
     from bench.console import plugin_table, show
@@ -153,14 +84,14 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
 @click.argument("problem")
 @click.argument("integrator")
 @click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
-@_pattern
+@options.with_pattern
 @click.option("--rtol", type=float, help=f"Relative tolerance; {DEFAULT_RTOL:g} if not given.")
 @click.option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given.")
-@_t_end
-@_set
-@_budget
-@_plugins
-@_as_json
+@options.with_t_end
+@options.with_set
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
 def solve(
     problem: str,
     integrator: str,
@@ -194,15 +125,18 @@ def solve(
         count = resolution.count(scene.interval[0], end)
         used = (end - scene.interval[0]) / count
         if abs(used - resolution.h) > 1e-9 * used:
-            click.echo(f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
-                       f"{used:.9g} s are taken.", err=True)  # fmt: skip
+            click.echo(
+                f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
+                f"{used:.9g} s are taken.",
+                err=True,
+            )
     else:
         _refuse(method.spec, "steps of its own; give --rtol", step=step, pattern=pattern)
         resolution = Tolerances(DEFAULT_RTOL if rtol is None else rtol, atol)
     cell = Cell(scene.spec, method.spec, end, resolution)
     ((record, rows),) = _solve([cell], registry, samples=5, budget=budget)
     if as_json:
-        click.echo(json.dumps(_solution(record, rows), indent=2))
+        click.echo(json.dumps(answers.solution(record, rows), indent=2))
     else:
         from bench.console import show, solution_table
 
@@ -214,14 +148,18 @@ def solve(
 @main.command()
 @click.argument("problem")
 @click.argument("integrator")
-@click.option("--steps", callback=_numbers, metavar="H1,H2,...",
-              help="Step sizes in s; five halvings of the scene's nominal step if not given.")  # fmt: skip
-@_pattern
-@_t_end
-@_set
-@_budget
-@_plugins
-@_as_json
+@click.option(
+    "--steps",
+    callback=options.numbers,
+    metavar="H1,H2,...",
+    help="Step sizes in s; five halvings of the scene's nominal step if not given.",
+)
+@options.with_pattern
+@options.with_t_end
+@options.with_set
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
 def order(
     problem: str,
     integrator: str,
@@ -257,11 +195,11 @@ def order(
         cells.append(Cell(scene.spec, method.spec, end, resolution))
     records = [record for record, _ in _solve(cells, registry, samples=0, budget=budget)]
     if as_json:
-        click.echo(json.dumps(_orders(records), indent=2))
+        click.echo(json.dumps(answers.orders(records), indent=2))
     else:
         from bench.console import order_table, show
 
-        show(order_table(records, _orders(records)))
+        show(order_table(records, answers.orders(records)))
     failed = [record for record in records if record.status != "ok"]
     for record in failed:
         click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
@@ -272,14 +210,29 @@ def order(
 @main.command()
 @click.argument("profile", default="quick")
 @click.option("-p", "--problem", "problems", multiple=True, help="Only this scene; repeatable.")
-@click.option("-i", "--integrator", "integrators", multiple=True,
-              help="Only this integrator; repeatable. One that the profile lacks is added.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=DEFAULT_OUT, show_default=True,
-              help="Folder of the results.")  # fmt: skip
+@click.option(
+    "-i",
+    "--integrator",
+    "integrators",
+    multiple=True,
+    help="Only this integrator; repeatable. One that the profile lacks is added.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=DEFAULT_OUT,
+    show_default=True,
+    help="Folder of the results.",
+)
 @click.option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True,
-              help="Worker processes; timing is done by one at a time.")  # fmt: skip
-@_plugins
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=2,
+    show_default=True,
+    help="Worker processes; timing is done by one at a time.",
+)
+@options.with_plugins
 def run(
     profile: str,
     problems: tuple[str, ...],
@@ -313,8 +266,10 @@ def run(
             outcome = run_suite(suite, store, registry, jobs, progress)
     records = [outcome.records[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
-    click.echo(f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
-               f"{outcome.measured} measured now, {outcome.kept} kept from before.")  # fmt: skip
+    click.echo(
+        f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
+        f"{outcome.measured} measured now, {outcome.kept} kept from before."
+    )
     _write_reports(out)
 
 
@@ -373,50 +328,21 @@ def _solve(
     return solve_cells(cells, registry, samples, budget)
 
 
-def _solution(record: Record, rows: Rows) -> dict[str, Any]:
-    last = {name: values[-1] for name, values in rows.values.items()}
-    return {
-        "problem": record.problem,
-        "integrator": record.integrator,
-        "resolution": record.resolution,
-        "formulation": record.formulation,
-        "status": record.status,
-        "message": record.message,
-        "t": rows.t[-1] if rows.t else None,
-        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
-        "errors": record.errors,
-        "reference_error": record.reference_error,
-        "constraint": record.constraint,
-        "energy_drift": record.energy_drift,
-        "work": record.work,
-        "time": {"compile_s": record.compile_s, "run_s": record.run_s,
-                 "run_s_median": median(record.run_s)},
-    }  # fmt: skip
-
-
-def _orders(records: list[Record]) -> dict[str, Any]:
-    steps = [record.h for record in records]
-    result: dict[str, Any] = {
-        "steps": steps, "orders": {}, "window": {}, "points": {}, "verdict": {}, "errors": {},
-        "status": [record.status for record in records],
-    }  # fmt: skip
-    for group in GROUPS:
-        floors = [r.reference_error[group] for r in records if group in r.reference_error]
-        if not floors:
-            continue
-        for norm in NORMS:
-            errors = [record.errors.get(group, {}).get(norm) for record in records]
-            fit = fit_order(steps, errors, max(floors))
-            for name, value in (
-                ("orders", fit.order), ("window", fit.window), ("points", fit.points),
-                ("verdict", fit.verdict), ("errors", errors),
-            ):  # fmt: skip
-                result[name].setdefault(group, {})[norm] = value
-    return result
-
-
 def _write_reports(folder: Path) -> None:
+    from concurrent.futures import ProcessPoolExecutor
     from importlib.metadata import entry_points
+    from multiprocessing import get_context
 
-    for entry in entry_points(group="stepbench.reports"):
-        click.echo(f"Report: {entry.load()(folder)}")
+    # Pages do not wait for each other.
+    writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
+    with ProcessPoolExecutor(len(writers), mp_context=get_context("spawn")) as pool:
+        for page in pool.map(
+            _write_report, [entry.value for entry in writers], [folder] * len(writers)
+        ):
+            click.echo(f"Report: {page}")
+
+
+def _write_report(value: str, folder: Path) -> Path:
+    from importlib.metadata import EntryPoint
+
+    return EntryPoint("report", value, "stepbench.reports").load()(folder)

@@ -58,25 +58,39 @@ def solution_table(record: Record, rows: Rows) -> Group:
         table.add_column(f"error {norm}", justify="right", no_wrap=True)
     for name, values in rows.values.items():
         errors = record.errors.get(name, {})
-        table.add_row(name, "\n".join(f"{v: .15g}" for v in values[-1]),
-                      *(_number(errors.get(norm), ".2e") for norm in NORMS))  # fmt: skip
+        table.add_row(
+            name,
+            "\n".join(f"{v: .15g}" for v in values[-1]),
+            *(_number(errors.get(norm), ".2e") for norm in NORMS),
+        )
     lines = []
     for title, items in (("constraint residual", record.constraint), ("work", record.work)):
-        known = [f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
-                 for key, value in items.items() if value is not None]  # fmt: skip
+        known = [
+            f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+            for key, value in items.items()
+            if value is not None
+        ]
         if known:
             lines.append(f"[bold]{title}[/bold]: {', '.join(known)}")
     if record.energy_drift is not None:
         lines.append(f"[bold]energy drift[/bold]: {record.energy_drift:.3g}")
     if record.run_s:
-        lines.append(f"[bold]time[/bold]: {median(record.run_s):.3g} s (median of "
-                     f"{len(record.run_s)}), prepared in {_number(record.compile_s, '.2g')} s")  # fmt: skip
+        lines.append(
+            f"[bold]time[/bold]: {median(record.run_s):.3g} s (median of "
+            f"{len(record.run_s)}), prepared in {_number(record.compile_s, '.2g')} s"
+        )
     return Group(table, *lines)
 
 
 def _table(title: str) -> Table:
-    return Table(title=escape(title), title_justify="left", title_style="bold", box=None,
-                 pad_edge=False, padding=(0, 2, 0, 0))  # fmt: skip
+    return Table(
+        title=escape(title),
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+    )
 
 
 def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
@@ -87,8 +101,10 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
     for group in orders["orders"]:
         table.add_column(group, justify="right")
     for k, record in enumerate(records):
-        table.add_row(record.resolution.removeprefix("h="),
-                      *(_number(e["settled"][k]) for e in orders["errors"].values()))  # fmt: skip
+        table.add_row(
+            record.resolution.removeprefix("h="),
+            *(_number(e["settled"][k]) for e in orders["errors"].values()),
+        )
     table.add_section()
     for norm in NORMS:
         cells = []
@@ -98,8 +114,9 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
                 cells.append(orders["verdict"][group][norm].replace(" determined", "\ndetermined"))
             else:
                 points = orders["points"][group][norm]
-                cells.append(f"{fitted[norm]:.2f}\n{points} points\n"
-                             f"{window[1]:.2g}-{window[0]:.2g}")  # fmt: skip
+                cells.append(
+                    f"{fitted[norm]:.2f}\n{points} points\n{window[1]:.2g}-{window[0]:.2g}"
+                )
         table.add_row(f"order, {norm}", *cells)
     return table
 
@@ -110,10 +127,16 @@ class RunProgress:
     def __init__(self) -> None:
         self._console = Console(file=sys.stderr)
         self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.fields[phase]}"), BarColumn(), MofNCompleteColumn(),
-            TimeElapsedColumn(), TextColumn("[dim]{task.description}[/dim]"),
-            console=self._console, transient=True, disable=not self._console.is_terminal,
-        )  # fmt: skip
+            SpinnerColumn(),
+            TextColumn("{task.fields[phase]}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("[dim]{task.description}[/dim]"),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
         self._task: Any = None
         self._phase, self._done, self._total, self._spoken = "", 0, 0, 0.0
 

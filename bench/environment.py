@@ -13,7 +13,16 @@ import psutil
 
 from bench.records import Environment
 
-_PACKAGES = ("stepbench", "jax", "jaxlib", "diffrax", "optimistix", "scikit-sundae", "scipy", "numpy")
+_PACKAGES = (
+    "stepbench",
+    "jax",
+    "jaxlib",
+    "diffrax",
+    "optimistix",
+    "scikit-sundae",
+    "scipy",
+    "numpy",
+)
 
 
 def environment() -> Environment:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import msgspec
 
@@ -38,9 +39,7 @@ class Fit(msgspec.Struct, frozen=True):
     verdict: str
 
 
-def fit_order(
-    steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0
-) -> Fit:
+def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0) -> Fit:
     """Fit the order of ``errors`` over ``steps``.
 
     Parameters
@@ -72,7 +71,7 @@ def fit_order(
 
 def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
     slopes: list[float] = []
-    for (h1, e1), (h2, e2) in zip(points, points[1:], strict=False):
+    for (h1, e1), (h2, e2) in pairwise(points):
         if h2 - h1 < 1e-9:
             break
         slope = (e2 - e1) / (h2 - h1)

@@ -64,6 +64,7 @@ class Registry:
 
     def __init__(self, paths: Sequence[str | Path] = ()) -> None:
         self.paths = [str(Path(path).resolve()) for path in paths]
+        self._files: set[str] = set()
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}
         for kind in KINDS:
@@ -71,6 +72,7 @@ class Registry:
                 self._add(kind, _from_entry_point(kind, entry))
         for path in self.paths:
             for file in _files(Path(path)):
+                self._files.add(str(file))
                 self._add_file(file)
 
     def problem(self, text: str, **parameters: Any) -> MechatronicSystem:
@@ -97,7 +99,7 @@ class Registry:
         """Raise PluginError if a file named on the command line could not be used."""
         for plugins in (self.problems, self.integrators):
             for plugin in plugins.values():
-                if plugin.cls is None and plugin.origin.endswith(".py"):
+                if plugin.cls is None and plugin.origin in self._files:
                     raise PluginError(f"Plugin {plugin.origin} cannot be used: {plugin.reason}")
 
     def _make(self, kind: str, word: str, text: str, more: dict[str, Any]) -> Any:
@@ -116,9 +118,11 @@ class Registry:
         if plugin.name in plugins:
             taken = plugins[plugin.name]
             plugin = Plugin(
-                f"{plugin.name} ({plugin.origin})", plugin.origin, None,
+                f"{plugin.name} ({plugin.origin})",
+                plugin.origin,
+                None,
                 f"the name {plugin.name!r} is taken by {taken.origin}; give it another name.",
-            )  # fmt: skip
+            )
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:

@@ -12,7 +12,6 @@ from bench.registry import Registry
 from bench.runner import Lost, Runner, Task
 from bench.store import Store
 from bench.worker import Measured
-from problems import spec
 
 
 class Progress(Protocol):
@@ -56,7 +55,7 @@ def run_suite(
     number = store.save_environment(environment()) if missing else 0
     with Runner(registry.paths, jobs, plan.budget_s, suite.memory_gib) as runner:
         if missing or scenes:
-            groups = _groups(missing, sorted(scenes))
+            groups = _groups(missing, sorted(scenes), registry)
             progress.phase("measuring", sum(len(group) for group in groups))
             for task, answer in runner.run(groups, lambda t: progress.working(_words(t))):
                 if task.kind == "scene":
@@ -100,13 +99,15 @@ def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> Non
         progress.advance()
 
 
-def _groups(cells: list[Cell], scenes: list[tuple[str, float]]) -> list[list[Task]]:
+def _groups(
+    cells: list[Cell], scenes: list[tuple[str, float]], registry: Registry
+) -> list[list[Task]]:
     """Cells that share compiled code stay together; the scenes come first."""
-    groups: dict[tuple[str, str], list[Task]] = {}
+    groups: dict[tuple, list[Task]] = {}
     for problem, t_end in scenes:
-        groups[problem, str(t_end)] = [Task("scene", (problem, t_end))]
+        groups[problem, t_end] = [Task("scene", (problem, t_end))]
     for cell in cells:
-        key = (cell.problem, spec.split_spec(cell.integrator)[0])
+        key = (cell.problem, registry.integrator(cell.integrator).affinity)
         groups.setdefault(key, []).append(Task("measure", (cell,)))
     return list(groups.values())
 

@@ -29,9 +29,9 @@ from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: A timing sample repeats short runs until it has lasted this long.
-SAMPLE_SECONDS = 5e-3
+SAMPLE_SECONDS = 2e-3
 #: A run that lasts longer warms its caches itself.
-_LONG_SECONDS = 0.05
+_LONG_SECONDS = 1e-3
 _GHOSTS = 7
 
 

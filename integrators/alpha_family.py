@@ -109,6 +109,10 @@ class AlphaMethod(StepMethod):
     def formulation(self) -> str:
         return "index3"
 
+    @property
+    def affinity(self) -> str:
+        return self.family
+
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
         """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta and whether gamma is updated."""
@@ -127,10 +131,18 @@ class AlphaMethod(StepMethod):
     ) -> AlphaState:
         z, s = start.z, numbers
         return AlphaState(
-            z.q, z.v, z.a, z.a, z.lam, z.x, start.xdot, start.xdot, z.y,
+            z.q,
+            z.v,
+            z.a,
+            z.a,
+            z.lam,
+            z.x,
+            start.xdot,
+            start.xdot,
+            z.y,
             shift=(s.alpha_m - s.alpha_f) * h,
             shift_x=(s.delta_m - s.delta_f) * h,
-        )  # fmt: skip
+        )
 
     @staticmethod
     def read(state: AlphaState) -> Reading:
@@ -151,9 +163,7 @@ class AlphaMethod(StepMethod):
         auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
         aux_base = (s.alpha_f * state.a - s.alpha_m * state.aux) / (1 - s.alpha_m)
         auxx_base = (s.delta_f * state.xdot - s.delta_m * state.auxx) / (1 - s.delta_m)
-        q_base = (
-            state.q + h * state.v + h**2 * ((0.5 - s.beta) * state.aux + s.beta * aux_base)
-        )
+        q_base = state.q + h * state.v + h**2 * ((0.5 - s.beta) * state.aux + s.beta * aux_base)
         v_base = state.v + h * ((1 - gamma) * state.aux + gamma * aux_base)
         x_base = state.x + h * ((1 - theta) * state.auxx + theta * auxx_base)
         q_slope, v_slope = h**2 * s.beta * aux_slope, h * gamma * aux_slope
@@ -180,9 +190,18 @@ class AlphaMethod(StepMethod):
         u, report = newton(residual, guess, cuts, s.newton_tol, s.newton_max, floor)
         z, xdot = at(u)
         return AlphaState(
-            z.q, z.v, z.a, aux_base + aux_slope * z.a, z.lam,
-            z.x, xdot, auxx_base + auxx_slope * xdot, z.y, shift, shift_x,
-        ), report  # fmt: skip
+            z.q,
+            z.v,
+            z.a,
+            aux_base + aux_slope * z.a,
+            z.lam,
+            z.x,
+            xdot,
+            auxx_base + auxx_slope * xdot,
+            z.y,
+            shift,
+            shift_x,
+        ), report
 
 
 def newton(
@@ -201,8 +220,9 @@ def newton(
     def measure(du: Any, u: Any) -> Any:
         ratios = [
             d / (tol * s + floor + 1e-300)
-            for d, s in zip(sizes_of(du), sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess))),
-                            strict=True)
+            for d, s in zip(
+                sizes_of(du), sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess))), strict=True
+            )
         ]
         return jnp.max(jnp.stack(ratios))
 
@@ -231,16 +251,20 @@ class GeneralizedAlpha(AlphaMethod):
     )
 
     rho_inf: float = option(
-        0.8, "spectral radius at infinite frequency: 0 damps most, 1 not at all",
-        low=0.0, high=1.0, always=True,
-    )  # fmt: skip
+        0.8,
+        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
+        low=0.0,
+        high=1.0,
+        always=True,
+    )
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
     gamma: str = option(
-        "fixed", "gamma and theta: fixed, or updated from the step ratio",
+        "fixed",
+        "gamma and theta: fixed, or updated from the step ratio",
         choices=("fixed", "updated"),
-    )  # fmt: skip
+    )
 
     def parameters(self) -> tuple[float, ...]:
         rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
@@ -261,17 +285,22 @@ class HHT(AlphaMethod):
         0.1, "damping parameter; rho_inf = (1-alpha)/(1+alpha)", low=0.0, high=1 / 3, always=True
     )
     gamma: str = option(
-        "fixed", "gamma and theta: fixed, or updated from the step ratio",
+        "fixed",
+        "gamma and theta: fixed, or updated from the step ratio",
         choices=("fixed", "updated"),
-    )  # fmt: skip
+    )
 
     def parameters(self) -> tuple[float, ...]:
         gamma = 0.5 + self.alpha
         rho_inf = (1 - self.alpha) / (1 + self.alpha)
         return (
-            0.0, self.alpha, 0.25 * (gamma + 0.5) ** 2, gamma,
-            *first_order_parameters(rho_inf), self.gamma == "updated",
-        )  # fmt: skip
+            0.0,
+            self.alpha,
+            0.25 * (gamma + 0.5) ** 2,
+            gamma,
+            *first_order_parameters(rho_inf),
+            self.gamma == "updated",
+        )
 
 
 @dataclass(frozen=True)
@@ -284,17 +313,22 @@ class WBZ(AlphaMethod):
         0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
     )
     gamma: str = option(
-        "fixed", "gamma and theta: fixed, or updated from the step ratio",
+        "fixed",
+        "gamma and theta: fixed, or updated from the step ratio",
         choices=("fixed", "updated"),
-    )  # fmt: skip
+    )
 
     def parameters(self) -> tuple[float, ...]:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
         gamma = 0.5 - alpha_m
         return (
-            alpha_m, 0.0, 0.25 * (gamma + 0.5) ** 2, gamma,
-            *first_order_parameters(self.rho_inf), self.gamma == "updated",
-        )  # fmt: skip
+            alpha_m,
+            0.0,
+            0.25 * (gamma + 0.5) ** 2,
+            gamma,
+            *first_order_parameters(self.rho_inf),
+            self.gamma == "updated",
+        )
 
 
 @dataclass(frozen=True)
@@ -306,10 +340,12 @@ class Newmark(AlphaMethod):
 
     source: ClassVar[str] = "Newmark (1959), doi:10.1061/JMCEA3.0000098"
 
-    beta: float = option(0.25, "weight of the end acceleration in q", low=0.0, high=1.0,
-                         always=True)  # fmt: skip
-    gamma: float = option(0.5, "weight of the end acceleration in v", low=0.0, high=1.0,
-                          always=True)  # fmt: skip
+    beta: float = option(
+        0.25, "weight of the end acceleration in q", low=0.0, high=1.0, always=True
+    )
+    gamma: float = option(
+        0.5, "weight of the end acceleration in v", low=0.0, high=1.0, always=True
+    )
 
     def parameters(self) -> tuple[float, ...]:
         return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False

@@ -229,6 +229,11 @@ class Integrator(ABC):
         return spec.format_spec(self.name, self)
 
     @property
+    def affinity(self) -> str:
+        """Integrators of equal affinity share compiled code and go to one worker process."""
+        return self.name
+
+    @property
     @abstractmethod
     def formulation(self) -> str:
         """The formulation in which it takes a constrained scene (see problems.formulations)."""
@@ -241,7 +246,13 @@ class Integrator(ABC):
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
     ) -> PreparedRun:
-        """Make everything ready for a run from the scene's start to t_end."""
+        """Make everything ready for a run from the scene's start to t_end.
+
+        Raises
+        ------
+        problems.formulations.InconsistentStart, problems.formulations.NoConsistentStart
+            From the scene's initial values; the bench turns them into a row with a reason.
+        """
 
 
 def spread_rows(steps: int) -> np.ndarray:

@@ -146,6 +146,7 @@ def _compiled(
     if root_finder == "fair":
         options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
 
+    @jax.jit
     def rate(t: Any, s: Any, p: Any) -> Any:
         return ode_rate(template.with_parameters(p), sizes, t, s)
 

@@ -112,7 +112,7 @@ def start_vectors(scene: MechatronicSystem, at: Layout) -> tuple[np.ndarray, np.
     return w, wdot
 
 
-class _Stop(Exception):  # noqa: N818 - it carries a status out of the solver, not an error
+class _Stop(Exception):
     """Ends a run from inside a callback."""
 
     def __init__(self, status: str, reason: str) -> None:

@@ -101,6 +101,11 @@ class StepMethod(Integrator):
     def read(state: Any) -> Reading:
         """The variables in a state."""
 
+    @classmethod
+    def kernel(cls, scene: MechatronicSystem) -> Kernel:
+        """The compiled march on a scene; shared by all methods with these three functions."""
+        return kernel(cls.start, cls.step, cls.read, scene.template(), scene.sizes)
+
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
         return _March(self, scene, t_end, resolution)
 
@@ -116,9 +121,7 @@ class _March(PreparedRun):
         fractions[:slots] = resolution.pattern
         ends = np.cumsum(fractions)
         ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
-        rows = np.union1d(
-            np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots
-        )
+        rows = np.union1d(np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots)
         self._t0, self._t_end = t0, t_end
         self._rows = rows[rows > 0]
         padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
@@ -126,7 +129,7 @@ class _March(PreparedRun):
         start = consistent_start(scene)
         self._start = start
         clock = Clock(t0, t_end - t0, macro, fractions, ends, slots)
-        self._kernel = kernel(type(method), scene.template(), scene.sizes)
+        self._kernel = method.kernel(scene)
         self._arguments = self._kernel.pack(scene.parameters(), method.numbers(), start, clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
         self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
@@ -212,8 +215,10 @@ class Kernel:
 
 
 @cache
-def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) -> Kernel:
-    """The compiled march of a method class on a scene, for any numbers and parameters."""
+def kernel(
+    start_of: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
+) -> Kernel:
+    """The compiled march of a method on a scene, for any numbers and parameters."""
 
     def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
         macro, j = n // clock.slots, n % clock.slots
@@ -224,20 +229,18 @@ def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) 
         p: dict, numbers: Any, start: Start, clock: Clock, rows: Any, row_count: Any
     ) -> tuple:
         scene = template.with_parameters(p)
-        state = method.start(scene, sizes, numbers, start, step_times(clock, 0)[1])
-        first = method.read(state)
+        state = start_of(scene, sizes, numbers, start, step_times(clock, 0)[1])
+        first = read(state)
         bound = GROWTH_LIMIT * (1.0 + _largest(first.q, first.v))
 
         def one_step(progress: tuple) -> tuple:
             n, state, _, counts, _ = progress
             t, h = step_times(clock, n)
-            state, report = method.step(scene, sizes, numbers, state, t, h)
-            now = method.read(state)
+            state, report = step(scene, sizes, numbers, state, t, h)
+            now = read(state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
             sane = (_largest(now.q, now.v) < bound) & jnp.isfinite(_largest(now.a, now.lam))
-            status = jnp.where(
-                sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED
-            )
+            status = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
             counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
             return n + 1, state, status, counts, t
 
@@ -248,7 +251,7 @@ def kernel(method: type[StepMethod], template: MechatronicSystem, sizes: Sizes) 
             )
             n, state, status, _, t = progress
             reached = jnp.where(status == _OK, n, -1)
-            row = jnp.concatenate([jnp.stack([reached, t]), *method.read(state)])
+            row = jnp.concatenate([jnp.stack([reached, t]), *read(state)])
             return k + 1, kept.at[k].set(row), progress
 
         counts = (jnp.asarray(0),) * len(StepReport._fields)

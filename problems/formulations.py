@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,7 +159,7 @@ def dae_layout(sizes: Sizes, formulation: str) -> Layout:
     """Lay out w = [q, v, x, lam, y, mu]; mu, the multiplier of GGL, only where it exists."""
     nmu = sizes.nl if formulation == "stabilised_index2" else 0
     ends = np.cumsum([0, sizes.nq, sizes.nq, sizes.nx, sizes.nl, sizes.ny, nmu]).tolist()
-    return Layout(*(slice(a, b) for a, b in zip(ends, ends[1:], strict=False)), size=ends[-1])
+    return Layout(*(slice(a, b) for a, b in pairwise(ends)), size=ends[-1])
 
 
 def dae_residual(

@@ -1,4 +1,4 @@
-"""JAX as this project uses it: 64 bits, one CPU thread, a persistent compilation cache, loaded late.
+"""JAX as this project uses it: 64 bits, one thread, a persistent compilation cache, loaded late.
 
 JAX reads these settings from the environment when it is first imported, so they are set here,
 and the names ``jax`` and ``jnp`` below import it only when an attribute is asked for: listing
@@ -23,6 +23,7 @@ _SETTINGS = {
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     # Timing on one thread, for every solver alike: it is the method that is measured.
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "NPROC": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.

@@ -82,9 +82,7 @@ def alternating_slopes(gamma):
         errors_at(GeneralizedAlpha(gamma=gamma), SpringMass(), 5.0, h, (0.3, 0.7))
         for h in FINE_MACRO_STEPS
     ]
-    return {
-        g: slope(FINE_MACRO_STEPS, [e[g][-1] for e in errors]) for g in ("q", "v", "a", "x")
-    }
+    return {g: slope(FINE_MACRO_STEPS, [e[g][-1] for e in errors]) for g in ("q", "v", "a", "x")}
 
 
 def test_figure_6_alternating_steps_cost_an_order_with_fixed_gamma():
@@ -189,8 +187,10 @@ def test_members_coincide_where_theory_says_so():
     assert WBZ(rho_inf=0.0).parameters()[:4] == pytest.approx(second_order_parameters(0.0))
     newmark, undamped = Newmark().parameters()[:4], HHT(alpha=0.0).parameters()[:4]
     assert newmark == pytest.approx(undamped)
-    run = [m.prepare(Pendulum(), 1.35, Steps(0.01)).measure() for m in
-           (HHT(alpha=1 / 3), GeneralizedAlpha(rho_inf=0.5))]  # fmt: skip
+    run = [
+        m.prepare(Pendulum(), 1.35, Steps(0.01)).measure()
+        for m in (HHT(alpha=1 / 3), GeneralizedAlpha(rho_inf=0.5))
+    ]
     assert run[0].lam == pytest.approx(run[1].lam, rel=1e-12)
 
 
@@ -266,9 +266,16 @@ def test_schemes_steps_patterns_and_parameters_compile_nothing_new():
     march.kernel.cache_clear()
     scene = SpringMass()
     GeneralizedAlpha().prepare(scene, 5.0, Steps(0.1)).measure()
-    compiled = march.kernel(GeneralizedAlpha, scene.template(), scene.sizes)
+    compiled = GeneralizedAlpha.kernel(scene)
     for other in (SpringMass(k=3.0), SpringMass(b=0.2)):
-        for method in (GeneralizedAlpha(rho_inf=0.3), GeneralizedAlpha(gamma="updated")):
+        for method in (
+            GeneralizedAlpha(rho_inf=0.3),
+            GeneralizedAlpha(gamma="updated"),
+            HHT(),
+            WBZ(),
+            Newmark(),
+        ):
+            assert method.kernel(other) is compiled
             for steps in (Steps(0.01), Steps(0.3), Steps(0.5, (0.3, 0.7))):
                 method.prepare(other, 4.0, steps).measure()
     assert compiled.compilations == 1

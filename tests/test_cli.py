@@ -23,9 +23,15 @@ DIGITS = {
 
 def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
     result = stepbench(
-        "solve", "spring_mass", "generalized_alpha[rho_inf=0.8]", "--step", 0.1, "--t-end", 5,
+        "solve",
+        "spring_mass",
+        "generalized_alpha[rho_inf=0.8]",
+        "--step",
+        0.1,
+        "--t-end",
+        5,
         "--json",
-    )  # fmt: skip
+    )
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
     for group, digits in DIGITS.items():
@@ -45,8 +51,9 @@ def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
 
 def test_order_gives_orders_windows_and_errors(stepbench):
     steps = "0.01,0.005,0.0025,0.00125"
-    result = stepbench("order", "pendulum", "generalized_alpha[rho_inf=0.5]", "--steps", steps,
-                       "--json")  # fmt: skip
+    result = stepbench(
+        "order", "pendulum", "generalized_alpha[rho_inf=0.5]", "--steps", steps, "--json"
+    )
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
     for group in ("q", "v", "a", "lam"):
@@ -57,8 +64,9 @@ def test_order_gives_orders_windows_and_errors(stepbench):
 
 
 def test_an_order_that_is_not_there_is_null(stepbench):
-    result = stepbench("order", "pendulum", "generalized_alpha[rho_inf=1]", "--steps",
-                       "0.02,0.01,0.005", "--json")  # fmt: skip
+    result = stepbench(
+        "order", "pendulum", "generalized_alpha[rho_inf=1]", "--steps", "0.02,0.01,0.005", "--json"
+    )
     answer = json.loads(result.stdout)
     assert answer["verdict"]["lam"]["max"] == "does not converge"
     assert answer["orders"]["q"]["max"] == pytest.approx(2.0, abs=0.05)

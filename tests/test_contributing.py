@@ -30,9 +30,15 @@ def test_there_are_three_short_examples():
 @pytest.mark.parametrize(("integrator", "order"), [("velocity_verlet", 2), ("euler", 1)])
 def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
     result = stepbench(
-        "order", "ramp_oscillator", integrator, "--steps", "0.02,0.01,0.005,0.0025",
-        "--plugins", plugins, "--json",
-    )  # fmt: skip
+        "order",
+        "ramp_oscillator",
+        integrator,
+        "--steps",
+        "0.02,0.01,0.005,0.0025",
+        "--plugins",
+        plugins,
+        "--json",
+    )
     assert result.exit_code == 0, result.output
     orders = json.loads(result.stdout)["orders"]
     for group in ("q", "v", "a"):

@@ -42,7 +42,7 @@ class NonlinearFeedback(MechatronicSystem):
 
 @dataclass(frozen=True)
 class DrivenBead(MechatronicSystem):
-    """A bead on a parabola that is moved by time: rheonomic, with a configuration-dependent mass."""
+    """A bead on a parabola that time moves: rheonomic, its mass depends on q."""
 
     interval = (0.3, 1.0)
 
@@ -139,9 +139,7 @@ def test_constraint_levels_are_time_derivatives_of_the_constraint():
     velocity = form.constraint_velocity(scene, q, v, t)
     acceleration = form.constraint_acceleration(scene, q, v, a, t)
     assert velocity == pytest.approx((phi(eps) - phi(-eps)) / (2 * eps), rel=1e-6)
-    assert acceleration == pytest.approx(
-        (phi(eps) - 2 * phi(0) + phi(-eps)) / eps**2, rel=1e-5
-    )
+    assert acceleration == pytest.approx((phi(eps) - 2 * phi(0) + phi(-eps)) / eps**2, rel=1e-5)
 
 
 def test_the_constraint_force_is_the_transposed_jacobian_times_lambda():
@@ -174,9 +172,7 @@ def test_the_ode_form_agrees_with_the_closed_form():
     scene = Pendulum()
     t = np.linspace(*scene.interval, 15)
     exact = Reference(scene, scene.interval[1])(t)
-    z, _ = form.compiled(scene).complete(
-        scene.parameters(), exact["q"], exact["v"], exact["x"], t
-    )
+    z, _ = form.compiled(scene).complete(scene.parameters(), exact["q"], exact["v"], exact["x"], t)
     assert z.a == pytest.approx(exact["a"], abs=1e-12)
     assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
 

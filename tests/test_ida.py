@@ -60,8 +60,9 @@ def test_controller_states_and_outputs_are_followed_too():
     trajectory = run(SpringMass(), 1e-10, 5.0)
     for group in ("x", "y"):
         assert worst(trajectory, SpringMass(), group) < 1e-8
-    assert trajectory.y == pytest.approx(np.stack(
-        [trajectory.x[:, 0], np.tanh(trajectory.y[:, 0])], axis=1), abs=1e-8)  # fmt: skip
+    assert trajectory.y == pytest.approx(
+        np.stack([trajectory.x[:, 0], np.tanh(trajectory.y[:, 0])], axis=1), abs=1e-8
+    )
 
 
 def test_the_stabilised_form_keeps_position_and_velocity_constraints_and_index_1_drifts():
@@ -99,8 +100,9 @@ def test_another_end_and_other_parameters_are_taken():
 
 # ---- equations given to the solver -----------------------------------------------------
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("scene", [SpringMass(), Pendulum(), WeighedPendulum()],
-                         ids=lambda s: s.name)  # fmt: skip
+@pytest.mark.parametrize(
+    "scene", [SpringMass(), Pendulum(), WeighedPendulum()], ids=lambda s: s.name
+)
 def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(scene, formulation):
     at = dae_layout(scene.sizes, formulation)
     w, wdot = ida.start_vectors(scene, at)
@@ -127,8 +129,10 @@ def test_counts_agree_with_idas_own_and_the_timed_solve_takes_the_same_steps(sce
     trajectory, timed = prepared.measure(), prepared.execute()
     work = trajectory.work
     assert (work.steps, work.residuals, work.jacobians) == (
-        len(timed.t) - 1, timed.nfev, timed.njev,
-    )  # fmt: skip
+        len(timed.t) - 1,
+        timed.nfev,
+        timed.njev,
+    )
     assert work.residuals > work.steps > work.jacobians == work.factorisations > 0
     assert work.rejected is work.newton is work.solves is None
     at = dae_layout(scene.sizes, "stabilised_index2")

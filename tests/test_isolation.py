@@ -91,8 +91,7 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
         ("raise SystemExit('bye')\n", "SystemExit: bye"),
         ("x = 1\n", "defines no MechatronicSystem"),
         (
-            "from problems.pendulum import Pendulum as P\n"
-            "class Pendulum(P):\n    'Another.'\n",
+            "from problems.pendulum import Pendulum as P\nclass Pendulum(P):\n    'Another.'\n",
             "is taken by stepbench",
         ),
         (
@@ -136,3 +135,11 @@ def test_a_plugin_file_takes_part_by_its_name(stepbench, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["errors"]["q"]["max"] < 1e-3
+
+
+def test_a_plugin_that_is_no_python_file_is_one_sentence(stepbench, tmp_path):
+    file = tmp_path / "plug.txt"
+    file.write_bytes(bytes(range(256)))
+    result = stepbench("solve", "pendulum", "newmark", "--plugins", file)
+    assert result.exit_code != 0
+    assert "is not a Python file" in result.output

@@ -16,27 +16,50 @@ from bench.store import FILE, Store, StoreError
 
 def a_record(key="k", **more):
     given = {
-        "problem": "pendulum", "integrator": "newmark", "family": "f", "formulation": "index3",
-        "controls": "step", "h": 0.1, "pattern": (0.3, 0.7), "t0": 0.35, "t_end": 1.35,
-        "status": "ok", "errors": {"q": {"end": 1e-3, "max": None}}, "work": {"steps": 10},
-        "constraint": {"position": 1e-12}, "reference_error": {"q": 1e-15},
-    } | more  # fmt: skip
+        "problem": "pendulum",
+        "integrator": "newmark",
+        "family": "f",
+        "formulation": "index3",
+        "controls": "step",
+        "h": 0.1,
+        "pattern": (0.3, 0.7),
+        "t0": 0.35,
+        "t_end": 1.35,
+        "status": "ok",
+        "errors": {"q": {"end": 1e-3, "max": None}},
+        "work": {"steps": 10},
+        "constraint": {"position": 1e-12},
+        "reference_error": {"q": 1e-15},
+    } | more
     return Record(key=key, **given)
 
 
 A_SCENE = SceneRecord(
-    problem="pendulum", t_end=1.35, title="A pendulum.", description="", source="", parameters=[],
-    coordinates=["X", "Y"], sizes={"nq": 2}, t0=0.35, reference_method="closed form",
-    reference_error={"q": 1e-15}, reference=Rows(t=[0.35], values={"q": [[0.0, 1.0]]}),
-)  # fmt: skip
+    problem="pendulum",
+    t_end=1.35,
+    title="A pendulum.",
+    description="",
+    source="",
+    parameters=[],
+    coordinates=["X", "Y"],
+    sizes={"nq": 2},
+    t0=0.35,
+    reference_method="closed form",
+    reference_error={"q": 1e-15},
+    reference=Rows(t=[0.35], values={"q": [[0.0, 1.0]]}),
+)
 
 
 def test_everything_written_is_read_back(tmp_path):
     plan = Plan(
-        name="p", title="P", samples=3, budget_s=1.0,
-        studies=[Study(title="s", problem="pendulum", t_end=1.35, figures=["convergence"],
-                       cells=["k"])],
-    )  # fmt: skip
+        name="p",
+        title="P",
+        samples=3,
+        budget_s=1.0,
+        studies=[
+            Study(title="s", problem="pendulum", t_end=1.35, figures=["convergence"], cells=["k"])
+        ],
+    )
     machine = Environment(
         date="now", command="c", cpu="x", cores=2, memory_gib=1.0, platform="p", versions={"a": "1"}
     )
@@ -111,8 +134,10 @@ def test_flat_rows_open_in_pandas():
     writer = csv.DictWriter(buffer, row)
     writer.writeheader()
     writer.writerow(row)
-    for frame in (pd.read_csv(io.StringIO(buffer.getvalue())),
-                  pd.read_json(io.StringIO(json.dumps([row])))):  # fmt: skip
+    for frame in (
+        pd.read_csv(io.StringIO(buffer.getvalue())),
+        pd.read_json(io.StringIO(json.dumps([row]))),
+    ):
         assert frame.loc[0, "error_q_end"] == 1e-3
         assert frame.loc[0, "integrator"] == "newmark"
 

@@ -24,7 +24,5 @@ def test_speed(benchmark, problem, integrator):
     run = method.prepare(scene, t_end, resolution)
     work = run.measure().work
     benchmark.group = problem
-    benchmark.extra_info.update(
-        integrator=method.spec, steps=work.steps, residuals=work.residuals
-    )
+    benchmark.extra_info.update(integrator=method.spec, steps=work.steps, residuals=work.residuals)
     benchmark.pedantic(run.execute, rounds=7, warmup_rounds=1)
