@@ -67,6 +67,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
                     "origin": p.origin,
                     "available": p.cls is not None,
                     "reason": p.reason,
+                    "options": p.options,
                 }
                 for p in getattr(registry, k).values()
             ]

@@ -31,7 +31,7 @@ def show(content: Table | Group) -> None:
 
 
 def plugin_table(kind: str, plugins: list[Plugin]) -> Table:
-    """Names, descriptions, and reasons of what is unavailable."""
+    """Names, descriptions and options, and reasons of what is unavailable."""
     table = _table(kind)
     table.add_column("name", style="cyan", no_wrap=True)
     table.add_column("description")
@@ -39,6 +39,12 @@ def plugin_table(kind: str, plugins: list[Plugin]) -> Table:
         text = escape(plugin.summary)
         if plugin.cls is None:
             text = f"[red]unavailable:[/red] {escape(plugin.reason)}"
+        options = ", ".join(
+            f"{o['name']}={'|'.join(map(str, o['choices'])) if 'choices' in o else o['default']}"
+            for o in plugin.options
+        )
+        if options:
+            text += f"\n[dim]{escape(options)}[/dim]"
         table.add_row(escape(plugin.name), text)
     return table
 

@@ -47,6 +47,18 @@ class Plugin:
         doc = inspect.getdoc(self.cls) if self.cls else None
         return doc.splitlines()[0] if doc else ""
 
+    @property
+    def options(self) -> list[dict[str, Any]]:
+        """Options or parameters: name, default, what it means, unit, choices and limits."""
+        fields = dataclasses.fields(self.cls) if self.cls else ()
+        shown = ("doc", "unit", "choices", "low", "high")
+        return [
+            {"name": f.name, "default": f.default}
+            | {key: f.metadata[key] for key in shown if f.metadata.get(key) is not None}
+            for f in sorted(fields, key=lambda f: not f.metadata.get("always"))
+            if "doc" in f.metadata
+        ]
+
 
 class Registry:
     """All scenes and integrators by name.

@@ -33,6 +33,8 @@ from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Sizes, Variables
 
 _EPS = float(np.finfo(float).eps)
+#: Newton updates that stop shrinking below this relative size have met round-off.
+_STAGNANT = 1e-10
 
 
 class Scheme(NamedTuple):
@@ -98,9 +100,9 @@ class AlphaMethod(StepMethod):
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
 
     newton_tol: float = option(
-        1e-9,
-        "relative size of the last Newton update; the error after it is of the order of its square",
-        low=1e-14,
+        1e-12,
+        "relative error that Newton's method may leave in a, lam, xdot and y",
+        low=1e-15,
         high=1e-2,
     )
     newton_max: int = option(20, "most Newton iterations in a step", low=1)
@@ -209,27 +211,32 @@ def newton(
 ) -> tuple[Any, StepReport]:
     """Full Newton iteration with the exact tangent, in the traced loop of a step.
 
-    It ends when the update of every group (a, lam, xdot, y) is below ``tol`` times the group's
-    size plus ``floor``, or when updates no longer shrink and are below a thousandth of the way to
-    single precision: round-off then forbids more.
+    With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
+    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, xdot,
+    y), below ``tol`` times the group's size plus ``floor``; or when the updates no longer shrink
+    and are tiny: round-off then forbids more.
     """
 
     def sizes_of(u: Any) -> list[Any]:
         return [jnp.max(jnp.abs(part)) for part in jnp.split(u, cuts) if part.size]
 
     def measure(du: Any, u: Any) -> Any:
+        scales = sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess)))
         ratios = [
-            d / (tol * s + floor + 1e-300)
-            for d, s in zip(
-                sizes_of(du), sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess))), strict=True
-            )
+            d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)
         ]
         return jnp.max(jnp.stack(ratios))
 
+    def settled(size: Any, before: Any) -> Any:
+        # The first update has nothing to be compared with: before is infinite.
+        left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
+        small = (size <= 1.0) | ((size < before) & (left <= 1.0))
+        stagnant = (size > 0.5 * before) & (size * tol < _STAGNANT)
+        return small | stagnant
+
     def go_on(carry: tuple) -> Any:
         _, k, size, before = carry
-        stagnant = (size > 0.5 * before) & (size * tol < 1e-10)
-        return (size > 1.0) & (k < most) & ~stagnant
+        return (k < most) & ~settled(size, before)
 
     def iterate(carry: tuple) -> tuple:
         u, k, before, _ = carry
@@ -237,8 +244,7 @@ def newton(
         return u - du, k + 1, measure(du, u - du), before
 
     u, k, size, before = jax.lax.while_loop(go_on, iterate, (guess, 0, jnp.inf, jnp.inf))
-    converged = (size <= 1.0) | ((size > 0.5 * before) & (size * tol < 1e-10))
-    return u, StepReport(converged, k, k, k, k, k)
+    return u, StepReport(settled(size, before), k, k, k, k, k)
 
 
 @dataclass(frozen=True)

@@ -315,7 +315,7 @@ def test_newton_work_is_counted():
 def test_constraints_hold_to_the_tolerance_that_shrinks_with_the_step():
     for h in (1e-2, 1e-3):
         run = GeneralizedAlpha().prepare(Pendulum(), 1.35, Steps(h)).measure()
-        assert np.abs((run.q**2).sum(1) - 1).max() < 20 * h**2 * 1e-9 + 1e-15
+        assert np.abs((run.q**2).sum(1) - 1).max() < 20 * h**2 * 1e-12 + 1e-15
 
 
 @pytest.mark.parametrize(
