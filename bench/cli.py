@@ -14,7 +14,7 @@ from bench import answers, options
 from bench import plan as plans
 from bench.plan import Cell, check_end, make_suite, read_profile
 from bench.records import Record, Rows, flatten
-from bench.registry import Registry
+from bench.registry import Registry, explain
 from bench.store import Store
 from integrators.contract import Steps, Tolerances
 from problems.spec import SpecError
@@ -334,13 +334,18 @@ def _write_reports(folder: Path) -> None:
     from importlib.metadata import entry_points
     from multiprocessing import get_context
 
-    # Pages do not wait for each other.
+    # Pages do not wait for each other, and a page that fails does not take the other along.
     writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
+    failed = []
     with ProcessPoolExecutor(len(writers), mp_context=get_context("spawn")) as pool:
-        for page in pool.map(
-            _write_report, [entry.value for entry in writers], [folder] * len(writers)
-        ):
-            click.echo(f"Report: {page}")
+        pages = {w.name: pool.submit(_write_report, w.value, folder) for w in writers}
+        for name, page in pages.items():
+            try:
+                click.echo(f"Report: {page.result()}")
+            except Exception as error:
+                failed.append(f"The {name} report could not be written: {explain(error)}")
+    if failed:
+        raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
 
 def _write_report(value: str, folder: Path) -> Path:

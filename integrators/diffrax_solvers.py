@@ -19,7 +19,7 @@ from integrators.contract import (
     option,
     spread_rows,
 )
-from integrators.counting import Counter
+from integrators.counting import Counts, run_counted, watch
 from integrators.rows import rows_from_states
 from problems.formulations import compiled, consistent_start, ode_rate
 from problems.runtime import jax, jnp
@@ -40,9 +40,8 @@ class DiffraxSolver(Integrator):
     first step is diffrax's 0.01 s.
 
     Work counts: ``residuals`` are evaluations of the right-hand side that are used as such;
-    ``jacobians`` are linearisations of it, each of which is factorised once. They are counted by
-    callbacks in a second, untimed program, and left out of runs beyond 10000 steps, where that
-    would take minutes.
+    ``jacobians`` are linearisations of it, each of which is factorised once. They are counted in
+    a second, untimed program.
     """
 
     family: ClassVar[str] = "diffrax"
@@ -116,18 +115,11 @@ class KenCarp4(DiffraxSolver):
         return diffrax.KenCarp4(**options)
 
 
-#: Most steps, rejected ones included, of a run whose evaluations are counted: a callback takes
-#: some 40 microseconds, a step 15 of them.
-_COUNTABLE_STEPS = 10_000
-
-
 class _Programs(NamedTuple):
-    """The solve to be timed; with all its steps; with all its steps and counts."""
+    """The solve to be timed; the solve with all its steps, for `run_counted`."""
 
     timed: Callable
-    sampled: Callable
     counted: Callable
-    counter: Counter
 
 
 @cache
@@ -175,12 +167,9 @@ def _compiled(
 
         return jax.jit(solve)
 
-    counter, every_step = Counter(), diffrax.SaveAt(steps=True)
     return _Programs(
         timed=program(rate, diffrax.SaveAt(t1=True)),
-        sampled=program(rate, every_step),
-        counted=program(counter.watch(rate), every_step),
-        counter=counter,
+        counted=program(watch(rate), diffrax.SaveAt(steps=True)),
     )
 
 
@@ -207,10 +196,13 @@ class _DiffraxRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         try:
-            (t, s, _, result), work = self._sample()
+            self.execute()  # the warm-up
+            solution, counts = run_counted(self._programs.counted, *self._arguments)
         except jax.errors.JaxRuntimeError as error:
             reason = str(error).splitlines()[0]
             return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")
+        t, s, stats, result = solution
+        work = self._work(stats, counts)
         t = np.concatenate([[self._t0], np.asarray(t)[: work.steps]])
         s = np.concatenate([self._s0[None], np.asarray(s)[: work.steps]])
         status, message = self._outcome(result, t[-1], s[-1])
@@ -219,25 +211,17 @@ class _DiffraxRun(PreparedRun):
         rows = rows_from_states(self._scene, t[keep], q, v, x)
         return Trajectory(**rows, status=status, message=message, work=work)
 
-    def _sample(self) -> tuple[tuple, Work]:
-        """The solve with all its steps, and its work."""
-        stats = self.execute()[2]
+    def _work(self, stats: dict[str, Any], counts: Counts) -> Work:
         work = Work(int(stats["num_accepted_steps"]), int(stats["num_rejected_steps"]))
-        if work.steps + work.rejected > _COUNTABLE_STEPS:
-            return jax.block_until_ready(self._programs.sampled(*self._arguments)), work
-        counter = self._programs.counter
-        counter.reset()
-        solution = jax.block_until_ready(self._programs.counted(*self._arguments))
-        jax.effects_barrier()  # the last callbacks may still be under way
-        work.jacobians = work.factorisations = counter.linearisations
-        work.residuals = counter.evaluations
+        work.jacobians = work.factorisations = counts.linearisations
+        work.residuals = counts.evaluations
         if self._method.root_finder == "fair":
             # Each iteration of Newton's method linearises once and gets the value on the way.
             # diffrax's own root finder discards the value; its iterations cannot be told apart
             # from explicit evaluations.
-            work.residuals += counter.linearisations
-            work.newton = work.solves = counter.linearisations
-        return solution, work
+            work.residuals += counts.linearisations
+            work.newton = work.solves = counts.linearisations
+        return work
 
     def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last that were accepted."""

@@ -6,21 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import altair as alt
-
 from bench.records import Rows
-from reports.marks import (
-    GREY,
+from reports.marks import Data, Spec, View, arrange, config, quantity, short
+from reports.panels import (
     MOST_COMPONENTS,
-    View,
-    arrange,
     component,
-    csv_data,
-    dress,
+    error_data,
     error_panel,
-    over_time,
+    floor_rule,
+    reference_line,
     run_lines,
-    short,
+    slope_guides,
     wide_rows,
 )
 from reports.series import Look, Series
@@ -32,18 +28,21 @@ def convergence(
     looks: Mapping[str, Look],
     norm: str = "end",
     interactive: bool = False,
-) -> alt.Chart | None:
+) -> Spec | None:
     """Error against step size, one panel per group; None if there is nothing to draw.
 
     An interactive chart carries all norms and a choice between them.
     """
     stepped = [s for s in series if s.controls == "step" and s.ok]
     view = View({s.label: looks[s.label] for s in stepped}, norm, interactive)
-    panels = []
-    for group in groups:
-        panel = error_panel(stepped, group, ("h", "step size h in s"), view, first=not panels)
+    data, panels = [error_data(stepped, group, view) for group in groups], []
+    for table in data:
+        behind = floor_rule(stepped, table) + slope_guides(stepped, table, view)
+        across = ("h", "step size h in s")
+        panel = error_panel(table, across, view, not panels, behind)
         panels += [panel] if panel else []
-    return arrange(panels, {1: 1, 2: 2, 4: 2}.get(len(panels), 3))
+    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
+    return arrange(panels, data, columns, params=view.controls)
 
 
 def work_precision(
@@ -52,18 +51,18 @@ def work_precision(
     looks: Mapping[str, Look],
     norm: str = "end",
     interactive: bool = False,
-) -> alt.Chart | None:
+) -> Spec | None:
     """Error in the groups against seconds and against counted work; None if nothing to draw."""
     series = [s for s in series if s.ok]
     view = View({s.label: looks[s.label] for s in series}, norm, interactive)
-    panels, columns = [], 1
-    for unit in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
+    data, panels, columns = [error_data(series, group, view) for group in groups], [], 1
+    for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
         before = len(panels)
-        for group in groups:
-            panel = error_panel(series, group, unit, view, first=not panels)
+        for table in data:
+            panel = error_panel(table, across, view, not panels, floor_rule(series, table))
             panels += [panel] if panel else []
         columns = max(columns, len(panels) - before)
-    return arrange(panels, columns)
+    return arrange(panels, data, columns, params=view.controls)
 
 
 def trajectory(
@@ -73,7 +72,7 @@ def trajectory(
     looks: Mapping[str, Look],
     coordinates: Sequence[str] = (),
     interactive: bool = False,
-) -> alt.Chart | None:
+) -> Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
 
     Parameters
@@ -86,30 +85,25 @@ def trajectory(
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
     rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, groups, i)]
-    back = wide_rows(reference, groups, -1) if reference else []
-    drawn, behind = csv_data(rows), csv_data(back)
-    in_runs, in_back = ({key for row in some for key in row} for some in (rows, back))
+    drawn = Data("runs", rows)
+    behind = Data("reference", wide_rows(reference, groups, -1) if reference else [])
     view = View(looks, interactive=interactive)
-    panels: list[alt.LayerChart] = []
+    panels: list[Spec] = []
     # Motion side by side, a row per coordinate, then what holds and drives it.
     motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
     rest = [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
     for group, i in motion + rest:
         name, title = f"{group}{i}", component(group, i, coordinates)
         layers = []
-        if name in in_back:
-            layers.append(
-                alt.Chart(behind)
-                .mark_line(color=GREY, strokeWidth=5, opacity=0.4, clip=True)
-                .encode(*over_time(name, title))
-            )
-        if name in in_runs:
+        if name in behind.columns:
+            layers.append(reference_line(behind, name, title))
+        if name in drawn.columns:
             layers.append(run_lines(drawn, name, title, labels, view, first=not panels))
-        panels += [alt.layer(*layers)] if layers else []
-    return arrange(panels, min(3, len(panels)), height=150)
+        panels += [{"layer": layers}] if layers else []
+    return arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
 
 
-def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
+def drawing(drawings: Sequence[Mapping[str, Any]]) -> Spec | None:
     """The mechanism at several times, the last one solid; the same scale on both axes."""
     rows, last = [], len(drawings) - 1
     for i, picture in enumerate(drawings):
@@ -128,25 +122,30 @@ def drawing(drawings: Sequence[Mapping[str, Any]]) -> alt.Chart | None:
     wide, high = (max(b - a, extent / 3) + 0.1 * extent for a, b in ((x0, x1), (y0, y1)))
     pixels = min(520 / wide, 320 / high)
 
-    def axis(name: str, low: float, high: float, span: float) -> dict[str, Any]:
+    def axis(name: str, low: float, high: float, span: float) -> Spec:
         middle = (low + high) / 2
-        domain = [middle - span / 2, middle + span / 2]
-        return {
-            "title": f"{name} in m",
-            "scale": alt.Scale(domain=domain, nice=False, zero=False),
-            "axis": alt.Axis(tickCount=5),
-        }
+        scale = {"domain": [middle - span / 2, middle + span / 2], "nice": False, "zero": False}
+        return quantity(name, title=f"{name} in m", scale=scale, axis={"tickCount": 5})
 
-    chart = (
-        alt.Chart(csv_data(rows))
-        .mark_line(color="#3b82c4", strokeWidth=2.5, strokeJoin="round", strokeCap="round")
-        .encode(
-            x=alt.X("x:Q", **axis("x", x0, x1, wide)),
-            y=alt.Y("y:Q", **axis("y", y0, y1, high)),
-            detail="line:N",
-            order="k:Q",
-            opacity=alt.Opacity("fade:Q", scale=None, legend=None),
-        )
-        .properties(width=round(wide * pixels), height=round(high * pixels))
-    )
-    return dress(chart)
+    data = Data("drawings", rows)
+    return {
+        "datasets": {data.name: data.text},
+        "data": data.source,
+        "mark": {
+            "type": "line",
+            "color": "#3b82c4",
+            "strokeWidth": 2.5,
+            "strokeJoin": "round",
+            "strokeCap": "round",
+        },
+        "encoding": {
+            "x": axis("x", x0, x1, wide),
+            "y": axis("y", y0, y1, high),
+            "detail": {"field": "line", "type": "nominal"},
+            "order": quantity("k"),
+            "opacity": quantity("fade", scale=None, legend=None),
+        },
+        "width": round(wide * pixels),
+        "height": round(high * pixels),
+        "config": config(),
+    }

@@ -48,13 +48,20 @@ def read_page(folder: Path, interactive: bool) -> Page:
         plan, scenes, records = store.plan(), store.scenes(), store.records()
         looks = looks_of((label_of(r), r.family) for r in records.values())
         keys = _scene_keys(plan, scenes, records.values())
-        intervals = [problem for problem, _ in keys]
+        names = _names(keys)
         parts = []
         for i, key in enumerate(keys, 1):
             own = [r for r in records.values() if (r.problem, r.t_end) == key]
-            name = key[0] if intervals.count(key[0]) == 1 else f"{key[0]}, t_end={key[1]:g} s"
+            twins = [k for k in keys[: i - 1] if _same(scenes.get(k), scenes.get(key))]
             part = SceneReader(
-                f"scene-{i}", name, scenes.get(key), own, looks, store.rows, interactive
+                anchor=f"scene-{i}",
+                name=names[key],
+                scene=scenes.get(key),
+                records=own,
+                looks=looks,
+                rows=store.rows,
+                interactive=interactive,
+                described=names[twins[0]] if twins else "",
             )
             parts.append(part.read([s for s in _studies(plan) if (s.problem, s.t_end) == key]))
         environments = store.environments()
@@ -79,6 +86,27 @@ def _scene_keys(
     keys = [(s.problem, s.t_end) for s in _studies(plan)]
     keys += [(r.problem, r.t_end) for r in records]
     return list(dict.fromkeys([*keys, *scenes]))
+
+
+def _names(keys: Sequence[tuple[str, float]]) -> dict[tuple[str, float], str]:
+    """A scene's name, with its interval where it has several."""
+    problems = [problem for problem, _ in keys]
+    return {
+        (problem, t_end): problem
+        if problems.count(problem) == 1
+        else f"{problem}, t_end={t_end:g} s"
+        for problem, t_end in keys
+    }
+
+
+def _same(one: SceneRecord | None, other: SceneRecord | None) -> bool:
+    """Whether two scenes differ in nothing but their interval."""
+    return bool(
+        one
+        and other
+        and (one.problem, one.parameters, one.description)
+        == (other.problem, other.parameters, other.description)
+    )
 
 
 def _studies(plan: Plan | None) -> list[Study]:

@@ -8,11 +8,20 @@ from dataclasses import dataclass
 
 from bench.orders import Fit
 from bench.records import Record
-from reports.series import TRUST, Series, error_of, groups_of, number, order_text, size_of, words
+from reports.series import (
+    TRUST,
+    Series,
+    error_of,
+    floor_of,
+    groups_of,
+    number,
+    order_text,
+    size_of,
+    whole_order,
+    words,
+)
 
 _ORDINALS = ("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
-#: A fitted order this close to a whole number is called by it.
-_NEAR = 0.25
 #: The maximum over all times is worth a sentence when it loses this much of the order.
 _LOSS = 0.5
 
@@ -69,8 +78,8 @@ def _main_norm(series: Sequence[Series]) -> str:
 def _verdict(fit: Fit) -> str:
     if fit.verdict != "converges" or fit.order is None:
         return fit.verdict
-    whole = round(fit.order)
-    if abs(fit.order - whole) <= _NEAR and 0 < whole < len(_ORDINALS):
+    whole = whole_order(fit)
+    if whole and whole < len(_ORDINALS):
         return f"{_ORDINALS[whole]} order"
     return f"order {fit.order:.1f}"
 
@@ -123,7 +132,7 @@ def _stuck(members: Sequence[Series], group: str, norm: str) -> str:
     """The errors at the coarsest and the finest step, where there is no order to show."""
     ends = [_range([error_of(s.ok[i], group, norm) for s in members]) for i in (0, -1)]
     text = f"error {ends[0]} at the coarsest step, {ends[1]} at the finest"
-    floor = max(r.reference_error.get(group, 0.0) for s in members for r in s.ok)
+    floor = floor_of((r for s in members for r in s.ok), group)
     finest = [e for s in members if (e := error_of(s.ok[-1], group, norm)) is not None]
     if finest and min(finest) <= TRUST * floor:
         text += f"; the reference's own error is {number(floor)}"

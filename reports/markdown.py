@@ -8,7 +8,7 @@ from pathlib import Path
 import jinja2
 import vl_convert
 
-from reports.content import read_page
+from reports.content import Page, read_page
 from reports.tables import Table
 
 FILE = "report.md"
@@ -34,14 +34,7 @@ def write(folder: Path) -> Path:
         If the folder holds no readable store.
     """
     page = read_page(folder, interactive=False)
-    pictures = Path(folder) / FIGURES
-    for scene in page.scenes:
-        figures = [figure for study in scene.studies for figure in study.figures]
-        for figure in [scene.picture, *figures] if scene.picture else figures:
-            for name, chart in figure.charts.items():
-                pictures.mkdir(exist_ok=True)
-                svg = vl_convert.vegalite_to_svg(chart.to_dict(validate=False))
-                (pictures / f"{name}.svg").write_text(svg, encoding="utf-8")
+    _draw(page, Path(folder) / FIGURES)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports"),
         autoescape=False,
@@ -54,6 +47,19 @@ def write(folder: Path) -> Path:
     path = Path(folder) / FILE
     path.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", encoding="utf-8")
     return path
+
+
+def _draw(page: Page, folder: Path) -> None:
+    """All charts of a page as SVG; those of an earlier page go."""
+    for old in folder.glob("*.svg"):
+        old.unlink()
+    for scene in page.scenes:
+        figures = [figure for study in scene.studies for figure in study.figures]
+        for figure in [scene.picture, *figures] if scene.picture else figures:
+            for name, chart in figure.charts.items():
+                folder.mkdir(exist_ok=True)
+                svg = vl_convert.vegalite_to_svg(chart)
+                (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
 
 
 def escape(text: object) -> str:

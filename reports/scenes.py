@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import altair as alt
 import msgspec
 
 from bench.records import GROUPS, Record, Rows, SceneRecord, Study
 from reports import charts, tables
 from reports.findings import Finding, findings
+from reports.marks import Spec
+from reports.panels import MOST_COMPONENTS
 from reports.series import (
     NORM_NAMES,
     Look,
     Series,
+    floor_of,
     groups_of,
     label_of,
     looks_of,
@@ -35,7 +37,7 @@ class Figure:
     """Charts by name (an anchor, a file name) that share a caption; a page draws them all."""
 
     caption: str
-    charts: dict[str, alt.Chart]
+    charts: dict[str, Spec]
 
 
 @dataclass
@@ -73,7 +75,8 @@ class SceneReader:
     """Makes one scene's part of the page from its records.
 
     ``rows`` reads the sampled values of a record by key; ``interactive`` asks for charts that
-    answer to a pointer instead of pictures.
+    answer to a pointer instead of pictures. ``described`` names the part of the page that
+    describes the same scene already, over another interval.
     """
 
     anchor: str
@@ -83,10 +86,11 @@ class SceneReader:
     looks: dict[str, Look]
     rows: Callable[[str], Rows]
     interactive: bool
+    described: str = ""
 
     def read(self, studies: Sequence[Study]) -> ScenePart:
         """The part, with these studies or, if there are none, all runs together."""
-        series, scene = series_of(self.records), self.scene
+        series = series_of(self.records)
         parts = [self._study(study, f"{self.anchor}-{n}") for n, study in enumerate(studies, 1)]
         if not studies and self.records:
             first = self.records[0]
@@ -101,16 +105,22 @@ class SceneReader:
         return ScenePart(
             anchor=self.anchor,
             name=self.name,
-            title=scene.title.rstrip(".") if scene else "",
-            about=_paragraphs(scene.description) if scene else [],
-            facts=_facts(scene) if scene else [],
-            picture=self._picture(),
-            parameters=_parameters(scene) if scene else None,
+            title=self.scene.title.rstrip(".") if self.scene and not self.described else "",
+            about=self._about(),
+            facts=_facts(self.scene) if self.scene else [],
+            picture=None if self.described else self._picture(),
+            parameters=_parameters(self.scene) if self.scene and not self.described else None,
             targets=tables.targets(series) if series else None,
             summary=tables.summary(series) if series else None,
             studies=parts,
             drift=tables.drift(series),
         )
+
+    def _about(self) -> list[str]:
+        if self.described:
+            return [f"The same scene as {self.described}, over another interval."]
+        text = self.scene.description if self.scene else ""
+        return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
     def _picture(self) -> Figure | None:
         chart = charts.drawing(self.scene.drawings) if self.scene else None
@@ -155,7 +165,10 @@ class SceneReader:
             f"{name}-{norm}": charts.convergence(series, groups, self.looks, norm, self.interactive)
             for norm in norms
         }
-        caption = f"Error {self._which(norms)} against step size. {self._floor(groups)}"
+        caption = (
+            f"Error {self._which(norms)} against step size; thin grey lines have the slope of a "
+            f"whole order. {self._floor(groups)}"
+        )
         return _figure(caption, made)
 
     def _work_precision(self, series: Sequence[Series], name: str) -> Figure | None:
@@ -175,8 +188,7 @@ class SceneReader:
 
     def _floor(self, groups: Iterable[str]) -> str:
         errors = {
-            g: max((r.reference_error.get(g, 0.0) for r in self.records), default=0.0)
-            for g in groups
+            g: floor_of(self.records, g) for g in groups
         }
         shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
         return f"The reference's own error (dashed where near): {shown}." if shown else ""
@@ -206,8 +218,8 @@ class SceneReader:
             "; the reference is the broad grey line." if reference else "."
         )
         sizes = self.scene.sizes if self.scene else {}
-        if any(size > charts.MOST_COMPONENTS for size in sizes.values()):
-            caption += f" Of each group the first {charts.MOST_COMPONENTS} components are shown."
+        if any(size > MOST_COMPONENTS for size in sizes.values()):
+            caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
         return _figure(caption, {name: chart})
 
     def _rows(self, record: Record) -> Rows | None:
@@ -221,7 +233,7 @@ class SceneReader:
         return _within(rows, self.scene.reference)
 
 
-def _figure(caption: str, made: dict[str, alt.Chart | None]) -> Figure | None:
+def _figure(caption: str, made: dict[str, Spec | None]) -> Figure | None:
     drawn = {name: chart for name, chart in made.items() if chart is not None}
     return Figure(caption, drawn) if drawn else None
 
@@ -248,10 +260,6 @@ def _within(rows: Rows, reference: Rows) -> Rows | None:
 def _sampled(tables_of_rows: Iterable[Rows]) -> list[str]:
     present = {name for rows in tables_of_rows for name, values in rows.values.items() if values}
     return [group for group in GROUPS if group in present]
-
-
-def _paragraphs(text: str) -> list[str]:
-    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
 def _facts(scene: SceneRecord) -> list[tuple[str, str]]:

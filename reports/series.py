@@ -6,7 +6,7 @@ import colorsys
 import math
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bench.orders import Fit, fit_order
 from bench.records import GROUPS, Record, median
@@ -26,6 +26,8 @@ NORM_NAMES = {
     "rms": "root mean square over time",
     "settled": "largest after the start transient",
 }
+#: A fitted order this close to a whole number is called by it.
+_NEAR = 0.25
 #: Below this many times the reference's own error, an error says nothing.
 TRUST = 100.0
 
@@ -43,6 +45,7 @@ class Series:
     family: str
     controls: str
     records: tuple[Record, ...]
+    _fits: dict[tuple[str, str], Fit] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def ok(self) -> list[Record]:
@@ -71,11 +74,13 @@ class Series:
 
     def fit(self, group: str, norm: str) -> Fit:
         """The fitted order of one group in one norm."""
-        return fit_order(
-            [size_of(r) for r in self.ok],
-            [error_of(r, group, norm) for r in self.ok],
-            max((r.reference_error.get(group, 0.0) for r in self.ok), default=0.0),
-        )
+        if (group, norm) not in self._fits:
+            self._fits[group, norm] = fit_order(
+                [size_of(r) for r in self.ok],
+                [error_of(r, group, norm) for r in self.ok],
+                floor_of(self.ok, group),
+            )
+        return self._fits[group, norm]
 
 
 @dataclass(frozen=True)
@@ -119,6 +124,19 @@ def size_of(record: Record) -> float:
 def error_of(record: Record, group: str, norm: str) -> float | None:
     """A relative error, or None if the run has none."""
     return record.errors.get(group, {}).get(norm)
+
+
+def floor_of(records: Iterable[Record], group: str) -> float:
+    """The largest of the errors of the references that the records were compared with."""
+    return max((r.reference_error.get(group, 0.0) for r in records), default=0.0)
+
+
+def whole_order(fit: Fit) -> int | None:
+    """The whole number that a fitted order may be called by."""
+    if fit.verdict != "converges" or fit.order is None:
+        return None
+    whole = round(fit.order)
+    return whole if whole > 0 and abs(fit.order - whole) <= _NEAR else None
 
 
 def seconds_of(record: Record) -> float | None:

@@ -12,6 +12,7 @@ from reports.series import (
     TRUST,
     Series,
     error_of,
+    floor_of,
     groups_of,
     label_of,
     milliseconds,
@@ -60,7 +61,7 @@ def targets(series: Sequence[Series]) -> Table | None:
 
 
 def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
-    floor = max((r.reference_error.get(group, 0.0) for s in series for r in s.ok), default=0.0)
+    floor = floor_of((r for s in series for r in s.ok), group)
     if TRUST * floor > target:
         return [f"cannot be judged: the reference's own error is {number(floor)}", "", ""]
     tried = [s for s in series if s.ok]
@@ -115,7 +116,7 @@ def summary(series: Sequence[Series]) -> Table:
             found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
             cells.append(number(min(found, default=None)))
             if found:
-                floor = max(r.reference_error.get(group, 0.0) for r in s.ok)
+                floor = floor_of(s.ok, group)
                 if min(found) <= TRUST * floor:
                     cells[-1] += " *"
                     doubtful = True

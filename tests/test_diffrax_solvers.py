@@ -111,15 +111,6 @@ def test_the_counted_run_is_the_timed_run():
     assert trajectory.q[-1] == pytest.approx(np.asarray(s)[-1, :1], abs=1e-12)
 
 
-def test_a_run_too_long_to_count_keeps_its_rows_and_says_nothing_of_its_work(monkeypatch):
-    counted = run(Kvaerno5(), Probe(), 1e-6)
-    monkeypatch.setattr(diffrax_solvers, "_COUNTABLE_STEPS", 5)
-    sampled = run(Kvaerno5(), Probe(), 1e-6)
-    assert sampled.work.residuals is sampled.work.jacobians is None
-    assert sampled.work.steps == counted.work.steps
-    assert sampled.q == pytest.approx(counted.q, abs=1e-13)
-
-
 def test_runs_are_equal_to_the_bit():
     prepared = Kvaerno5().prepare(Probe(), 2.0, Tolerances(1e-7))
     first, second = prepared.measure(), prepared.measure()

@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
+import altair
 import pytest
 import vl_convert
 
@@ -423,9 +424,9 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True),
         charts.work_precision(series, ["q", "a"], looks, interactive=True),
     ):
-        spec = chart.to_dict(validate=True)
-        assert len(spec["concat"]) == 4
-        vega = json.dumps(vl_convert.vegalite_to_vega(spec))
+        altair.ConcatChart.from_dict(chart, validate=True)
+        assert len(chart["concat"]) == 4
+        vega = json.dumps(vl_convert.vegalite_to_vega(chart))
         # The legend has a name only if a click on it is heard.
         assert vega.count('"name": "series_legend_symbols"') == 1
 

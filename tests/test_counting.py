@@ -1,0 +1,143 @@
+"""Counting inside compiled code: exact, by either way, and in programs out of a cache."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from integrators import counting
+from integrators.counting import Counts, run_counted, watch
+from problems import jax, jnp
+
+
+@pytest.fixture(params=["by name", "by callback"])
+def _either_way(request, monkeypatch):
+    if request.param == "by callback":
+        monkeypatch.setattr(counting, "_registered", lambda: False)
+
+
+def evaluations(times: int):
+    """A compiled program that evaluates a watched function so often, and drops the values."""
+    watched = watch(lambda t, s, p: s)
+
+    def once(_, s):
+        watched(0.0, 1.0, None)
+        return s
+
+    return jax.jit(lambda: jax.lax.fori_loop(0, times, once, 1.0))
+
+
+# ---- counts ----------------------------------------------------------------------------
+def test_this_release_of_jax_lets_us_count_by_name():
+    assert counting._registered()
+
+
+@pytest.mark.usefixtures("_either_way")
+def test_neither_loops_nor_equal_calls_nor_unused_results_escape():
+    watched = watch(lambda t, s, p: p * s)
+
+    def once(_, s):
+        watched(0.0, 1.0, 2.0)  # equal in each turn
+        watched(0.0, 1.0, 2.0)  # equal to the one before
+        return watched(0.0, s, 2.0)
+
+    program = jax.jit(lambda turns: jax.lax.fori_loop(0, turns, once, 1.0))
+    assert run_counted(program, 5) == (2.0**5, Counts(15, 0))
+    assert run_counted(program, 3) == (2.0**3, Counts(9, 0))
+
+
+@pytest.mark.usefixtures("_either_way")
+def test_a_linearisation_counts_once_however_many_directions_follow():
+    watched = watch(lambda t, s, p: s**2)
+    program = jax.jit(jax.jacfwd(lambda s: watched(0.0, s, None)))
+    jacobian, counts = run_counted(program, jnp.arange(3.0))
+    assert jnp.diag(jacobian).tolist() == [0.0, 2.0, 4.0]
+    assert counts == Counts(0, 1)
+
+
+@pytest.mark.usefixtures("_either_way")
+def test_the_branch_that_is_not_taken_does_not_count():
+    watched = watch(lambda t, s, p: s)
+    program = jax.jit(lambda s: jax.lax.cond(s > 0, lambda: watched(0.0, s, None), lambda: s))
+    assert [run_counted(program, s)[1].evaluations for s in (-1.0, 1.0)] == [0, 1]
+
+
+def test_runs_in_several_threads_keep_their_counts_apart():
+    programs = [evaluations(times) for times in (100, 200, 300, 400)]
+    with ThreadPoolExecutor(4) as threads:
+        counts = [c.evaluations for _, c in threads.map(run_counted, programs)]
+    assert counts == [100, 200, 300, 400]
+
+
+def test_ctrl_c_ends_the_run_and_leaves_no_count_behind(monkeypatch):
+    program, count = evaluations(1000), counting._add_one
+    run_counted(program)
+
+    def interrupt(name):
+        monkeypatch.setattr(counting, "_add_one", count)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(counting, "_add_one", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run_counted(program)
+    assert run_counted(program)[1] == Counts(1000, 0)
+
+
+# ---- what XLA may refuse ---------------------------------------------------------------
+def test_if_xla_refuses_our_functions_we_say_so_and_count_otherwise(monkeypatch, caplog):
+    def refuse(*_, **__):
+        raise RuntimeError("too old")
+
+    monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
+    assert not counting._registered.__wrapped__()
+    assert "too old" in caplog.text
+
+
+def test_if_calls_do_not_count_we_say_so_and_count_otherwise(monkeypatch, caplog):
+    monkeypatch.setattr(counting, "_EXECUTE", 99)
+    assert not counting._registered.__wrapped__()
+    assert "evaluations=0" in caplog.text
+
+
+# ---- the cache -------------------------------------------------------------------------
+MEASURE = """
+import json
+from probe import Probe
+from integrators import Tolerances
+from integrators.diffrax_solvers import Kvaerno5
+from problems import jax
+
+missed = []
+jax.monitoring.register_event_listener(lambda event, **_: missed.append(event))
+work = Kvaerno5().prepare(Probe(), 1.0, Tolerances(1e-5)).measure().work
+print(json.dumps([work.jacobians, missed.count("/jax/compilation_cache/cache_misses")]))
+"""
+
+
+def test_a_counted_solve_comes_out_of_the_cache_in_the_next_process_and_counts(tmp_path):
+    tests = Path(__file__).parent
+    places = {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(tests), str(tests.parent)]),
+    }
+
+    def measure() -> tuple[int, int, set[str]]:
+        """Linearisations, programs that were not in the cache, and solves that now are."""
+        run = subprocess.run(
+            [sys.executable, "-c", MEASURE], env=os.environ | places, capture_output=True, text=True
+        )
+        assert run.returncode == 0, run.stderr
+        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_solve-*-cache")}
+
+    linearisations, missed, solves = measure()
+    assert linearisations > 0
+    assert missed > 0
+    assert len(solves) == 2  # the timed one and the counted one
+    assert measure() == (linearisations, 0, solves)
