@@ -15,12 +15,21 @@ The unknowns of Newton's method are a, lam, xdot and y at the end of the step, a
 rows are divided by dq/da = h^2 beta (1 - alpha_f)/(1 - alpha_m). This is the scaling of constraint
 rows and multipliers by h^2 in another dress: the tangent's condition does not depend on h, and a
 fixed tolerance on a means a constraint residual that shrinks like h^2.
+
+``formulation=stabilised_index2`` is the form of Gear, Gupta & Leimkuhler: Phi = 0 and
+d/dt Phi = 0 hold at the end of the step, and an extra multiplier mu corrects the position step
+along Phi_q(q_n)^T. With mu in units of acceleration (q+ gets - dq/da Phi_q^T mu) and the velocity
+rows divided by dv/da the tangent stays O(1), too.
+
+The classical (weighted-residual) forms are the same recurrences for a constant mass matrix, but
+they take ``aux`` for the acceleration: they report it and feed it to the controller.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -48,13 +57,16 @@ class Scheme(NamedTuple):
     delta_f: float
     theta: float
     updated: bool
+    classical: bool
+    corrected: bool
     newton_tol: float
     newton_max: int
 
 
 class AlphaState(NamedTuple):
     """Everything that a step hands to the next; ``shift`` and ``shift_x`` are the times by which
-    the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30)."""
+    the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
+    is the last step, ``seen`` the acceleration that is reported."""
 
     q: Any
     v: Any
@@ -67,6 +79,8 @@ class AlphaState(NamedTuple):
     y: Any
     shift: Any
     shift_x: Any
+    h: Any
+    seen: Any
 
 
 def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
@@ -92,12 +106,22 @@ def updated_weight(alpha_m: Any, alpha_f: Any, shift: Any, h: Any) -> tuple[Any,
     return weight, shift_next
 
 
+def safe_ratio(alpha_m: Any) -> Any:
+    """Smallest step ratio that keeps the updated weight in its proven interval.
+
+    With s >= alpha_m/(1 - alpha_m) at every step, (1 - alpha_m)/(2 (1 - alpha_f)) <= gamma <
+    1 - alpha_m; sharper cuts can send gamma to infinity.
+    """
+    return alpha_m / (1 - alpha_m)
+
+
 @dataclass(frozen=True)
 class AlphaMethod(StepMethod):
     """Base of the members of the family: a member only says which scheme it is."""
 
     family: ClassVar[str] = "generalized-alpha"
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+    classical: ClassVar[bool] = False
 
     newton_tol: float = option(
         1e-12,
@@ -107,103 +131,157 @@ class AlphaMethod(StepMethod):
     )
     newton_max: int = option(20, "most Newton iterations in a step", low=1)
 
-    @property
-    def formulation(self) -> str:
-        return "index3"
+    formulation: str = option(
+        "index3",
+        "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
+        choices=("index3", "stabilised_index2"),
+    )
+    start: str = option(
+        "consistent",
+        "consistent: aux = a at t0; corrected: shifted to where it belongs, without transient",
+        choices=("consistent", "corrected"),
+    )
 
     @property
     def affinity(self) -> str:
-        return self.family
+        return f"{self.family} {self.formulation}"
 
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
-        """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta and whether gamma is updated."""
+        """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
 
     def numbers(self) -> Scheme:
-        return Scheme(*self.parameters(), self.newton_tol, self.newton_max)
+        corrected = self.start == "corrected"
+        return Scheme(*self.parameters(), corrected, self.newton_tol, self.newton_max)
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if scene.has("constraint") and self.numbers().beta <= 0:
             return "beta = 0 leaves positions out of a step's unknowns; constraints need beta > 0."
         return None
 
+    def functions(self) -> tuple[Any, Any, Any]:
+        return _FUNCTIONS[self.formulation]
+
     @staticmethod
-    def start(
-        scene: MechatronicSystem, sizes: Sizes, numbers: Scheme, start: Start, h: Any
-    ) -> AlphaState:
-        z, s = start.z, numbers
-        return AlphaState(
-            z.q,
-            z.v,
-            z.a,
-            z.a,
-            z.lam,
-            z.x,
-            start.xdot,
-            start.xdot,
-            z.y,
-            shift=(s.alpha_m - s.alpha_f) * h,
-            shift_x=(s.delta_m - s.delta_f) * h,
-        )
+    def begin(*given: Any) -> AlphaState:
+        return _FUNCTIONS["index3"][0](*given)
+
+    @staticmethod
+    def step(*given: Any) -> tuple[AlphaState, StepReport]:
+        return _FUNCTIONS["index3"][1](*given)
 
     @staticmethod
     def read(state: AlphaState) -> Reading:
-        return Reading(state.q, state.v, state.a, state.lam, state.x, state.xdot, state.y)
+        return _read(state)
 
-    @staticmethod
-    def step(
-        scene: MechatronicSystem, sizes: Sizes, numbers: Scheme, state: AlphaState, t: Any, h: Any
-    ) -> tuple[AlphaState, StepReport]:
-        s = numbers
-        gamma, shift = updated_weight(s.alpha_m, s.alpha_f, state.shift, h)
-        theta, shift_x = updated_weight(s.delta_m, s.delta_f, state.shift_x, h)
-        gamma = jnp.where(s.updated, gamma, s.gamma)
-        theta = jnp.where(s.updated, theta, s.theta)
 
-        # Every end value is "base + slope * unknown", the unknowns being a and xdot.
-        aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
-        auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
-        aux_base = (s.alpha_f * state.a - s.alpha_m * state.aux) / (1 - s.alpha_m)
-        auxx_base = (s.delta_f * state.xdot - s.delta_m * state.auxx) / (1 - s.delta_m)
-        q_base = state.q + h * state.v + h**2 * ((0.5 - s.beta) * state.aux + s.beta * aux_base)
-        v_base = state.v + h * ((1 - gamma) * state.aux + gamma * aux_base)
-        x_base = state.x + h * ((1 - theta) * state.auxx + theta * auxx_base)
-        q_slope, v_slope = h**2 * s.beta * aux_slope, h * gamma * aux_slope
-        x_slope = h * theta * auxx_slope
-        cuts = np.cumsum([sizes.nq, sizes.nl, sizes.nx])
+def _read(state: AlphaState) -> Reading:
+    return Reading(state.q, state.v, state.seen, state.lam, state.x, state.xdot, state.y)
 
-        def at(u: Any) -> tuple[Variables, Any]:
-            a, lam, xdot, y = jnp.split(u, cuts)
-            q, v, x = q_base + q_slope * a, v_base + v_slope * a, x_base + x_slope * xdot
-            return Variables(q, v, a, lam, x, y, t), xdot
 
-        def residual(u: Any) -> Any:
-            z, xdot = at(u)
-            rows = [formulations.dynamics_residual(scene, z)]
-            if sizes.nl:
-                rows.append(scene.constraint(z.q, t) / q_slope)
-            rows += formulations.control_residuals(scene, z, xdot)
-            return jnp.concatenate(rows)
+def _begin(
+    stabilised: bool,
+    scene: MechatronicSystem,
+    sizes: Sizes,
+    numbers: Scheme,
+    start: Start,
+    h: Any,
+) -> AlphaState:
+    """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
 
-        # An end position is rounded to eps |q|; the scaled constraint rows turn that into an
-        # acceleration, below which no Newton update can fall.
-        floor = 16 * _EPS * jnp.max(jnp.abs(q_base)) / q_slope if sizes.nl else 0.0
-        guess = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
-        u, report = newton(residual, guess, cuts, s.newton_tol, s.newton_max, floor)
+    On index 3 the shift alone leaves a first-order transient in lambda; it is gone with
+    v0 + C h^2 Q jerk, C = 1/6 - beta - (alpha_m - alpha_f)/2, where Q projects on the range of
+    M^-1 Phi_q^T.
+    """
+    z, s, on = start.z, numbers, jnp.where(numbers.corrected, 1.0, 0.0)
+    shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
+    v = z.v
+    if sizes.nl and not stabilised:
+        c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
+        v = v + on * c * h**2 * formulations.constrained_part(scene, sizes, z.q, z.t, start.jerk)
+    aux = z.a + on * shift * start.jerk
+    auxx = start.xdot + on * shift_x * start.xddot
+    return AlphaState(
+        z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, z.a
+    )  # fmt: skip
+
+
+def _step(
+    stabilised: bool,
+    scene: MechatronicSystem,
+    sizes: Sizes,
+    numbers: Scheme,
+    state: AlphaState,
+    t: Any,
+    h: Any,
+) -> tuple[AlphaState, StepReport]:
+    s = numbers
+    # A cut below the safe ratio restarts the recurrence (order two is kept) when it is updated.
+    ratio = h / state.h
+    again = s.updated & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
+    again_x = s.updated & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
+    aux = jnp.where(again, state.a, state.aux)
+    auxx = jnp.where(again_x, state.xdot, state.auxx)
+    gamma, shift = updated_weight(
+        s.alpha_m, s.alpha_f, jnp.where(again, 0.0, state.shift), h
+    )
+    theta, shift_x = updated_weight(
+        s.delta_m, s.delta_f, jnp.where(again_x, 0.0, state.shift_x), h
+    )
+    gamma = jnp.where(s.updated, gamma, s.gamma)
+    theta = jnp.where(s.updated, theta, s.theta)
+
+    # Every end value is "base + slope * unknown", the unknowns being a and xdot.
+    aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
+    auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
+    aux_base = (s.alpha_f * state.a - s.alpha_m * aux) / (1 - s.alpha_m)
+    auxx_base = (s.delta_f * state.xdot - s.delta_m * auxx) / (1 - s.delta_m)
+    q_base = state.q + h * state.v + h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base)
+    v_base = state.v + h * ((1 - gamma) * aux + gamma * aux_base)
+    x_base = state.x + h * ((1 - theta) * auxx + theta * auxx_base)
+    q_slope, v_slope = h**2 * s.beta * aux_slope, h * gamma * aux_slope
+    x_slope = h * theta * auxx_slope
+    nmu = sizes.nl if stabilised else 0
+    cuts = np.cumsum([sizes.nq, sizes.nl, nmu, sizes.nx])
+
+    def at(u: Any) -> tuple[Variables, Any]:
+        a, lam, mu, xdot, y = jnp.split(u, cuts)
+        q, v, x = q_base + q_slope * a, v_base + v_slope * a, x_base + x_slope * xdot
+        if nmu:
+            q = q - q_slope * formulations.constraint_force(scene, state.q, t - h, mu)
+        return Variables(q, v, a, lam, x, y, t), xdot
+
+    def seen_by_controller(z: Variables) -> Variables:
+        return z._replace(a=jnp.where(s.classical, aux_base + aux_slope * z.a, z.a))
+
+    def residual(u: Any) -> Any:
         z, xdot = at(u)
-        return AlphaState(
-            z.q,
-            z.v,
-            z.a,
-            aux_base + aux_slope * z.a,
-            z.lam,
-            z.x,
-            xdot,
-            auxx_base + auxx_slope * xdot,
-            z.y,
-            shift,
-            shift_x,
-        ), report
+        rows = [formulations.dynamics_residual(scene, z)]
+        if sizes.nl:
+            rows.append(scene.constraint(z.q, t) / q_slope)
+        if nmu:
+            rows.append(formulations.constraint_velocity(scene, z.q, z.v, t) / v_slope)
+        rows += formulations.control_residuals(scene, seen_by_controller(z), xdot)
+        return jnp.concatenate(rows)
+
+    # An end position is rounded to eps |q|; the scaled constraint rows turn that into an
+    # acceleration, below which no Newton update can fall.
+    floor = 16 * _EPS * jnp.max(jnp.abs(q_base)) / q_slope if sizes.nl else 0.0
+    guess = jnp.concatenate([state.a, state.lam, jnp.zeros(nmu), state.xdot, state.y])
+    u, report = newton(residual, guess, cuts, s.newton_tol, s.newton_max, floor)
+    z, xdot = at(u)
+    aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
+    seen = jnp.where(s.classical, aux_end, z.a)
+    return AlphaState(
+        z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, shift, shift_x, h, seen
+    ), report  # fmt: skip
+
+
+# One object each, so that all members share one kernel per formulation.
+_FUNCTIONS = {
+    form: (partial(_begin, stabilised), partial(_step, stabilised), _read)
+    for form, stabilised in (("index3", False), ("stabilised_index2", True))
+}
 
 
 def newton(
@@ -278,6 +356,7 @@ class GeneralizedAlpha(AlphaMethod):
             *second_order_parameters(self.rho_inf),
             *first_order_parameters(rho_x),
             self.gamma == "updated",
+            self.classical,
         )
 
 
@@ -306,6 +385,7 @@ class HHT(AlphaMethod):
             gamma,
             *first_order_parameters(rho_inf),
             self.gamma == "updated",
+            self.classical,
         )
 
 
@@ -334,6 +414,7 @@ class WBZ(AlphaMethod):
             gamma,
             *first_order_parameters(self.rho_inf),
             self.gamma == "updated",
+            self.classical,
         )
 
 
@@ -354,4 +435,32 @@ class Newmark(AlphaMethod):
     )
 
     def parameters(self) -> tuple[float, ...]:
-        return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False
+        return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False, self.classical
+
+
+_CLASSICAL_ORDERS = {"q": 2, "v": 2, "a": 1, "lam": 2}
+
+
+@dataclass(frozen=True)
+class GeneralizedAlphaClassical(GeneralizedAlpha):
+    """Generalized-alpha as published in 1993: its acceleration is first order."""
+
+    source: ClassVar[str] = "Chung & Hulbert (1993), doi:10.1115/1.2900803"
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class HHTClassical(HHT):
+    """HHT as published in 1977: its acceleration is first order."""
+
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class WBZClassical(WBZ):
+    """WBZ as published in 1980: its acceleration is first order."""
+
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True

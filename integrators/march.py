@@ -1,6 +1,6 @@
 """One-step methods written in JAX: the compiled march that turns a step into a run.
 
-A method states ``numbers`` (its parameters as plain numbers), ``start``, ``step`` and ``read`` as
+A method states ``numbers`` (its parameters as plain numbers), ``begin``, ``step`` and ``read`` as
 pure functions of a state. From these the march makes one compiled kernel per method class and
 scene: schemes, steps, patterns, parameters and tolerances are traced arguments and compile
 nothing new. Rows are kept inside the loop, so memory does not grow with the number of steps.
@@ -82,11 +82,11 @@ class StepMethod(Integrator):
 
     @abstractmethod
     def numbers(self) -> Any:
-        """The method's parameters, a pytree of numbers; traced in ``start`` and ``step``."""
+        """The method's parameters, a pytree of numbers; traced in ``begin`` and ``step``."""
 
     @staticmethod
     @abstractmethod
-    def start(scene: MechatronicSystem, sizes: Sizes, numbers: Any, start: Start, h: Any) -> Any:
+    def begin(scene: MechatronicSystem, sizes: Sizes, numbers: Any, start: Start, h: Any) -> Any:
         """The method's state at t0, before a first step of size h."""
 
     @staticmethod
@@ -101,10 +101,13 @@ class StepMethod(Integrator):
     def read(state: Any) -> Reading:
         """The variables in a state."""
 
-    @classmethod
-    def kernel(cls, scene: MechatronicSystem) -> Kernel:
-        """The compiled march on a scene; shared by all methods with these three functions."""
-        return kernel(cls.start, cls.step, cls.read, scene.template(), scene.sizes)
+    def functions(self) -> tuple[Callable, Callable, Callable]:
+        """The ``begin``, ``step`` and ``read`` of these options."""
+        return type(self).begin, type(self).step, type(self).read
+
+    def kernel(self, scene: MechatronicSystem) -> Kernel:
+        """The compiled march on a scene; shared by all methods with the same functions."""
+        return kernel(*self.functions(), scene.template(), scene.sizes)
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
         return _March(self, scene, t_end, resolution)
@@ -216,7 +219,7 @@ class Kernel:
 
 @cache
 def kernel(
-    start_of: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
+    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
 ) -> Kernel:
     """The compiled march of a method on a scene, for any numbers and parameters."""
 
@@ -229,7 +232,7 @@ def kernel(
         p: dict, numbers: Any, start: Start, clock: Clock, rows: Any, row_count: Any
     ) -> tuple:
         scene = template.with_parameters(p)
-        state = start_of(scene, sizes, numbers, start, step_times(clock, 0)[1])
+        state = begin(scene, sizes, numbers, start, step_times(clock, 0)[1])
         first = read(state)
         bound = GROWTH_LIMIT * (1.0 + _largest(first.q, first.v))
 

@@ -142,6 +142,29 @@ def jerk(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any)
     )[1]
 
 
+def xddot(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> Any:
+    """Second derivative of x along the motion, shape ``(nx,)``."""
+    z, xdot = complete(scene, sizes, q, v, x, t)
+    return jax.jvp(
+        lambda q, v, x, t: complete(scene, sizes, q, v, x, t)[1],
+        (q, v, x, t),
+        (v, z.a, xdot, jnp.ones_like(t)),
+    )[1]
+
+
+def constrained_part(scene: MechatronicSystem, sizes: Sizes, q: Any, t: Any, w: Any) -> Any:
+    """Project w on the range of M^-1 Phi_q^T, the directions that constraints act in.
+
+    One solve with the augmented matrix, so that M need not be regular.
+    """
+    jacobian = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
+    corner = jnp.zeros((sizes.nl, sizes.nl))
+    augmented = jnp.block([[scene.mass(q), jacobian.T], [jacobian, corner]])
+    return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(sizes.nq), jacobian @ w]))[
+        : sizes.nq
+    ]
+
+
 # ---- DAE residuals for general-purpose solvers -----------------------------------------
 class Layout(NamedTuple):
     """Where q, v, x, lam, y and mu stand in the vector w of a DAE solver (slices)."""
@@ -193,7 +216,7 @@ class Compiled(NamedTuple):
     """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
 
     ``start(p, q, v, x, t)``
-        Variables, xdot and the jerk at one time
+        Variables, xdot, the jerk and xddot at one time
     ``ode(p, t, s)``
         rate of s = [q, v, x]
     ``complete(p, q, v, x, t)``
@@ -218,7 +241,7 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
 
     def with_jerk(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
         z, xdot = complete(at(p), sizes, q, v, x, t)
-        return z, xdot, jerk(at(p), sizes, q, v, x, t)
+        return z, xdot, jerk(at(p), sizes, q, v, x, t), xddot(at(p), sizes, q, v, x, t)
 
     def levels(p: dict, q: Any, v: Any, a: Any, t: Any) -> tuple:
         s = at(p)
@@ -262,11 +285,13 @@ def compiled(scene: MechatronicSystem) -> Compiled:
 
 
 class Start(NamedTuple):
-    """Consistent values at the start: all Variables, xdot ``(nx,)`` and jerk ``(nq,)``."""
+    """Consistent values at the start: all Variables, xdot ``(nx,)``, and the derivatives jerk
+    ``(nq,)`` and xddot ``(nx,)`` along the motion."""
 
     z: Variables
     xdot: np.ndarray
     jerk: np.ndarray
+    xddot: np.ndarray
 
 
 def consistent_start(scene: MechatronicSystem) -> Start:
@@ -297,14 +322,14 @@ def consistent_start(scene: MechatronicSystem) -> Start:
                     f"level by {r:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}); "
                     f"correct the scene's initial_state or its parameters."
                 )
-    z, xdot, jerk0 = functions.start(p, *state, t0)
+    z, *rates = functions.start(p, *state, t0)
     z = Variables(*(np.asarray(part) for part in z))
     if not all(np.isfinite(part).all() for part in z):
         raise NoConsistentStart(
             f"{scene.spec} has no finite initial a, lam, y at t={t0:g}: the augmented mass matrix "
             f"is singular there, or its outputs have no solution near zero."
         )
-    return Start(z, np.asarray(xdot), np.asarray(jerk0))
+    return Start(z, *(np.asarray(rate) for rate in rates))
 
 
 def _check_dimensions(scene: MechatronicSystem, state: State) -> None:

@@ -266,7 +266,7 @@ def test_schemes_steps_patterns_and_parameters_compile_nothing_new():
     march.kernel.cache_clear()
     scene = SpringMass()
     GeneralizedAlpha().prepare(scene, 5.0, Steps(0.1)).measure()
-    compiled = GeneralizedAlpha.kernel(scene)
+    compiled = GeneralizedAlpha().kernel(scene)
     for other in (SpringMass(k=3.0), SpringMass(b=0.2)):
         for method in (
             GeneralizedAlpha(rho_inf=0.3),
