@@ -222,12 +222,8 @@ def _step(
     again_x = s.updated & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
     aux = jnp.where(again, state.a, state.aux)
     auxx = jnp.where(again_x, state.xdot, state.auxx)
-    gamma, shift = updated_weight(
-        s.alpha_m, s.alpha_f, jnp.where(again, 0.0, state.shift), h
-    )
-    theta, shift_x = updated_weight(
-        s.delta_m, s.delta_f, jnp.where(again_x, 0.0, state.shift_x), h
-    )
+    gamma, shift = updated_weight(s.alpha_m, s.alpha_f, jnp.where(again, 0.0, state.shift), h)
+    theta, shift_x = updated_weight(s.delta_m, s.delta_f, jnp.where(again_x, 0.0, state.shift_x), h)
     gamma = jnp.where(s.updated, gamma, s.gamma)
     theta = jnp.where(s.updated, theta, s.theta)
 
@@ -300,9 +296,7 @@ def newton(
 
     def measure(du: Any, u: Any) -> Any:
         scales = sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess)))
-        ratios = [
-            d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)
-        ]
+        ratios = [d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)]
         return jnp.max(jnp.stack(ratios))
 
     def settled(size: Any, before: Any) -> Any:
