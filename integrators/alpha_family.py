@@ -222,9 +222,7 @@ def newton(
 
     def measure(du: Any, u: Any) -> Any:
         scales = sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess)))
-        ratios = [
-            d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)
-        ]
+        ratios = [d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)]
         return jnp.max(jnp.stack(ratios))
 
     def settled(size: Any, before: Any) -> Any:

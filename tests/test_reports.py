@@ -432,6 +432,20 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         assert vega.count('"name": "series_legend_symbols"') == 1
 
 
+def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
+    steps = [2.0**-k for k in range(3, 8)]
+    records = [planted("pendulum", "m", {"q": (1.0, 2.0), "lam": (1.0, 1.0)}, h=h) for h in steps]
+    records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
+    records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
+    series = series_of(records)
+    looks = looks_of((s.label, s.family) for s in series)
+    svg = vl_convert.vegalite_to_svg(charts.convergence(series, ["q", "lam"], looks))
+    text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
+    assert "m: order q 2.00, lam 1.00" in text
+    assert "n: order q 2.00, lam 0.00" in text
+    assert "two: order not determined" in text
+
+
 def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
     """Name and slope of the guides to the eye of each panel."""
     return {
