@@ -87,10 +87,14 @@ def energy_drift(scene: MechatronicSystem, trajectory: Trajectory) -> float | No
 
 
 def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
-    """A trajectory (or a reference's values with "t") as it is stored."""
+    """A trajectory (or a reference's values with "t") as it is stored: up to its first row that is
+    not finite, which could not be read back.
+    """
     values = trajectory if isinstance(trajectory, dict) else vars(trajectory)
-    names = (*GROUPS, "xdot")
-    return Rows(
-        t=np.asarray(values["t"]).tolist(),
-        values={n: np.asarray(values[n]).tolist() for n in names if np.size(values[n])},
-    )
+    t = np.asarray(values["t"])
+    groups = {n: np.asarray(values[n]) for n in (*GROUPS, "xdot") if np.size(values[n])}
+    finite_rows = np.isfinite(t)
+    for rows in groups.values():
+        finite_rows = finite_rows & np.isfinite(rows).all(axis=1)
+    keep = len(t) if finite_rows.all() else int(np.argmin(finite_rows))
+    return Rows(t=t[:keep].tolist(), values={n: rows[:keep].tolist() for n, rows in groups.items()})

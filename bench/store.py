@@ -54,7 +54,9 @@ class Store:
         self.folder = Path(folder)
         path = self.folder / FILE
         if not create and not path.is_file():
-            raise StoreError(f"{self.folder} holds no stepbench results; run 'stepbench run' first.")
+            raise StoreError(
+                f"{self.folder} holds no stepbench results; run 'stepbench run' first."
+            )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(path, isolation_level=None, timeout=30.0)
@@ -146,10 +148,17 @@ class Store:
         return {(scene.problem, scene.t_end): scene for scene in scenes}
 
     def records(self) -> dict[str, Record]:
-        """All finished cells by key, with their timing samples."""
+        """All finished cells by key, with their timing samples, in the order of the plan.
+
+        Cells that the plan no longer has come last.
+        """
+        found = dict(self._db.execute("SELECT key, value FROM records ORDER BY rowid"))
+        plan = self.plan()
+        planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {
-            key: msgspec.json.decode(value, type=Record)
-            for key, value in self._db.execute("SELECT key, value FROM records ORDER BY rowid")
+            key: msgspec.json.decode(found[key], type=Record)
+            for key in dict.fromkeys([*planned, *found])
+            if key in found
         }
         for key, seconds in self._db.execute(
             "SELECT key, seconds FROM samples ORDER BY key, number"

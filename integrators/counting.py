@@ -1,10 +1,10 @@
 """Counting of a function's evaluations inside compiled code.
 
-A counted program calls two functions of this process by name, through XLA's foreign function
-interface. Such a call costs under a microsecond, and a program that holds nothing but names is
-the same in every process, so that JAX keeps it in its persistent compilation cache. A program
-with ``jax.debug.callback``, which costs 40 times as much, is compiled anew in every process; it
-is what remains if the interface should refuse these functions.
+A counted program calls functions of this process by name, through XLA's foreign function
+interface. A program that holds nothing but names is the same in every process, so that JAX keeps
+it in its persistent compilation cache. Should the interface refuse our functions, what remains is
+``jax.debug.callback``, whose calls take some 40 microseconds instead of 10 and whose programs
+every process compiles anew.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from bench.records import Rows
@@ -31,10 +32,13 @@ def convergence(
 ) -> Spec | None:
     """Error against step size, one panel per group; None if there is nothing to draw.
 
-    An interactive chart carries all norms and a choice between them.
+    An interactive chart carries all norms and a choice between them. The legend names the fitted
+    orders of the norm that is shown.
     """
     stepped = [s for s in series if s.controls == "step" and s.ok]
     view = View({s.label: looks[s.label] for s in stepped}, norm, interactive)
+    notes = {n: {s.label: _orders(s, groups, n) for s in stepped} for n in view.norms}
+    view = replace(view, notes=notes)
     data, panels = [error_data(stepped, group, view) for group in groups], []
     for table in data:
         behind = floor_rule(stepped, table) + slope_guides(stepped, table, view)
@@ -43,6 +47,13 @@ def convergence(
         panels += [panel] if panel else []
     columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
     return arrange(panels, data, columns, params=view.controls)
+
+
+def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
+    """The fitted orders as a legend names them; groups whose order is not determined are out."""
+    fits = {group: series.fit(group, norm) for group in groups}
+    known = [f"{g} {round(f.order, 2) + 0.0:.2f}" for g, f in fits.items() if f.order is not None]
+    return f": order {', '.join(known)}" if known else ": order not determined"
 
 
 def work_precision(

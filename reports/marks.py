@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -32,6 +33,8 @@ class View:
     looks: Mapping[str, Look]
     norm: str = "end"
     interactive: bool = False
+    #: What the legend says of a label in a norm, after its name: notes[norm][label].
+    notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def norms(self) -> tuple[str, ...]:
@@ -99,6 +102,11 @@ def quantity(field: str, **more: Any) -> Spec:
 
 def by_series(values: list[Any], view: View, **legend: Any) -> Spec:
     """A channel by series; all channels and panels have one domain, so they share a legend."""
+    if view.notes:
+        chosen = "norm" if view.interactive else json.dumps(view.norm)
+        noted = f"{json.dumps(view.notes)}[{chosen}][datum.value]"
+        # One column, as the lines are long; not cut at the usual width.
+        legend |= {"labelExpr": f"datum.value + {noted}", "labelLimit": 0, "columns": 1}
     return {
         "field": "series",
         "type": "nominal",

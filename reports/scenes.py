@@ -187,9 +187,7 @@ class SceneReader:
         return words(NORM_NAMES[norm] for norm in norms)
 
     def _floor(self, groups: Iterable[str]) -> str:
-        errors = {
-            g: floor_of(self.records, g) for g in groups
-        }
+        errors = {g: floor_of(self.records, g) for g in groups}
         shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
         return f"The reference's own error (dashed where near): {shown}." if shown else ""
 
@@ -291,10 +289,9 @@ def _cell(value: object) -> str:
 
 
 def _study_state(study: Study, records: Sequence[Record]) -> str:
-    parts = []
-    if len(records) < len(set(study.cells)):
-        parts.append(f"{len(set(study.cells)) - len(records)} of {len(set(study.cells))} runs "
-                     "are not measured yet.")  # fmt: skip
+    parts, planned = [], len(set(study.cells))
+    if len(records) < planned:
+        parts.append(f"{planned - len(records)} of {planned} runs are not measured yet.")
     failed = sum(r.status != "ok" for r in records)
     if failed:
         parts.append(f"{failed} of {len(records)} runs did not reach the end.")

@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import altair
+import msgspec
 import pytest
 import vl_convert
 
@@ -431,6 +432,46 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         assert vega.count('"name": "series_legend_symbols"') == 1
 
 
+def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
+    steps = [2.0**-k for k in range(3, 8)]
+    records = [planted("pendulum", "m", {"q": (1.0, 2.0), "lam": (1.0, 1.0)}, h=h) for h in steps]
+    records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
+    records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
+    series = series_of(records)
+    looks = looks_of((s.label, s.family) for s in series)
+    svg = vl_convert.vegalite_to_svg(charts.convergence(series, ["q", "lam"], looks))
+    text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
+    assert "m: order q 2.00, lam 1.00" in text
+    assert "n: order q 2.00, lam 0.00" in text
+    assert "two: order not determined" in text
+
+
+def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
+    """Name and slope of the guides to the eye of each panel."""
+    return {
+        panel["data"]["name"]: [
+            (row["name"], math.log(row["error"] / row["error2"]) / math.log(row["h"] / row["h2"]))
+            for layer in panel["layer"]
+            if layer["mark"]["type"] == "rule"
+            for row in layer["data"]["values"]
+        ]
+        for panel in chart["concat"]
+    }
+
+
+def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
+    records = [r for r in everything() if r.problem == "pendulum"]
+    series = series_of(records)
+    looks = looks_of((s.label, s.family) for s in series)
+    for norm, order in (("end", 2), ("max", 1)):
+        found = guides(charts.convergence(series, ["q", "lam"], looks, norm))
+        assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
+        assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
+    odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
+    looks = looks_of([("odd", "alpha")])
+    assert guides(charts.convergence(series_of(odd), ["q"], looks)) == {"q": []}
+
+
 def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
     looks = looks_of([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
     assert len({(look.color, look.dash, look.shape) for look in looks.values()}) == 8
@@ -451,6 +492,40 @@ def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) 
     assert len(pictures) == len(set(pictures)) == 9
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
+
+
+def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> None:
+    plant(tmp_path, some())
+    figures = tmp_path / markdown.FIGURES
+    figures.mkdir()
+    for name in ("scene-9-1-convergence-end.svg", "mine.txt"):
+        (figures / name).write_text("old", encoding="utf-8")
+    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    shown = {Path(name).name for name in re.findall(r"\]\(([^)]+\.svg)\)", text)}
+    assert shown
+    assert {file.name for file in figures.iterdir()} == shown | {"mine.txt"}
+
+
+def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
+    plant(tmp_path, some())
+    with Store(tmp_path) as store:
+        scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
+        store.save_scene(msgspec.structs.replace(scene, t_end=2.0))
+    page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
+    assert page.words.count("A second paragraph.") == 2
+    assert "The same scene as spring_mass, t_end=1 s, over another interval." in page.words
+    assert sum(name.endswith("-scene") for name in page.charts) == 2
+
+
+def test_the_drawing_code_is_bundled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    monkeypatch.setattr(html.vl_convert, "javascript_bundle", lambda: made.append(1) or "a</script")
+    monkeypatch.setattr(html.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name))
+    assert [html._library() for _ in range(2)] == ["a<\\/script"] * 2
+    assert made == [1]
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(html.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "file"))
+    assert html._library() == "a<\\/script"
 
 
 def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
@@ -543,7 +618,7 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
 def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
     code = (
         "import sys, reports.html, reports.markdown; "
-        "print([m for m in ('jax', 'integrators', 'problems') if m in sys.modules])"
+        "print([m for m in ('jax', 'integrators', 'problems', 'altair') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -91,6 +91,15 @@ def test_a_record_that_is_measured_anew_loses_its_old_samples(tmp_path):
         assert store.records() == {}
 
 
+def test_records_come_in_the_order_of_the_plan(tmp_path):
+    study = Study(title="", problem="p", t_end=1.0, figures=[], cells=["c", "a", "not yet"])
+    with Store(tmp_path, create=True) as store:
+        for key in ("a", "old", "c"):
+            store.save(a_record(key), Rows(t=[], values={}))
+        store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[study]))
+        assert list(store.records()) == ["c", "a", "old"]
+
+
 def test_a_folder_without_results_is_refused(tmp_path):
     with pytest.raises(StoreError, match="no stepbench results"):
         Store(tmp_path)
