@@ -16,6 +16,8 @@ from integrators.alpha_family import (
     GeneralizedAlphaClassical,
     HHTClassical,
     WBZClassical,
+)
+from integrators.alpha_step import (
     first_order_parameters,
     safe_ratio,
     second_order_parameters,
