@@ -46,12 +46,12 @@ def orders(records: list[Record]) -> dict[str, Any]:
         "status": [record.status for record in records],
     }
     for group in GROUPS:
-        floors = [r.reference_error[group] for r in records if group in r.reference_error]
-        if not floors:
+        known = [r.reference_error[group] for r in records if group in r.reference_error]
+        if not known:
             continue
         for norm in NORMS:
             errors = [record.errors.get(group, {}).get(norm) for record in records]
-            fit = fit_order(steps, errors, max(floors))
+            fit = fit_order(steps, errors, max(floor[norm] for floor in known))
             for name, value in (
                 ("orders", fit.order),
                 ("window", fit.window),

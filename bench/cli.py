@@ -260,11 +260,8 @@ def run(
     registry = Registry(plugins)
     registry.require_files()
     suite = make_suite(*read_profile(profile), registry, problems, integrators)
-    with Store(out, create=True) as store:
-        if fresh:
-            store.clear()
-        with RunProgress() as progress:
-            outcome = run_suite(suite, store, registry, jobs, progress)
+    with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        outcome = run_suite(suite, store, registry, jobs, progress)
     records = [outcome.records[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
     click.echo(

@@ -172,6 +172,10 @@ class RunProgress:
         if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
             self._say()
 
+    def note(self, text: str) -> None:
+        """Something went wrong that costs no cell."""
+        self._console.print(escape(text))
+
     def _say(self) -> None:
         self._spoken = time.monotonic()
         if not self._console.is_terminal:

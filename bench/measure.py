@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,33 +25,35 @@ def finite(value: float) -> float | None:
 
 def relative_errors(
     trajectory: Trajectory, reference: Reference
-) -> dict[str, dict[str, float | None]]:
-    """Relative error per group and norm over a trajectory's own rows.
+) -> tuple[dict[str, dict[str, float | None]], dict[str, dict[str, float]]]:
+    """Relative error per group and norm over a trajectory's own rows, and the reference's own.
 
     In every norm it is norm(value - reference) / norm(reference): ``end`` takes the last row,
     ``max`` the largest row, ``rms`` the root of the mean square over time (trapezoidal rule),
     ``settled`` the largest row of the last quarter of the interval. A row's size is Euclidean.
-    Where the reference's norm vanishes the error is absolute.
+    Where the reference's norm vanishes the error is absolute. The reference's estimated error is
+    taken relative to the same norms.
     """
     t = trajectory.t
     exact = reference(t)
     last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
-    errors = {}
+    norms: dict[str, Callable[[np.ndarray], float]] = {
+        "end": lambda r: r[-1],
+        "max": lambda r: r.max(),
+        "rms": lambda r: math.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
+        "settled": lambda r: r[last].max(),
+    }
+    errors: dict[str, dict[str, float | None]] = {}
+    floors: dict[str, dict[str, float]] = {}
     for group in GROUPS:
         if not exact[group].shape[1]:
             continue
         difference = np.linalg.norm(getattr(trajectory, group) - exact[group], axis=1)
         size = np.linalg.norm(exact[group], axis=1)
-        norms = {
-            "end": lambda r: r[-1],
-            "max": lambda r: r.max(),
-            "rms": lambda r: math.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
-            "settled": lambda r: r[last].max(),
-        }
-        errors[group] = {
-            name: finite(norm(difference) / (norm(size) or 1.0)) for name, norm in norms.items()
-        }
-    return errors
+        scales = {name: float(norm(size)) or 1.0 for name, norm in norms.items()}
+        errors[group] = {n: finite(norm(difference) / scales[n]) for n, norm in norms.items()}
+        floors[group] = {n: reference.error[group] / scale for n, scale in scales.items()}
+    return errors, floors
 
 
 def relative_reference_error(reference: Reference) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -30,8 +31,10 @@ class ShortErrors(click.Group):
         except (SpecError, StoreError) as error:
             raise click.ClickException(str(error)) from error
         except KeyboardInterrupt:
+            # Only a run stores as it goes.
+            stored = " What was finished is stored; the same command goes on."
             click.echo(
-                "Interrupted. What was finished is stored; the same command goes on.", err=True
+                "Interrupted." + (stored if ctx.invoked_subcommand == "run" else ""), err=True
             )
             sys.exit(_INTERRUPTED)
         except BrokenPipeError:
@@ -49,18 +52,29 @@ def numbers(_: click.Context, parameter: click.Parameter, text: str | None) -> A
     if text is None:
         return None
     try:
-        return tuple(float(part) for part in text.split(",") if part.strip())
+        return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
 
 
 def name_values(_: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict:
-    """Read name=value pairs."""
-    pairs = [item.partition("=") for item in items]
-    for (name, equals, value), item in zip(pairs, items, strict=True):
-        if not (name and equals and value):
+    """Read name=value pairs, each name once."""
+    pairs: dict[str, str] = {}
+    for item in items:
+        name, _, value = (part.strip() for part in item.partition("="))
+        if not (name and value):
             raise click.BadParameter(f"{item!r} is not of the form name=value.")
-    return {name.strip(): value for name, _, value in pairs}
+        if name in pairs:
+            raise click.BadParameter(f"{name!r} is given twice.")
+        pairs[name] = value
+    return pairs
+
+
+def not_nan(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    """Refuse NaN, which every comparison with a limit lets through."""
+    if math.isnan(value):
+        raise click.BadParameter("nan is not a number of seconds.")
+    return value
 
 
 with_plugins = click.option(
@@ -89,6 +103,7 @@ with_set = click.option(
 with_budget = click.option(
     "--budget",
     type=click.FloatRange(min=0, min_open=True),
+    callback=not_nan,
     default=300.0,
     show_default=True,
     help="Seconds after which a run is stopped.",

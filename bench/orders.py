@@ -3,13 +3,16 @@
 The rule, from the finest step towards coarser ones:
 
 1. points that are not finite, or within a hundred times the reference's own error, are dropped;
-2. a window starts at the finest point left and grows to coarser steps while the local slopes in
-   it stay within ``SPREAD`` of each other;
-3. a window of three or more points is fitted by least squares in log-log. If there is none, the
-   finest point is taken as spoilt by round-off, dropped, and 2. is tried again; at most
-   ``MOST_DROPPED`` points go that way.
+   of several points at one step the largest error counts;
+2. finest points at which the error no longer falls (local slope below ``NO_CONVERGENCE``) are
+   spoilt by round-off and dropped, if the errors have fallen by more than half before;
+3. the window starts at the finest point left and grows to coarser steps while the local slopes
+   in it stay within ``SPREAD`` of each other;
+4. a window of three or more points is fitted by least squares in log-log.
 
-Fewer than three points, or no window, give "not determined".
+Fewer than three points give "not determined", and so does a window that does not form: an order
+that is still changing at the finest steps is not claimed. Errors that never fall by half although
+the step does "do not converge".
 """
 
 from __future__ import annotations
@@ -21,8 +24,7 @@ from itertools import pairwise
 import msgspec
 
 SPREAD = 0.15
-MOST_DROPPED = 3
-#: A fitted slope below this is no convergence worth the name.
+#: A slope below this is no convergence worth the name.
 NO_CONVERGENCE = 0.3
 
 
@@ -51,29 +53,31 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
     floor
         The reference's own error in the units of ``errors``.
     """
-    points = sorted(
-        (math.log(h), math.log(e))
-        for h, e in zip(steps, errors, strict=True)
-        if e is not None and math.isfinite(e) and e > max(100 * floor, 0.0)
-    )
-    for dropped in range(MOST_DROPPED + 1):
-        window = _window(points[dropped:])
-        if len(window) >= 3:
-            order = _slope(window)
-            verdict = "converges" if order > NO_CONVERGENCE else "does not converge"
-            edges = (math.exp(window[-1][0]), math.exp(window[0][0]))
-            return Fit(order, edges, len(window), verdict)
-    if len(points) >= 3 and points[0][1] > points[-1][1] - math.log(1.5):
-        # Errors that do not fall although the step does, and not on a line either.
-        return Fit(None, None, 0, "does not converge")
-    return Fit(None, None, 0, "not determined")
+    worst: dict[float, float] = {}
+    for h, e in zip(steps, errors, strict=True):
+        if e is not None and math.isfinite(e) and e > max(100 * floor, 0.0):
+            worst[h] = max(e, worst.get(h, 0.0))
+    points = sorted((math.log(h), math.log(e)) for h, e in worst.items())
+    if len(points) < 3:
+        return Fit(None, None, 0, "not determined")
+    if min(e for _, e in points) > points[-1][1] - math.log(2.0):
+        window = _window(points)
+        order = _slope(window) if len(window) == len(points) else None
+        edges = (math.exp(points[-1][0]), math.exp(points[0][0])) if order is not None else None
+        if order is None or order < NO_CONVERGENCE:
+            return Fit(order, edges, len(window) if edges else 0, "does not converge")
+    while len(points) >= 3 and _slope(points[:2]) < NO_CONVERGENCE:
+        points = points[1:]
+    window = _window(points)
+    if len(window) < 3:
+        return Fit(None, None, 0, "not determined")
+    edges = (math.exp(window[-1][0]), math.exp(window[0][0]))
+    return Fit(_slope(window), edges, len(window), "converges")
 
 
 def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
     slopes: list[float] = []
     for (h1, e1), (h2, e2) in pairwise(points):
-        if h2 - h1 < 1e-9:
-            break
         slope = (e2 - e1) / (h2 - h1)
         if slopes and max(*slopes, slope) - min(*slopes, slope) > SPREAD:
             break

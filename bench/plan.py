@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -135,7 +136,8 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
     _check_keys(data, ProfileFile, f"The profile {path}")
-    for study in data.get("study", []):
+    studies = data.get("study")
+    for study in studies if isinstance(studies, list) else []:
         if isinstance(study, dict):
             _check_keys(study, StudyFile, f"A [[study]] of {path}")
     try:
@@ -177,15 +179,22 @@ def make_suite(
         if not getattr(profile, key) > 0:
             raise SpecError(f"{key}={getattr(profile, key)} is not allowed; give more than 0.")
     studies, cells = [], {}
+    placed: defaultdict[str, set[str]] = defaultdict(set)
     for file in files:
-        chosen = _select_integrators(file.integrators, registry, integrators)
         for figure in file.figures:
             if figure not in FIGURES:
                 raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, FIGURES)}.")
         for problem in file.problems:
-            study, more = _expand(file, problem, chosen, registry)
-            studies.append(study)
-            cells.update(more)
+            own = [registry.integrator(text) for text in file.integrators]
+            chosen = _select_integrators(own, registry, integrators) if integrators else own
+            # What no study of a scene names by itself goes into its first study alone.
+            taken = _own_specs(profile.study, problem, registry) | placed[problem]
+            chosen = [i for i in chosen if i in own or i.spec not in taken]
+            placed[problem] |= {i.spec for i in chosen}
+            if chosen:
+                study, more = _expand(file, problem, chosen, registry)
+                studies.append(study)
+                cells.update(more)
     if not cells:
         raise SpecError("Nothing is left to run; check the names given with -p and -i.")
     plan = Plan(
@@ -218,11 +227,8 @@ def _select_problems(
 
 
 def _select_integrators(
-    own: list[str], registry: Registry, wanted: Sequence[str]
+    mine: list[Integrator], registry: Registry, wanted: Sequence[str]
 ) -> list[Integrator]:
-    mine = [registry.integrator(text) for text in own]
-    if not wanted:
-        return mine
     chosen: dict[str, Integrator] = {}
     for text in wanted:
         asked = registry.integrator(text)
@@ -231,6 +237,16 @@ def _select_integrators(
         for integrator in found or [asked]:
             chosen[integrator.spec] = integrator
     return list(chosen.values())
+
+
+def _own_specs(files: list[StudyFile], problem: str, registry: Registry) -> set[str]:
+    """The integrators that the studies of a scene name themselves."""
+    return {
+        registry.integrator(text).spec
+        for file in files
+        if problem in file.problems
+        for text in file.integrators
+    }
 
 
 def _expand(
@@ -246,20 +262,21 @@ def _expand(
     }
     for grid in grids["step"]:
         grid.count(t0, t_end)
-    cells = [
-        Cell(scene.spec, integrator.spec, t_end, resolution)
+    cells = {
+        cell.key: cell
         for integrator in integrators
         for resolution in grids[integrator.controls]
-    ]
+        if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
+    }
     study = Study(
         title=file.title or scene.spec,
         note=file.note,
         problem=scene.spec,
         t_end=t_end,
         figures=list(file.figures),
-        cells=[cell.key for cell in cells],
+        cells=list(cells),
     )
-    return study, {cell.key: cell for cell in cells}
+    return study, cells
 
 
 def check_end(t0: float, t_end: float) -> float:

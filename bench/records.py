@@ -32,9 +32,9 @@ class Record(msgspec.Struct, kw_only=True):
     ``errors[group][norm]`` are relative errors; a group that the scene lacks is absent, a value
     that is not finite is None. ``constraint[level]`` is the largest residual over the rows.
     ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
-    conserve it. ``reference_error[group]`` is the reference's own estimated error, relative like
-    ``errors``: below a hundred times that, an error says nothing. ``run_s`` holds every timing
-    sample in s; ``environment`` points to the row of the machine that measured.
+    conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
+    relative like ``errors``: below a hundred times that, an error says nothing. ``run_s`` holds
+    every timing sample in s; ``environment`` points to the row of the machine that measured.
     """
 
     key: str
@@ -52,7 +52,7 @@ class Record(msgspec.Struct, kw_only=True):
     status: str
     message: str = ""
     errors: dict[str, dict[str, float | None]] = {}
-    reference_error: dict[str, float] = {}
+    reference_error: dict[str, dict[str, float]] = {}
     constraint: dict[str, float | None] = {}
     energy_drift: float | None = None
     work: dict[str, int | None] = {}
@@ -60,6 +60,7 @@ class Record(msgspec.Struct, kw_only=True):
     run_s: list[float] = []
     environment: int = 0
     fingerprint: str = ""
+    budget_s: float | None = None
     schema: int = SCHEMA
 
     @property
@@ -94,6 +95,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     reference_error: dict[str, float]
     reference: Rows
     drawings: list[dict[str, Any]] = []
+    fingerprint: str = ""
 
 
 class Study(msgspec.Struct, kw_only=True):
@@ -123,7 +125,8 @@ def flatten(record: Record) -> dict[str, Any]:
     for group in GROUPS:
         for norm in NORMS:
             row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
-        row[f"reference_error_{group}"] = record.reference_error.get(group)
+            floor = record.reference_error.get(group, {}).get(norm)
+            row[f"reference_error_{group}_{norm}"] = floor
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():

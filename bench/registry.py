@@ -14,6 +14,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
@@ -71,10 +72,13 @@ class Registry:
     Raises
     ------
     PluginError
-        If a path is not there.
+        If a path is empty or not there.
     """
 
     def __init__(self, paths: Sequence[str | Path] = ()) -> None:
+        # An empty path, as from an unset shell variable, would mean the current folder.
+        if any(not str(path).strip() for path in paths):
+            raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
         self.paths = [str(Path(path).resolve()) for path in paths]
         self._files: set[str] = set()
         self.problems: dict[str, Plugin] = {}
@@ -152,7 +156,9 @@ class Registry:
             kind = _kind_of(cls, module.__name__)
             if kind:
                 found += 1
-                self._add(kind, _checked(kind, cls.name, str(file), lambda cls=cls: cls))
+                # A class whose name is of no use is listed, with the reason, under its own.
+                name = cls.name if spec.is_name(cls.name) else cls.__name__
+                self._add(kind, _checked(kind, name, str(file), lambda cls=cls: cls))
         if not found:
             reason = "it defines no MechatronicSystem and no Integrator."
             for kind in KINDS:
@@ -171,10 +177,19 @@ def explain(error: BaseException) -> str:
 
 @cache
 def fingerprint(cls: type) -> str:
-    """A digest of the source file of a plugin, by which changed code is measured anew."""
-    file = inspect.getsourcefile(cls)
-    data = Path(file).read_bytes() if file else cls.__qualname__.encode()
-    return hashlib.sha256(data).hexdigest()[:12]
+    """A digest of the source that a plugin's results come from: it is measured anew when edited.
+
+    The files of the class and its bases, and everything that takes part in every run.
+    """
+    files = {inspect.getsourcefile(base) for base in cls.__mro__ if base is not object}
+    own = {Path(file) for file in files if file}
+    for package in ("problems", "integrators"):
+        own |= set(Path(sys.modules[package].__path__[0]).glob("*.py"))
+    own.add(Path(__file__).with_name("measure.py"))
+    digest = hashlib.sha256()
+    for file in sorted(own):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def _files(path: Path) -> list[Path]:
@@ -196,7 +211,9 @@ def _import_file(file: Path) -> Any:
     module = importlib.util.module_from_spec(loader)
     sys.modules[name] = module  # dataclasses look their module up
     try:
-        loader.loader.exec_module(module)
+        # What a plugin prints must not get into the JSON on the standard output.
+        with redirect_stdout(sys.stderr):
+            loader.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise
@@ -216,7 +233,8 @@ def _from_entry_point(kind: str, entry: Any) -> Plugin:
 
 def _checked(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:
     try:
-        cls = load()
+        with redirect_stdout(sys.stderr):  # an entry point is imported here
+            cls = load()
         reason = _fault(kind, name, cls)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
@@ -230,6 +248,11 @@ def _fault(kind: str, name: str, cls: Any) -> str:
         return f"{cls!r} is not a subclass of {KINDS[kind].__name__}."
     if inspect.isabstract(cls):
         return f"it lacks {', '.join(sorted(cls.__abstractmethods__))}."
+    if not spec.is_name(cls.name):
+        return (
+            f"its name {cls.name!r} is not a word of letters, digits, '_', '.' and '-' that "
+            f"starts with a letter or '_'."
+        )
     if cls.name != name:
         return f"it is registered as {name!r} but calls itself {cls.name!r}."
     if kind == "problems":

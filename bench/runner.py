@@ -47,6 +47,7 @@ class _Worker:
     group: deque[Task] = field(default_factory=deque)
     task: Task | None = None
     started: float = 0.0
+    phase: str | None = None
 
     def end(self) -> None:
         """Kill it; it never holds anything that is not elsewhere."""
@@ -103,7 +104,7 @@ class Runner:
         for number in range(samples):
             for cell in cells:
                 enough = number >= _LEAST_SAMPLES and spent[cell.key] > _TIMING_SECONDS
-                if number < have.get(cell.key, 0) or enough:
+                if number < have.get(cell.key, 0) or enough or spent[cell.key] == float("inf"):
                     continue
                 worker = self._owner.get(cell.key)
                 if worker not in self._workers:
@@ -128,7 +129,7 @@ class Runner:
         return worker
 
     def _start(self, worker: _Worker, task: Task) -> None:
-        worker.task, worker.started = task, time.monotonic()
+        worker.task, worker.started, worker.phase = task, time.monotonic(), None
         with suppress(OSError):  # its death is seen by _collect
             worker.pipe.send((task.kind, *task.arguments))
 
@@ -171,8 +172,8 @@ class Runner:
             self._replace(worker)
             return Lost(
                 "budget_exceeded",
-                f"The run was stopped because {excess}; take larger steps or tolerances, or a "
-                f"larger budget.",
+                f"Stopped while {worker.phase or 'running'} because {excess}; take larger steps "
+                f"or tolerances, a shorter interval, or a larger budget.",
             )
         try:
             kind, answer = worker.pipe.recv()
@@ -182,8 +183,9 @@ class Runner:
             how = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
             self._replace(worker)
             return Lost("crashed", f"The worker process died during the run ({how}).")
-        if kind == "ready":
-            worker.started = time.monotonic()  # its imports are not the task's
+        if kind in ("ready", "phase"):
+            # The clock starts anew: imports and references are not the integrator's.
+            worker.started, worker.phase = time.monotonic(), answer
             return None
         worker.task = None
         if kind == "failed":

@@ -8,7 +8,7 @@ from typing import Protocol
 from bench.environment import environment
 from bench.plan import Cell, Suite
 from bench.records import Record, Rows
-from bench.registry import Registry
+from bench.registry import Registry, fingerprint
 from bench.runner import Lost, Runner, Task
 from bench.store import Store
 from bench.worker import Measured
@@ -25,6 +25,9 @@ class Progress(Protocol):
 
     def advance(self) -> None:
         """One step is done."""
+
+    def note(self, text: str) -> None:
+        """Something went wrong that costs no cell."""
 
 
 @dataclass
@@ -48,22 +51,32 @@ def run_suite(
     missing = [
         cell
         for key, cell in suite.cells.items()
-        if key not in stored or stored[key].fingerprint != cell.fingerprint(registry)
+        if key not in stored
+        or stored[key].fingerprint != cell.fingerprint(registry)
+        or (stored[key].status == "budget_exceeded" and _raised(plan.budget_s, stored[key]))
     ]
     store.save_plan(plan)
-    scenes = {(s.problem, s.t_end) for s in plan.studies} - set(store.scenes())
-    number = store.save_environment(environment()) if missing else 0
+    wanted = {(s.problem, s.t_end) for s in plan.studies}
+    current = {
+        key
+        for key, scene in store.scenes().items()
+        if key in wanted and scene.fingerprint == fingerprint(type(registry.problem(key[0])))
+    }
+    scenes = wanted - current
+    number = store.save_environment(environment()) if missing or _due(suite, stored) else 0
     with Runner(registry.paths, jobs, plan.budget_s, suite.memory_gib) as runner:
         if missing or scenes:
             groups = _groups(missing, sorted(scenes), registry)
             progress.phase("measuring", sum(len(group) for group in groups))
             for task, answer in runner.run(groups, lambda t: progress.working(_words(t))):
                 if task.kind == "scene":
-                    if not isinstance(answer, Lost):
+                    if isinstance(answer, Lost):
+                        progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
+                    else:
                         store.save_scene(answer)
                 else:
                     record, rows = _row(task.arguments[0], answer, registry)
-                    record.environment = number
+                    record.environment, record.budget_s = number, plan.budget_s
                     store.save(record, rows)
                 progress.advance()
         _time(suite, store, runner, progress)
@@ -89,7 +102,7 @@ def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> Non
     records = store.records()
     cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
     have = {cell.key: len(records[cell.key].run_s) for cell in cells}
-    due = sum(max(0, suite.plan.samples - count) for count in have.values())
+    due = _due(suite, records)
     if not due:
         return
     progress.phase("timing, one run at a time", due)
@@ -97,6 +110,16 @@ def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> Non
         progress.working(cell.key)
         store.add_sample(cell.key, sample, seconds)
         progress.advance()
+
+
+def _due(suite: Suite, records: dict[str, Record]) -> int:
+    """Timing samples that the measured cells still lack."""
+    good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
+    return sum(max(0, suite.plan.samples - len(record.run_s)) for record in good)
+
+
+def _raised(budget_s: float, record: Record) -> bool:
+    return record.budget_s is not None and budget_s > record.budget_s
 
 
 def _groups(

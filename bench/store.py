@@ -28,6 +28,11 @@ CREATE TABLE IF NOT EXISTS samples (
     PRIMARY KEY (key, number));
 """
 
+_WAY_OUT = "start anew with --fresh or another --out"
+#: What msgspec raises for bytes that are no value: not JSON or of another form, not UTF-8, and
+#: (SQLite keeps any type in any column) not bytes at all.
+_DAMAGED = (msgspec.DecodeError, UnicodeDecodeError, TypeError)
+
 
 class StoreError(RuntimeError):
     """The folder has no readable store, or the store cannot be written."""
@@ -41,7 +46,11 @@ class Store:
     folder
         The run folder.
     create
-        Make the folder and the store if they are not there.
+        Open for writing, and make the folder and the store if they are not there. Without it
+        the store is only read: neither tables nor settings of the file are touched.
+    fresh
+        With ``create``: begin with an empty store, whatever is there now, be it damaged or of
+        another schema.
 
     Raises
     ------
@@ -50,30 +59,31 @@ class Store:
         written by another version of the schema.
     """
 
-    def __init__(self, folder: Path, create: bool = False) -> None:
+    def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
         self.folder = Path(folder)
-        path = self.folder / FILE
-        if not create and not path.is_file():
-            raise StoreError(
-                f"{self.folder} holds no stepbench results; run 'stepbench run' first."
-            )
+        self._path = path = self.folder / FILE
+        opened: sqlite3.Connection | None = None
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._db = sqlite3.connect(path, isolation_level=None, timeout=30.0)
-            self._db.execute("PRAGMA journal_mode=WAL")
-            self._db.execute("PRAGMA synchronous=NORMAL")
-            self._db.executescript(_TABLES)
-            self._db.execute(
-                "INSERT OR IGNORE INTO meta VALUES ('schema', ?)", (str(SCHEMA).encode(),)
-            )
-            found = int(self._value("SELECT value FROM meta WHERE name = 'schema'"))
-        except (OSError, sqlite3.Error, ValueError) as error:
-            raise StoreError(f"The store {path} cannot be opened: {error}.") from error
-        if found != SCHEMA:
-            raise StoreError(
-                f"The store {path} has schema {found}, this version reads {SCHEMA}; "
-                f"start anew with --fresh or another --out."
-            )
+            if create:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                if fresh:
+                    _remove(path)
+                opened = sqlite3.connect(path, isolation_level=None, timeout=30.0)
+                _prepare(opened)
+            elif path.is_file():
+                opened = _open_to_read(path)
+            else:
+                raise StoreError(
+                    f"{self.folder} holds no stepbench results; run 'stepbench run' first."
+                )
+            _check_schema(opened, path)
+        except (OSError, sqlite3.Error, StoreError) as error:
+            if opened is not None:
+                opened.close()
+            if isinstance(error, StoreError):
+                raise
+            raise StoreError(f"The store {path} cannot be opened ({error}); {_WAY_OUT}.") from error
+        self._db = opened
 
     def close(self) -> None:
         """Close the file; the write-ahead log is folded in."""
@@ -86,12 +96,6 @@ class Store:
         self.close()
 
     # ---- writing -----------------------------------------------------------------------
-    def clear(self) -> None:
-        """Forget everything that was measured (``--fresh``)."""
-        with self._transaction():
-            for table in ("samples", "records", "scenes", "environments"):
-                self._db.execute(f"DELETE FROM {table}")
-
     def save_plan(self, plan: Plan) -> None:
         """Keep the plan that the report follows."""
         self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", msgspec.json.encode(plan))
@@ -99,7 +103,7 @@ class Store:
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
         self._write("INSERT INTO environments (value) VALUES (?)", msgspec.json.encode(environment))
-        return int(self._value("SELECT MAX(id) FROM environments"))
+        return self._read("SELECT MAX(id) FROM environments")[0][0]
 
     def save_scene(self, scene: SceneRecord) -> None:
         """Keep a scene's description, reference and drawings."""
@@ -133,37 +137,37 @@ class Store:
     # ---- reading -----------------------------------------------------------------------
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
-        value = self._value("SELECT value FROM meta WHERE name = 'plan'")
-        return msgspec.json.decode(value, type=Plan) if value else None
+        found = self._read("SELECT value FROM meta WHERE name = 'plan'", kind=Plan)
+        return found[0][0] if found else None
 
     def environments(self) -> dict[int, Environment]:
         """All environments by number."""
-        rows = self._db.execute("SELECT id, value FROM environments ORDER BY id")
-        return {number: msgspec.json.decode(value, type=Environment) for number, value in rows}
+        return dict(self._read("SELECT id, value FROM environments ORDER BY id", kind=Environment))
 
     def scenes(self) -> dict[tuple[str, float], SceneRecord]:
         """All scenes by (problem, t_end)."""
-        values = self._db.execute("SELECT value FROM scenes ORDER BY problem, t_end")
-        scenes = [msgspec.json.decode(value, type=SceneRecord) for (value,) in values]
-        return {(scene.problem, scene.t_end): scene for scene in scenes}
+        found = self._read("SELECT value FROM scenes ORDER BY problem, t_end", kind=SceneRecord)
+        return {(scene.problem, scene.t_end): scene for (scene,) in found}
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.
 
         Cells that the plan no longer has come last.
         """
-        found = dict(self._db.execute("SELECT key, value FROM records ORDER BY rowid"))
+        # Before the records: a run that goes on meanwhile may add samples, but takes no record
+        # away, so that every sample read here finds its record below.
+        samples = self._read(
+            "SELECT samples.key, records.key, seconds FROM samples "
+            "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
+        )
+        found = dict(self._read("SELECT key, value FROM records ORDER BY rowid", kind=Record))
         plan = self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
-        records = {
-            key: msgspec.json.decode(found[key], type=Record)
-            for key in dict.fromkeys([*planned, *found])
-            if key in found
-        }
-        for key, seconds in self._db.execute(
-            "SELECT key, seconds FROM samples ORDER BY key, number"
-        ):
-            records[key].run_s.append(seconds)
+        records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
+        for key, owner, seconds in samples:
+            if owner is None:
+                raise self._unreadable(f"a timing sample of {key} has no record")
+            records[owner].run_s.append(seconds)
         return records
 
     def rows(self, key: str) -> Rows:
@@ -174,15 +178,21 @@ class Store:
         KeyError
             If the cell is not there.
         """
-        value = self._value("SELECT rows FROM records WHERE key = ?", key)
-        if value is None:
+        found = self._read("SELECT rows FROM records WHERE key = ?", key, kind=Rows)
+        if not found:
             raise KeyError(key)
-        return msgspec.json.decode(value, type=Rows)
+        return found[0][0]
 
     # ---- plumbing ----------------------------------------------------------------------
-    def _value(self, sql: str, *parameters: object) -> bytes | None:
-        row = self._db.execute(sql, parameters).fetchone()
-        return row[0] if row else None
+    def _read(self, sql: str, *parameters: object, kind: type | None = None) -> list[tuple]:
+        """All rows of a query; their last column is decoded if its ``kind`` is given."""
+        try:
+            rows = self._db.execute(sql, parameters).fetchall()
+            if kind is None:
+                return rows
+            return [(*row[:-1], msgspec.json.decode(row[-1], type=kind)) for row in rows]
+        except (sqlite3.Error, *_DAMAGED) as error:
+            raise self._unreadable(error) from error
 
     def _write(self, sql: str, *parameters: object) -> None:
         try:
@@ -193,10 +203,62 @@ class Store:
     def _transaction(self) -> _Transaction:
         return _Transaction(self)
 
+    def _unreadable(self, reason: object) -> StoreError:
+        return StoreError(f"The store {self._path} cannot be read ({reason}); {_WAY_OUT}.")
+
     def _unwritable(self, error: sqlite3.Error) -> StoreError:
         return StoreError(
             f"The store in {self.folder} cannot be written ({error}); free some space or choose "
             f"another --out. What was stored before is intact."
+        )
+
+
+def _remove(path: Path) -> None:
+    # The log goes first: were it left behind, SQLite could replay it into the new file.
+    for suffix in ("-wal", "-shm", ""):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def _prepare(db: sqlite3.Connection) -> None:
+    db.execute("PRAGMA journal_mode=WAL")
+    db.execute("PRAGMA synchronous=NORMAL")
+    # One transaction, so that a store that has tables also has its schema.
+    db.executescript(
+        f"BEGIN IMMEDIATE; {_TABLES} "
+        f"INSERT OR IGNORE INTO meta VALUES ('schema', CAST('{SCHEMA}' AS BLOB)); COMMIT;"
+    )
+
+
+def _open_to_read(path: Path) -> sqlite3.Connection:
+    uri = f"{path.absolute().as_uri()}?mode=ro"
+    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
+    try:
+        db.execute("SELECT 1 FROM sqlite_master")  # the file is opened by the first query
+        return db
+    except sqlite3.Error as error:
+        db.close()
+        log = path.with_name(path.name + "-wal")
+        # In a folder that cannot be written there is no place for the log's index. Nobody
+        # writes there either, so the file stands still, but rows still in a log would be lost.
+        refused = error.sqlite_errorcode & 0xFF in (
+            sqlite3.SQLITE_CANTOPEN,
+            sqlite3.SQLITE_READONLY,
+        )
+        if not refused or (log.exists() and log.stat().st_size):
+            raise
+    return sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
+
+
+def _check_schema(db: sqlite3.Connection, path: Path) -> None:
+    has_meta = db.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
+    row = has_meta and db.execute("SELECT value FROM meta WHERE name = 'schema'").fetchone()
+    if not row:
+        raise StoreError(f"{path} is no stepbench store (it has no schema); {_WAY_OUT}.")
+    # Compared as text: what is damaged need not be a number.
+    found = row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0])
+    if found != str(SCHEMA):
+        raise StoreError(
+            f"The store {path} has schema {found}, this version reads {SCHEMA}; {_WAY_OUT}."
         )
 
 

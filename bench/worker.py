@@ -11,6 +11,7 @@ import signal
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
@@ -21,7 +22,7 @@ import numpy as np
 from bench import measure
 from bench.plan import Cell
 from bench.records import Record, Rows, SceneRecord
-from bench.registry import Registry, explain
+from bench.registry import Registry, explain, fingerprint
 from integrators.contract import PreparedRun, Trajectory
 from problems.formulations import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
@@ -46,16 +47,19 @@ class Measured:
 @dataclass
 class _Bench:
     registry: Registry
+    notify: Callable[[str], None]
     prepared: dict[str, PreparedRun] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     references: dict[tuple[str, float], Reference] = field(default_factory=dict)
-    reference_errors: dict[tuple[str, float], dict[str, float]] = field(default_factory=dict)
+    relative: dict[tuple[str, float], dict[str, float]] = field(default_factory=dict)
 
     def reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
         key = (scene.spec, t_end)
         if key not in self.references:
-            self.references[key] = Reference(scene, t_end)
-            self.reference_errors[key] = measure.relative_reference_error(self.references[key])
+            self.notify(f"making the reference of {scene.spec}")
+            reference = Reference(scene, t_end)
+            self.relative[key] = measure.relative_reference_error(reference)
+            self.references[key] = reference
         return self.references[key]
 
     def measure(self, cell: Cell) -> Measured:
@@ -65,12 +69,18 @@ class _Bench:
         record.work = asdict(trajectory.work)
         record.compile_s = compile_s
         if trajectory.status == "ok":
-            reference = self.reference(scene, cell.t_end)
-            record.errors = measure.relative_errors(trajectory, reference)
-            record.reference_error = self.reference_errors[scene.spec, cell.t_end]
-            record.constraint = measure.constraint_residuals(scene, trajectory)
-            record.energy_drift = measure.energy_drift(scene, trajectory)
+            self._compare(record, trajectory, scene)
         return Measured(record, measure.rows_of(trajectory))
+
+    def _compare(self, record: Record, run: Trajectory, scene: MechatronicSystem) -> None:
+        # What goes wrong from here on is not the integrator's fault.
+        try:
+            reference = self.reference(scene, record.t_end)
+            record.errors, record.reference_error = measure.relative_errors(run, reference)
+        except Exception as error:
+            record.message = f"No errors are known, the reference failed: {explain(error)}"
+        record.constraint = measure.constraint_residuals(scene, run)
+        record.energy_drift = measure.energy_drift(scene, run)
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         scene = self.registry.problem(cell.problem)
@@ -130,9 +140,10 @@ class _Bench:
             sizes=scene.sizes._asdict(),
             t0=t0,
             reference_method=reference.method,
-            reference_error=self.reference_errors[problem, t_end],
+            reference_error=self.relative[problem, t_end],
             reference=measure.rows_of(values),
             drawings=drawings,
+            fingerprint=fingerprint(type(scene)),
             **scene.describe(),
         )
 
@@ -141,8 +152,8 @@ def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:
     """Hold an integrator to its word: "ok" means finite values up to the end."""
     if trajectory.status != "ok":
         return trajectory
-    parts = (trajectory.q, trajectory.v, trajectory.a, trajectory.lam, trajectory.x)
-    if not all(np.isfinite(part).all() for part in parts):
+    y = trajectory
+    if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
         trajectory.status = "diverged"
         trajectory.message = "It reported success with values that are not finite."
     elif abs(trajectory.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
@@ -155,9 +166,10 @@ def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:
 
 def serve(pipe: Connection, plugin_paths: list[str]) -> None:
     """Answer jobs ("measure" | "time" | "scene", arguments...) until the pipe closes."""
+    os.dup2(2, 1)  # what a plugin prints must not mix with an answer in JSON
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the runner's business
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    bench = _Bench(Registry(plugin_paths))
+    bench = _Bench(Registry(plugin_paths), lambda phase: pipe.send(("phase", phase)))
     pipe.send(("ready", None))
     while True:
         try:

@@ -34,7 +34,7 @@ class AlphaMethod(StepMethod):
         low=1e-15,
         high=1e-2,
     )
-    newton_max: int = option(20, "most Newton iterations in a step", low=1)
+    newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
 
     formulation: str = option(
         "index3",

@@ -44,6 +44,9 @@ STATUSES = (
 FIRST_ROWS = 16
 SPREAD_ROWS = 200
 
+#: More steps than this cannot be counted exactly in a float, nor waited for.
+MOST_STEPS = 1e12
+
 
 def option(
     default: Any,
@@ -105,7 +108,7 @@ class Steps:
         Raises
         ------
         SpecError
-            If h is larger than the interval.
+            If h is larger than the interval, or absurdly small.
         """
         length = t_end - t0
         if self.h > length * (1 + 1e-9):
@@ -113,11 +116,12 @@ class Steps:
                 f"The step {self.h:g} s is larger than the interval [{t0:g}, {t_end:g}] s; "
                 f"give a step of at most {length:g}."
             )
+        if length / self.h > MOST_STEPS:
+            raise spec.SpecError(
+                f"The step {self.h:g} s makes more than {MOST_STEPS:g} steps in "
+                f"[{t0:g}, {t_end:g}] s; give a larger one."
+            )
         return max(1, math.ceil(length / self.h * (1 - 1e-9)))
-
-    def __str__(self) -> str:
-        parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
-        return f"h={self.h:.6g}{parts}"
 
 
 @dataclass(frozen=True)
@@ -140,9 +144,6 @@ class Tolerances:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise spec.SpecError(f"{name}={value:g} is not allowed; give a positive number.")
-
-    def __str__(self) -> str:
-        return f"rtol={self.rtol:g}, atol={self.atol:g}"
 
 
 @dataclass
@@ -262,6 +263,6 @@ def spread_rows(steps: int) -> np.ndarray:
     with nested steps are compared at the same times.
     """
     most = min(steps, SPREAD_ROWS)
-    rows = next((d for d in range(most, 19, -1) if steps % d == 0), most)
+    rows = next((d for d in range(most, SPREAD_ROWS // 2, -1) if steps % d == 0), most)
     spread = np.round(np.arange(rows + 1) * (steps / max(rows, 1))).astype(np.int64)
     return np.union1d(np.arange(min(FIRST_ROWS, steps) + 1), spread)

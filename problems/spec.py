@@ -12,7 +12,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-_SPEC = re.compile(r"\s*([A-Za-z_][\w.-]*)\s*(?:\[(.*)\])?\s*", re.DOTALL)
+_NAME = r"[A-Za-z_][\w.-]*"
+_SPEC = re.compile(rf"\s*({_NAME})\s*(?:\[(.*)\])?\s*", re.DOTALL)
 
 
 class SpecError(ValueError):
@@ -25,6 +26,11 @@ def suggest(word: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
     listed = "known: " + ", ".join(names) if names else "there are none"
     return f"did you mean {near[0]!r}? ({listed})" if near else listed
+
+
+def is_name(value: Any) -> bool:
+    """Whether a value is text that the grammar reads as a name."""
+    return isinstance(value, str) and re.fullmatch(_NAME, value) is not None
 
 
 def split_spec(text: str) -> tuple[str, dict[str, str]]:
@@ -95,7 +101,8 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
     Raises
     ------
     SpecError
-        For an unknown option (the nearest one is named) or a value that is not allowed.
+        For an unknown option (the nearest one is named), a value that is not allowed, or if the
+        class itself refuses the values, with whatever exception.
     """
     fields = {f.name: f for f in dataclasses.fields(cls) if "type" in f.metadata}
     values = {}
@@ -103,7 +110,13 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
         if key not in fields:
             raise SpecError(f"{name} has no option {key!r}; {suggest(key, fields)}.")
         values[key] = convert(name, fields[key], value)
-    return cls(**values)
+    try:
+        return cls(**values)
+    except SpecError:
+        raise
+    except (Exception, SystemExit) as error:  # the class may be a plugin, which may do anything
+        text = " ".join(str(error).split()).rstrip(".") or "no message"
+        raise SpecError(f"{name} cannot be made: {type(error).__name__}: {text}.") from error
 
 
 def format_spec(name: str, instance: Any) -> str:

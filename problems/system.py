@@ -68,6 +68,8 @@ def parameter(
     A float is traced: it can vary without recompiling. An int is structural (a number of
     links, say): another value is another compiled system.
     """
+    if isinstance(default, np.generic):  # np.float64 is no float to what asks for the type
+        default = default.item()
     meta = {"type": type(default), "unit": unit, "doc": doc, "low": low, "high": high}
     return dataclasses.field(default=default, metadata=meta)
 
@@ -101,6 +103,7 @@ class MechatronicSystem:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        cls.interval = tuple(map(float, cls.interval))
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
 

@@ -41,7 +41,7 @@ def convergence(
     view = replace(view, notes=notes)
     data, panels = [error_data(stepped, group, view) for group in groups], []
     for table in data:
-        behind = floor_rule(stepped, table) + slope_guides(stepped, table, view)
+        behind = floor_rule(stepped, table, view) + slope_guides(stepped, table, view)
         across = ("h", "step size h in s")
         panel = error_panel(table, across, view, not panels, behind)
         panels += [panel] if panel else []
@@ -70,7 +70,7 @@ def work_precision(
     for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
         before = len(panels)
         for table in data:
-            panel = error_panel(table, across, view, not panels, floor_rule(series, table))
+            panel = error_panel(table, across, view, not panels, floor_rule(series, table, view))
             panels += [panel] if panel else []
         columns = max(columns, len(panels) - before)
     return arrange(panels, data, columns, params=view.controls)

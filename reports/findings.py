@@ -132,7 +132,7 @@ def _stuck(members: Sequence[Series], group: str, norm: str) -> str:
     """The errors at the coarsest and the finest step, where there is no order to show."""
     ends = [_range([error_of(s.ok[i], group, norm) for s in members]) for i in (0, -1)]
     text = f"error {ends[0]} at the coarsest step, {ends[1]} at the finest"
-    floor = floor_of((r for s in members for r in s.ok), group)
+    floor = floor_of((r for s in members for r in s.ok), group, norm)
     finest = [e for s in members if (e := error_of(s.ok[-1], group, norm)) is not None]
     if finest and min(finest) <= TRUST * floor:
         text += f"; the reference's own error is {number(floor)}"

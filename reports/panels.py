@@ -120,19 +120,23 @@ def _tips(group: str) -> list[Spec]:
     ]
 
 
-def floor_rule(series: Sequence[Series], data: Data) -> list[Spec]:
+def floor_rule(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
     """The reference's own error, unless it lies so deep that it would squeeze the lines."""
-    floor = floor_of((r for s in series for r in s.ok), data.name)
-    if floor <= 0 or floor * 1e3 < min((row["error"] for row in data.rows), default=0.0):
+    runs = [r for s in series for r in s.ok]
+    floors = [{"norm": n, "floor": floor_of(runs, data.name, n)} for n in view.norms]
+    lowest = min((row["error"] for row in data.rows), default=0.0)
+    floors = [row for row in floors if row["floor"] > 0 and row["floor"] * 1e3 >= lowest]
+    if not floors:
         return []
     tip = quantity("floor", title="reference's own error", format=".2g")
-    return [
-        {
-            "data": {"values": [{"floor": floor}]},
-            "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
-            "encoding": {"y": quantity("floor", scale=log_scale()), "tooltip": tip},
-        }
-    ]
+    layer: Spec = {
+        "data": {"values": floors},
+        "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
+        "encoding": {"y": quantity("floor", scale=log_scale()), "tooltip": tip},
+    }
+    if view.interactive:
+        layer["transform"] = [{"filter": "datum.norm == norm"}]
+    return [layer]
 
 
 def slope_guides(series: Sequence[Series], data: Data, view: View) -> list[Spec]:

@@ -187,9 +187,11 @@ class SceneReader:
         return words(NORM_NAMES[norm] for norm in norms)
 
     def _floor(self, groups: Iterable[str]) -> str:
-        errors = {g: floor_of(self.records, g) for g in groups}
+        errors = {g: floor_of(self.records, g, "max") for g in groups}
         shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
-        return f"The reference's own error (dashed where near): {shown}." if shown else ""
+        if not shown:
+            return ""
+        return f"The reference's own error (dashed where near), relative to the peaks: {shown}."
 
     def _trajectory(self, series: Sequence[Series], name: str) -> Figure | None:
         runs = [r for s in series for r in s.records]

@@ -78,7 +78,7 @@ class Series:
             self._fits[group, norm] = fit_order(
                 [size_of(r) for r in self.ok],
                 [error_of(r, group, norm) for r in self.ok],
-                floor_of(self.ok, group),
+                floor_of(self.ok, group, norm),
             )
         return self._fits[group, norm]
 
@@ -126,9 +126,9 @@ def error_of(record: Record, group: str, norm: str) -> float | None:
     return record.errors.get(group, {}).get(norm)
 
 
-def floor_of(records: Iterable[Record], group: str) -> float:
+def floor_of(records: Iterable[Record], group: str, norm: str) -> float:
     """The largest of the errors of the references that the records were compared with."""
-    return max((r.reference_error.get(group, 0.0) for r in records), default=0.0)
+    return max((r.reference_error.get(group, {}).get(norm, 0.0) for r in records), default=0.0)
 
 
 def whole_order(fit: Fit) -> int | None:

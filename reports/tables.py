@@ -61,7 +61,7 @@ def targets(series: Sequence[Series]) -> Table | None:
 
 
 def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
-    floor = floor_of((r for s in series for r in s.ok), group)
+    floor = floor_of((r for s in series for r in s.ok), group, "max")
     if TRUST * floor > target:
         return [f"cannot be judged: the reference's own error is {number(floor)}", "", ""]
     tried = [s for s in series if s.ok]
@@ -116,11 +116,12 @@ def summary(series: Sequence[Series]) -> Table:
             found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
             cells.append(number(min(found, default=None)))
             if found:
-                floor = floor_of(s.ok, group)
+                floor = floor_of(s.ok, group, "end")
                 if min(found) <= TRUST * floor:
                     cells[-1] += " *"
                     doubtful = True
-                best_errors.setdefault(j, []).append((min(found), i))
+                else:
+                    best_errors.setdefault(j, []).append((min(found), i))
         run = _most_accurate(s)
         rows.append(
             [

@@ -28,6 +28,8 @@ class Run(PreparedRun):
             os._exit(3)
         if self.how == "hang":
             time.sleep(3600)
+        if self.how == "slow":
+            time.sleep(2.5)
         if self.how == "hog":
             self.hoard = [np.ones(10**7) for _ in range(60)]
             time.sleep(3600)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from integrators import Steps, alpha_step, march
 from integrators.alpha_family import HHT, WBZ, GeneralizedAlpha, Newmark
 from integrators.alpha_step import first_order_parameters, second_order_parameters, updated_weight
+from integrators.contract import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from problems import MechatronicSystem, State, formulations, jnp, parameter
 from problems.pendulum import Pendulum
 from problems.spec import SpecError
@@ -339,6 +340,15 @@ def test_a_step_must_be_positive_and_fit_the_interval():
         Steps(2.0).count(0.0, 1.0)
     assert Steps(0.1).count(0.0, 5.0) == 50
     assert Steps(0.3).count(0.0, 1.0) == 4
+
+
+@given(st.integers(1, 20_000))
+def test_a_trajectory_keeps_enough_rows_whatever_the_number_of_steps(steps):
+    rows = spread_rows(steps)
+    assert rows[0] == 0
+    assert rows[-1] == steps
+    assert (np.diff(rows) > 0).all()
+    assert min(steps, 100) < len(rows) <= FIRST_ROWS + SPREAD_ROWS + 1
 
 
 def test_constraints_need_positions_in_the_step():

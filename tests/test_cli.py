@@ -6,7 +6,6 @@ import io
 import json
 import subprocess
 import sys
-import time
 
 import pandas as pd
 import pytest
@@ -95,6 +94,7 @@ def test_tables_for_people_show_the_same(stepbench):
         (["solve", "pendulum", "newmark", "--step", "-0.1"], "give a positive number"),
         (["solve", "pendulum", "newmark", "--step", "nan"], "give a positive number"),
         (["solve", "pendulum", "newmark", "--step", "7"], "larger than the interval"),
+        (["solve", "pendulum", "newmark", "--step", "1e-320"], "give a larger one"),
         (["solve", "pendulum", "newmark", "--t-end", "0.1"], "does not lie after the start"),
         (["solve", "pendulum", "newmark", "--t-end", "nan"], "does not lie after the start"),
         (["solve", "pendulum", "newmark", "--t-end", "inf"], "does not lie after the start"),
@@ -133,6 +133,8 @@ def test_bad_input_is_one_sentence(stepbench, tmp_path, monkeypatch, arguments, 
         ("[[study]]\nproblems = ['pendulum']\nintegrators = 3", "integrators"),
         ("[[study]]\nproblems = ['pendulum']", "integrators"),
         ("study = [", "not valid TOML"),
+        ("study = 3", "not as expected"),
+        ("study = [1]", "not as expected"),
         ("samples = 0\nstudy = []", "samples=0"),
         ("budget_s = -1\nstudy = []", "budget_s=-1"),
         ("study = []", "Nothing is left to run"),
@@ -214,6 +216,17 @@ def test_select_and_add_on_the_command_line(tmp_path):
     assert {c.integrator for c in added.cells.values()} == {"newmark[beta=0.25,gamma=0.6]"}
 
 
+def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
+    from bench.plan import make_suite, read_profile
+    from bench.registry import Registry
+
+    suite = make_suite(*read_profile("quick"), Registry(), ["pendulum"], ["newmark", "ida"])
+    first, second = suite.plan.studies
+    assert sum("newmark" in key for key in first.cells) == 6
+    assert not any("newmark" in key for key in second.cells)
+    assert all("index3" in key for key in second.cells)
+
+
 def test_help_has_examples_for_every_command(stepbench):
     for name, command in main.commands.items():
         text = stepbench(name, "--help").output
@@ -231,7 +244,5 @@ def test_help_and_list_do_not_wait_for_heavy_libraries(arguments):
         "heavy = {'jax', 'scipy', 'diffrax', 'sksundae', 'altair'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    started = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert time.monotonic() - started < 30  # a hang, not a benchmark

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,6 +58,66 @@ def test_a_crash_while_timing_keeps_the_measured_row():
     assert crashed.status == well.status == "ok"
     assert crashed.run_s == []
     assert len(well.run_s) == 2
+
+
+def test_a_reference_that_fails_is_not_the_integrators_fault(stepbench, tmp_path):
+    (tmp_path / "odd.py").write_text(
+        "from problems.pendulum import Pendulum\nimport numpy as np\n"
+        "class OddPendulum(Pendulum):\n    'A closed form that forgets v after the start.'\n"
+        "    interval = (0, 1)\n"
+        "    def exact(self, t):\n        full = super().exact(t)\n"
+        "        return full if len(t) == 1 else {'q': full['q']}\n"
+    )
+    result = stepbench("solve", "odd_pendulum", "newmark", "--plugins", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["status"] == "ok"
+    assert answer["errors"] == {}
+    assert "the reference failed: KeyError" in answer["message"]
+
+
+def test_an_edited_plugin_is_measured_anew(stepbench, tmp_path):
+    file, out = tmp_path / "soft.py", tmp_path / "out"
+    profile = tmp_path / "one.toml"
+    profile.write_text(
+        "samples = 1\n[[study]]\nproblems = ['soft_spring']\nt_end = 1.0\n"
+        "integrators = ['newmark', 'newmark']\nsteps = [0.1, 0.1]\n"
+    )
+    code = (
+        "from problems.spring_mass import SpringMass\n"
+        "class SoftSpring(SpringMass):\n    '{0}'\n"
+        "    def force(self, q, v, t):\n        return -{0} * q\n"
+    )
+    stories = []
+    for stiffness in ("0.5", "0.5", "0.25"):
+        file.write_text(code.format(stiffness))
+        command = [sys.executable, "-m", "bench", "run", profile, "--out", out, "--plugins", file]
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        stories.append(done.stdout.splitlines()[0])
+        with Store(out) as store:
+            (scene,) = store.scenes().values()
+            assert scene.title == stiffness
+    assert "1 measured now" in stories[0]
+    assert "0 measured now" in stories[1]
+    assert "1 measured now" in stories[2]
+
+
+def test_a_larger_budget_tries_again(stepbench, tmp_path):
+    profile, out = tmp_path / "p.toml", tmp_path / "out"
+    text = (
+        "budget_s = {0}\nsamples = 1\n[[study]]\nproblems = ['pendulum']\nsteps = [0.01]\n"
+        "integrators = ['misbehaving[how=slow]']\n"
+    )
+    stories = []
+    for budget in (1.0, 1.0, 30.0):
+        profile.write_text(text.format(budget))
+        result = stepbench("run", profile, "--out", out, "--plugins", PLUGINS)
+        assert result.exit_code == 0, result.output
+        stories.append(result.output)
+    assert "0 ok, 1 failed" in stories[0]
+    assert "0 measured now" in stories[1]
+    assert "1 ok, 0 failed" in stories[2]
 
 
 def test_an_inconsistent_start_is_one_sentence(stepbench):

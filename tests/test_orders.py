@@ -77,3 +77,29 @@ def test_errors_that_do_not_fall_are_called_so():
     scattered = fit_order(STEPS, [0.3, 0.8, 0.2, 0.9, 0.3, 1.1, 0.25, 0.7])
     assert scattered.verdict == "does not converge"
     assert scattered.order is None
+
+
+def test_a_plateau_of_round_off_is_no_order_zero():
+    fit = fit_order(STEPS, [1e-3 * h**4 + 2e-12 for h in STEPS])
+    assert fit.verdict != "does not converge"
+    assert fit.order is None or fit.order == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_long_rise_of_round_off_does_not_hide_the_order():
+    errors = [1e-5, 2.5e-6, 6.3e-7, 2.2e-7, 5.5e-7, 2.1e-6, 7.4e-6, 2.8e-5]
+    fit = fit_order([1e-3 * 2.0**-k for k in range(8)], errors)
+    assert fit.verdict != "does not converge"
+    assert fit.order is None or fit.order == pytest.approx(2.0, abs=0.25)
+
+
+@pytest.mark.parametrize("share", [1e-3, 3e-3])
+def test_an_order_that_is_still_falling_at_the_finest_step_is_not_claimed(share):
+    fit = fit_order(STEPS, [h**2 + share * h for h in STEPS])
+    assert fit.order is None
+    assert fit.verdict == "not determined"
+
+
+def test_a_step_given_twice_is_one_point():
+    once = fit_order(STEPS, [h**2 for h in STEPS])
+    assert fit_order(STEPS + STEPS[:2], [h**2 for h in STEPS + STEPS[:2]]) == once
+    assert fit_order([0.1] * 3, [0.3] * 3).verdict == "not determined"

@@ -20,7 +20,7 @@ import pytest
 import vl_convert
 
 from bench.orders import fit_order
-from bench.records import Environment, Plan, Record, Rows, SceneRecord, Study, median
+from bench.records import NORMS, Environment, Plan, Record, Rows, SceneRecord, Study, median
 from bench.store import Store
 from reports import charts, html, markdown
 from reports.findings import findings
@@ -57,7 +57,7 @@ def planted(
             g: dict.fromkeys(("end", "max", "rms", "settled"), c * h**p)
             for g, (c, p) in groups.items()
         },
-        "reference_error": dict.fromkeys(groups, 1e-15),
+        "reference_error": {g: dict.fromkeys(NORMS, 1e-15) for g in groups},
         "work": {"steps": steps, "residuals": 3 * steps},
         "compile_s": 1.5,
         "environment": 1,
@@ -312,7 +312,7 @@ def test_a_target_nobody_reached_names_the_nearest() -> None:
 def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
     records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
     for record in records:
-        record.reference_error = {"q": 1e-7}
+        record.reference_error = {"q": dict.fromkeys(NORMS, 1e-7)}
     rows = targets(series_of(records)).rows
     assert "1 of" not in rows[2][1]
     assert rows[2][1] == "cannot be judged: the reference's own error is 1e-07"

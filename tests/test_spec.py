@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,6 +14,7 @@ from integrators.alpha_family import HHT, GeneralizedAlpha, Newmark
 from problems import spec
 from problems.pendulum import Pendulum
 from problems.spec import SpecError, build, split_spec
+from problems.system import parameter
 
 
 def read(cls, text):
@@ -64,3 +69,46 @@ def test_a_wrong_option_is_named_with_what_is_allowed(cls, text, words):
 )
 def test_class_names_become_plugin_names(name, wanted):
     assert spec.snake_case(name) == wanted
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ZeroDivisionError("so it\ngoes."), "moody cannot be made: ZeroDivisionError: so it goes."),
+        (KeyError(), "moody cannot be made: KeyError: no message."),
+        (SystemExit("enough"), "moody cannot be made: SystemExit: enough."),
+        (SpecError("These two do not go together."), "These two do not go together."),
+    ],
+)
+def test_a_class_that_refuses_its_values_is_one_sentence(error, words):
+    @dataclass(frozen=True)
+    class Moody(HHT):
+        def __post_init__(self):
+            raise error
+
+    with pytest.raises(SpecError) as caught:
+        build(Moody, {}, "moody")
+    assert str(caught.value) == words
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_a_numpy_default_is_a_traced_parameter_like_any_float(kind):
+    @dataclass(frozen=True)
+    class Heavy(Pendulum):
+        load: float = parameter(kind(2.0), "kg", "load")
+
+    assert type(Heavy().load) is float
+    assert Heavy().parameters()["load"] == 2.0
+    with pytest.raises(SpecError, match="not a finite number"):
+        build(Heavy, {"load": "nan"}, "heavy")
+
+
+def test_a_numpy_integer_default_is_a_structural_parameter():
+    @dataclass(frozen=True)
+    class Chain(Pendulum):
+        links: int = parameter(np.int64(3), "", "links")
+
+    assert json.dumps(Chain().links) == "3"
+    assert "links" not in Chain().parameters()
+    with pytest.raises(SpecError, match="not a int"):
+        build(Chain, {"links": "2.5"}, "chain")

@@ -5,13 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from bench.records import Environment, Plan, Record, Rows, SceneRecord, Study, flatten, median
 from bench.store import FILE, Store, StoreError
+
+NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
+NO_ROWS = Rows(t=[], values={})
 
 
 def a_record(key="k", **more):
@@ -29,7 +37,7 @@ def a_record(key="k", **more):
         "errors": {"q": {"end": 1e-3, "max": None}},
         "work": {"steps": 10},
         "constraint": {"position": 1e-12},
-        "reference_error": {"q": 1e-15},
+        "reference_error": {"q": {"end": 1e-15}},
     } | more
     return Record(key=key, **given)
 
@@ -87,8 +95,6 @@ def test_a_record_that_is_measured_anew_loses_its_old_samples(tmp_path):
         store.add_sample("k", 0, 1.0)
         store.save(a_record(status="diverged"), Rows(t=[], values={}))
         assert store.records()["k"].run_s == []
-        store.clear()
-        assert store.records() == {}
 
 
 def test_records_come_in_the_order_of_the_plan(tmp_path):
@@ -106,7 +112,7 @@ def test_a_folder_without_results_is_refused(tmp_path):
 
 
 def test_a_file_that_is_no_store_is_refused(tmp_path):
-    (tmp_path / FILE).write_text("not a database, but long enough to have a header" * 50)
+    (tmp_path / FILE).write_text(NOT_A_DATABASE)
     with pytest.raises(StoreError, match="cannot be opened"):
         Store(tmp_path)
 
@@ -117,6 +123,184 @@ def test_a_store_of_another_schema_is_refused_with_the_way_out(tmp_path):
         db.execute("UPDATE meta SET value = '99' WHERE name = 'schema'")
     with pytest.raises(StoreError, match=r"schema 99.*--fresh"):
         Store(tmp_path)
+
+
+def change(folder: Path, sql: str) -> None:
+    """Change a store behind its back."""
+    with closing(sqlite3.connect(folder / FILE)) as db, db:
+        db.execute(sql)
+
+
+def filled(folder: Path) -> Path:
+    """A folder with a store that has one of everything."""
+    machine = Environment(
+        date="", command="", cpu="", cores=1, memory_gib=1.0, platform="", versions={}
+    )
+    with Store(folder, create=True) as store:
+        store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
+        store.save_environment(machine)
+        store.save_scene(A_SCENE)
+        store.save(a_record(), NO_ROWS)
+        store.add_sample("k", 0, 1.0)
+    return folder
+
+
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """A folder that another user can reach (those of tmp_path are closed to others)."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+        os.chmod(folder, 0o700)
+
+
+@contextmanager
+def no_right_to_write(folder: Path) -> Iterator[None]:
+    """The folder is read-only, and the test is not root, to whom that means nothing."""
+    folder.chmod(0o555)
+    for file in folder.iterdir():
+        file.chmod(0o444)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
+def test_fresh_forgets_everything_in_a_good_store(tmp_path):
+    filled(tmp_path)
+    with Store(tmp_path, create=True, fresh=True) as store:
+        assert store.plan() is None
+        assert (store.records(), store.scenes(), store.environments()) == ({}, {}, {})
+        store.save(a_record("new"), NO_ROWS)
+    with Store(tmp_path) as store:
+        assert list(store.records()) == ["new"]
+
+
+def test_create_without_fresh_keeps_what_is_there(tmp_path):
+    filled(tmp_path)
+    with Store(tmp_path, create=True) as store:
+        assert list(store.records()) == ["k"]
+
+
+def test_fresh_replaces_a_damaged_file_and_its_log(tmp_path):
+    for suffix in ("", "-wal", "-shm"):
+        (tmp_path / (FILE + suffix)).write_text(NOT_A_DATABASE)
+    with pytest.raises(StoreError, match=r"cannot be opened.*--fresh or another --out"):
+        Store(tmp_path, create=True)
+    with Store(tmp_path, create=True, fresh=True) as store:
+        store.save(a_record(), NO_ROWS)
+    with Store(tmp_path) as store:
+        assert list(store.records()) == ["k"]
+
+
+def test_fresh_replaces_a_store_of_another_schema(tmp_path):
+    change(filled(tmp_path), "UPDATE meta SET value = '99' WHERE name = 'schema'")
+    with pytest.raises(StoreError, match="schema 99"):
+        Store(tmp_path, create=True)
+    Store(tmp_path, create=True, fresh=True).close()
+    with Store(tmp_path) as store:
+        assert store.records() == {}
+
+
+def test_fresh_in_a_folder_that_cannot_be_written_is_refused_and_keeps_it(shared):
+    filled(shared)
+    with no_right_to_write(shared), pytest.raises(StoreError, match="another --out"):
+        Store(shared, create=True, fresh=True)
+    with Store(shared) as store:
+        assert list(store.records()) == ["k"]
+
+
+@pytest.mark.parametrize(
+    "damage", ["X'7B22'", "X'5B5D'", "X'22FF22'", "7"], ids=["cut", "form", "utf8", "type"]
+)
+@pytest.mark.parametrize(
+    ("column", "read"),
+    [
+        ("meta SET value = {} WHERE name = 'plan'", Store.plan),
+        ("environments SET value = {}", Store.environments),
+        ("scenes SET value = {}", Store.scenes),
+        ("records SET value = {}", Store.records),
+        ("records SET rows = {}", lambda store: store.rows("k")),
+    ],
+    ids=["plan", "environments", "scenes", "records", "rows"],
+)
+def test_a_damaged_value_is_named_with_the_way_out(tmp_path, column, read, damage):
+    change(filled(tmp_path), f"UPDATE {column.format(damage)}")
+    with (
+        Store(tmp_path) as store,
+        pytest.raises(StoreError, match=rf"{tmp_path / FILE} cannot be read.*--fresh or another"),
+    ):
+        read(store)
+
+
+def test_a_missing_table_is_named_with_the_way_out(tmp_path):
+    change(filled(tmp_path), "DROP TABLE scenes")
+    with (
+        Store(tmp_path) as store,
+        pytest.raises(StoreError, match=r"cannot be read \(no such table: scenes\).*--fresh"),
+    ):
+        store.scenes()
+
+
+def test_a_sample_without_its_record_is_named_with_the_way_out(tmp_path):
+    change(filled(tmp_path), "INSERT INTO samples VALUES ('lost', 0, 1.0)")
+    with (
+        Store(tmp_path) as store,
+        pytest.raises(StoreError, match=r"sample of lost has no record.*--fresh"),
+    ):
+        store.records()
+
+
+def test_reading_changes_no_byte_and_cannot_write(tmp_path):
+    before = (filled(tmp_path) / FILE).read_bytes()
+    with Store(tmp_path) as store:
+        assert list(store.records()) == ["k"]
+        with pytest.raises(StoreError, match="readonly"):
+            store.save(a_record("other"), NO_ROWS)
+        with pytest.raises(StoreError, match="readonly"):
+            store.add_sample("k", 1, 1.0)
+    assert (tmp_path / FILE).read_bytes() == before
+
+
+@pytest.mark.parametrize("sql", ["", "CREATE TABLE other (x)", "CREATE TABLE meta (name, value)"])
+def test_a_database_that_is_no_store_is_refused_and_left_as_it_is(tmp_path, sql):
+    change(tmp_path, sql)
+    before = (tmp_path / FILE).read_bytes()
+    with pytest.raises(StoreError, match=r"no stepbench store.*--fresh"):
+        Store(tmp_path)
+    assert (tmp_path / FILE).read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == [FILE]
+
+
+def test_a_store_is_read_while_a_run_writes_it(tmp_path):
+    with Store(tmp_path, create=True) as writer, Store(tmp_path) as reader:
+        writer.save(a_record(), NO_ROWS)
+        assert list(reader.records()) == ["k"]
+
+
+def test_a_store_in_a_folder_with_signs_of_a_uri_is_read(tmp_path):
+    folder = filled(tmp_path / "50% #1?mode=rwc&x ü")
+    with Store(folder) as store:
+        assert list(store.records()) == ["k"]
+
+
+def test_a_store_in_a_read_only_folder_is_read(shared):
+    filled(shared)
+    with no_right_to_write(shared), Store(shared) as store:
+        assert store.records()["k"].run_s == [1.0]
+    assert [file.name for file in shared.iterdir()] == [FILE]
+
+
+def test_rows_in_a_log_that_cannot_be_read_are_not_passed_over(shared):
+    with Store(shared, create=True) as store:
+        store.save(a_record(), NO_ROWS)
+        kept = {name: (shared / name).read_bytes() for name in (FILE, FILE + "-wal")}
+    for name, content in kept.items():  # as a killed run leaves them, copied without the index
+        (shared / name).write_bytes(content)
+    with no_right_to_write(shared), pytest.raises(StoreError, match="cannot be opened"):
+        Store(shared)
 
 
 def test_a_full_disk_keeps_what_was_stored(tmp_path):

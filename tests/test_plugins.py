@@ -1,0 +1,123 @@
+"""Plugins and options that are not as they should be cost one sentence, never the others."""
+
+from __future__ import annotations
+
+import json
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from bench.options import ShortErrors
+
+HEAD = """
+from dataclasses import dataclass
+from problems.pendulum import Pendulum
+from problems import parameter
+"""
+SCENE = """
+@dataclass(frozen=True)
+class HeavyBob(Pendulum):
+    'A heavy bob.'
+    m: float = parameter(50.0, 'kg', 'mass')
+"""
+
+
+@pytest.fixture
+def listed(stepbench, tmp_path):
+    """List a plugin file of this code as JSON: the scenes by name."""
+
+    def call(code: str) -> dict:
+        file = tmp_path / "plugin.py"
+        file.write_text(HEAD + code)
+        result = stepbench("list", "problems", "--plugins", file, "--json")
+        assert result.exit_code == 0, result.output
+        return {row["name"]: row for row in json.loads(result.stdout)["problems"]}
+
+    return call
+
+
+@pytest.mark.parametrize("name", ["None", "3", "''", "'two words'", "'a[b=1]'", "'1st'"])
+def test_a_name_that_cannot_be_written_is_unavailable_with_its_reason(listed, stepbench, name):
+    scenes = listed(f"{SCENE}    name = {name}\n")
+    assert not scenes["HeavyBob"]["available"]
+    assert "is not a word of letters" in scenes["HeavyBob"]["reason"]
+    assert scenes["pendulum"]["available"]
+    assert stepbench("list").exit_code == 0
+
+
+def test_a_numpy_default_is_listed_as_json(listed):
+    scenes = listed(
+        "import numpy as np\n" + SCENE + "    n: int = parameter(np.int64(3), '', 'links')\n"
+    )
+    defaults = {option["name"]: option["default"] for option in scenes["heavy_bob"]["options"]}
+    assert defaults["n"] == 3
+
+
+def test_what_a_plugin_prints_at_import_stays_out_of_the_json(listed):
+    assert listed("print('hello')\n" + SCENE)["heavy_bob"]["available"]
+
+
+def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
+    from bench.registry import _checked
+    from problems.pendulum import Pendulum
+
+    def load():
+        print("hello")
+        return Pendulum
+
+    assert _checked("problems", "pendulum", "here", load).cls is Pendulum
+    assert capsys.readouterr().out == ""
+
+
+def test_a_plugin_that_fails_when_it_is_made_is_one_sentence(stepbench, tmp_path):
+    file = tmp_path / "plugin.py"
+    file.write_text(HEAD + SCENE + "    def __post_init__(self):\n        1 / 0\n")
+    result = stepbench("solve", "heavy_bob", "newmark", "--plugins", file)
+    assert isinstance(result.exception, SystemExit)
+    assert "heavy_bob cannot be made: ZeroDivisionError: division by zero." in result.output
+
+
+@pytest.mark.parametrize("path", ["", " "])
+def test_an_empty_plugin_path_does_not_import_the_current_folder(
+    stepbench, tmp_path, monkeypatch, path
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "innocent.py").write_text("open('imported', 'w').close()\n")
+    result = stepbench("list", "--plugins", path)
+    assert isinstance(result.exception, SystemExit)
+    assert "The path of a plugin is empty" in result.output
+    assert not (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (["--steps", "0.1,,0.05,0.025"], "'0.1,,0.05,0.025' is not a list of numbers"),
+        (["--steps", "0.1,0.05,0.025,"], "is not a list of numbers"),
+        (["--steps", ""], "'' is not a list of numbers"),
+        (["--pattern", ""], "'' is not a list of numbers"),
+        (["--set", "m=1", "--set", " m =2"], "'m' is given twice"),
+        (["--set", "m= "], "not of the form name=value"),
+        (["--set", " =1"], "not of the form name=value"),
+        (["--budget", "nan"], "nan is not a number of seconds"),
+        (["--budget", "0"], "not in the range"),
+    ],
+)
+def test_an_option_with_a_gap_or_a_contradiction_is_refused(stepbench, option, words):
+    result = stepbench("order", "spring_mass", "newmark", *option)
+    assert isinstance(result.exception, SystemExit)
+    assert result.exit_code == 2
+    assert words in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(("command", "stored"), [("run", True), ("solve", False)])
+def test_ctrl_c_promises_to_go_on_only_where_results_are_stored(command, stored):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    group = ShortErrors(commands=[click.Command(command, callback=interrupted)])
+    result = CliRunner().invoke(group, [command])
+    assert result.exit_code == 130
+    assert result.stderr.startswith("Interrupted.")
+    assert ("is stored; the same command goes on" in result.stderr) == stored
