@@ -214,7 +214,7 @@ class Store:
 
 
 def _remove(path: Path) -> None:
-    # The log goes first: were it left behind, SQLite could replay it into the new file.
+    # The file goes last: a log left behind without its file would meet the new one.
     for suffix in ("-wal", "-shm", ""):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import msgspec
-
 from bench.records import GROUPS, Record, Rows, SceneRecord, Study
+from bench.store import StoreError
 from reports import charts, tables
 from reports.findings import Finding, findings
 from reports.marks import Spec
@@ -226,7 +225,7 @@ class SceneReader:
         """What can be drawn of a run; a run that broke off may have left no numbers at all."""
         try:
             rows = self.rows(record.key)
-        except (KeyError, msgspec.ValidationError):
+        except (KeyError, StoreError):
             return None
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None

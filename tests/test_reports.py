@@ -508,7 +508,7 @@ def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> 
 
 def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
     plant(tmp_path, some())
-    with Store(tmp_path) as store:
+    with Store(tmp_path, create=True) as store:
         scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
         store.save_scene(msgspec.structs.replace(scene, t_end=2.0))
     page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
@@ -545,7 +545,7 @@ def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
     assert "0 of 36 timed runs spread by more than 50%" in page.words
     records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
     plant(tmp_path, records, samples=1)
-    with Store(tmp_path) as store:
+    with Store(tmp_path, create=True) as store:
         for record in records[:4]:
             store.add_sample(record.key, 1, 1.0)
         store.add_sample(records[5].key, 1, 1e-6 * records[5].work["residuals"])
@@ -591,7 +591,7 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
 
 def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
     plant(tmp_path, some())
-    with Store(tmp_path) as store:
+    with Store(tmp_path, create=True) as store:
         plan = store.plan()
         plan.studies[0].cells += ["later 1", "later 2"]
         plan.studies.append(
@@ -609,7 +609,7 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
     wild = planted("pendulum", "wild", {"q": (1.0, 2)}, h=0.1)
     wild.errors["q"] = dict.fromkeys(("end", "max", "rms", "settled"))
     plant(tmp_path, [wild])
-    with Store(tmp_path) as store:
+    with Store(tmp_path, create=True) as store:
         store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
     text = markdown.write(tmp_path).read_text(encoding="utf-8")
     assert "Some errors of runs that reached the end are not finite" in text

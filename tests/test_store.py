@@ -185,14 +185,19 @@ def test_create_without_fresh_keeps_what_is_there(tmp_path):
 
 
 def test_fresh_replaces_a_damaged_file_and_its_log(tmp_path):
-    for suffix in ("", "-wal", "-shm"):
-        (tmp_path / (FILE + suffix)).write_text(NOT_A_DATABASE)
+    (tmp_path / FILE).write_text(NOT_A_DATABASE)
     with pytest.raises(StoreError, match=r"cannot be opened.*--fresh or another --out"):
         Store(tmp_path, create=True)
+    seconds = []  # names of the old files that show whether these were written to
+    for suffix in ("", "-wal", "-shm"):
+        (tmp_path / (FILE + suffix)).write_text(NOT_A_DATABASE)
+        seconds.append(tmp_path / f"second{suffix}")
+        os.link(tmp_path / (FILE + suffix), seconds[-1])
     with Store(tmp_path, create=True, fresh=True) as store:
         store.save(a_record(), NO_ROWS)
     with Store(tmp_path) as store:
         assert list(store.records()) == ["k"]
+    assert [file.read_text() for file in seconds] == [NOT_A_DATABASE] * 3
 
 
 def test_fresh_replaces_a_store_of_another_schema(tmp_path):
