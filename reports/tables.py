@@ -265,11 +265,16 @@ def timing(series: Sequence[Series]) -> Table | None:
                 " to ".join(str(n) for n in dict.fromkeys((sizes[0], sizes[-1]))),
                 number(median(spreads)),
                 number(max(spreads, default=None)),
+                number(max(compiled, default=None)),
                 number(median(compiled)),
             ]
         )
     head = ["integrator", "runs timed", "samples per run", "spread, median", "spread, worst"]
-    return Table("Timing", [*head, "prepared and compiled in s, median"], rows) if rows else None
+    return (
+        Table("Timing", [*head, "prepared in s, first (compiles)", "median"], rows)
+        if rows
+        else None
+    )
 
 
 def spread(record: Record) -> float | None:
