@@ -271,7 +271,7 @@ def timing(series: Sequence[Series]) -> Table | None:
         )
     head = ["integrator", "runs timed", "samples per run", "spread, median", "spread, worst"]
     return (
-        Table("Timing", [*head, "prepared in s, first (compiles)", "median"], rows)
+        Table("Timing", [*head, "prepared in s, longest (compiles)", "median"], rows)
         if rows
         else None
     )
