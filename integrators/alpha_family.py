@@ -20,6 +20,14 @@ from integrators.march import StepMethod
 from problems.system import MechatronicSystem
 
 
+def _gamma_policy() -> Any:
+    return option(
+        "fixed",
+        "gamma and theta: fixed, or updated from the step ratio",
+        choices=("fixed", "updated"),
+    )
+
+
 @dataclass(frozen=True)
 class AlphaMethod(StepMethod):
     """Base of the members of the family: a member only says which scheme it is."""
@@ -89,11 +97,7 @@ class GeneralizedAlpha(AlphaMethod):
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
-    gamma: str = option(
-        "fixed",
-        "gamma and theta: fixed, or updated from the step ratio",
-        choices=("fixed", "updated"),
-    )
+    gamma: str = _gamma_policy()
 
     def parameters(self) -> tuple[float, ...]:
         rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
@@ -114,11 +118,7 @@ class HHT(AlphaMethod):
     alpha: float = option(
         0.1, "damping parameter; rho_inf = (1-alpha)/(1+alpha)", low=0.0, high=1 / 3, always=True
     )
-    gamma: str = option(
-        "fixed",
-        "gamma and theta: fixed, or updated from the step ratio",
-        choices=("fixed", "updated"),
-    )
+    gamma: str = _gamma_policy()
 
     def parameters(self) -> tuple[float, ...]:
         gamma = 0.5 + self.alpha
@@ -143,11 +143,7 @@ class WBZ(AlphaMethod):
     rho_inf: float = option(
         0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
     )
-    gamma: str = option(
-        "fixed",
-        "gamma and theta: fixed, or updated from the step ratio",
-        choices=("fixed", "updated"),
-    )
+    gamma: str = _gamma_policy()
 
     def parameters(self) -> tuple[float, ...]:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)

@@ -132,24 +132,18 @@ def ode_rate(scene: MechatronicSystem, sizes: Sizes, t: Any, s: Any) -> Any:
     return jnp.concatenate([v, z.a, xdot])
 
 
-def jerk(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> Any:
-    """Third derivative of q along the motion, shape ``(nq,)``."""
+def with_rates(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> tuple:
+    """Variables, xdot, and the next derivatives along the motion: jerk ``(nq,)``, xddot ``(nx,)``.
+
+    The derivatives are one Jacobian-vector product of `complete` in the direction of the motion.
+    """
     z, xdot = complete(scene, sizes, q, v, x, t)
-    return jax.jvp(
-        lambda q, v, x, t: solve_algebraic(scene, sizes, q, v, x, t)[0],
+    _, (dz, xddot) = jax.jvp(
+        lambda q, v, x, t: complete(scene, sizes, q, v, x, t),
         (q, v, x, t),
         (v, z.a, xdot, jnp.ones_like(t)),
-    )[1]
-
-
-def xddot(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> Any:
-    """Second derivative of x along the motion, shape ``(nx,)``."""
-    z, xdot = complete(scene, sizes, q, v, x, t)
-    return jax.jvp(
-        lambda q, v, x, t: complete(scene, sizes, q, v, x, t)[1],
-        (q, v, x, t),
-        (v, z.a, xdot, jnp.ones_like(t)),
-    )[1]
+    )
+    return z, xdot, dz.a, xddot
 
 
 def constrained_part(scene: MechatronicSystem, sizes: Sizes, q: Any, t: Any, w: Any) -> Any:
@@ -239,10 +233,6 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
     def at(p: dict) -> MechatronicSystem:
         return template.with_parameters(p)
 
-    def with_jerk(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
-        z, xdot = complete(at(p), sizes, q, v, x, t)
-        return z, xdot, jerk(at(p), sizes, q, v, x, t), xddot(at(p), sizes, q, v, x, t)
-
     def levels(p: dict, q: Any, v: Any, a: Any, t: Any) -> tuple:
         s = at(p)
         return (
@@ -252,7 +242,7 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
         )
 
     return Compiled(
-        start=jax.jit(with_jerk),
+        start=jax.jit(lambda p, q, v, x, t: with_rates(at(p), sizes, q, v, x, t)),
         ode=jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
         complete=_over_rows(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t)),
         levels=_over_rows(levels),
