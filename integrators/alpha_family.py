@@ -63,6 +63,17 @@ class AlphaMethod(StepMethod):
     def parameters(self) -> tuple[float, ...]:
         """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
 
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        s, claims = self.numbers(), dict(self.orders)
+        if abs(s.gamma - (0.5 + s.alpha_f - s.alpha_m)) > 1e-12:
+            return dict.fromkeys(claims, 1)
+        if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
+            return dict.fromkeys(AlphaMethod.orders, 1)
+        undamped = s.alpha_f >= 0.5 or s.alpha_m == s.alpha_f
+        if scene.has("constraint") and self.formulation == "index3" and undamped:
+            return {"q": 2, "v": 2}  # a and lam oscillate without end
+        return claims
+
     def numbers(self) -> Scheme:
         corrected = self.start == "corrected"
         return Scheme(*self.parameters(), corrected, self.newton_tol, self.newton_max)

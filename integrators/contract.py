@@ -239,6 +239,17 @@ class Integrator(ABC):
     def formulation(self) -> str:
         """The formulation in which it takes a constrained scene (see problems.formulations)."""
 
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        """Claimed order per group on this scene, at equal steps and after the start transient.
+
+        ``stepbench check`` measures them. Override where an option or the kind of scene matters.
+        """
+        return self.orders
+
+    def at_constant_steps(self) -> Integrator | None:
+        """The same method at constant steps, where its order is measured; None if it has none."""
+        return self if self.controls == "step" else None
+
     def supports(self, scene: MechatronicSystem) -> str | None:
         """None if it can take the scene, else the reason in one sentence."""
         return None
