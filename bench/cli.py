@@ -12,6 +12,7 @@ import click
 
 from bench import answers, options
 from bench import plan as plans
+from bench.cli_plugins import check, new
 from bench.plan import Cell, check_end, make_suite, read_profile
 from bench.records import Record, Rows, flatten
 from bench.registry import Registry, explain
@@ -33,6 +34,7 @@ Examples:
   stepbench solve pendulum "generalized_alpha[rho_inf=0.8]" --step 0.01
   stepbench order pendulum newmark --steps 0.02,0.01,0.005,0.0025
   stepbench run -i my_method --plugins my_method.py
+  stepbench new integrator my_method && stepbench check my_method.py
 """,
 )
 @click.version_option(package_name="stepbench")
@@ -309,6 +311,10 @@ def export(folder: Path, form: str, out: Path | None) -> None:
         click.echo(f"{len(rows)} records in {out}")
     else:
         click.echo(text, nl=False)
+
+
+main.add_command(check)
+main.add_command(new)
 
 
 # ---- helpers ---------------------------------------------------------------------------

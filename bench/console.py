@@ -17,7 +17,9 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
 from bench.records import NORMS, Record, Rows, median
 from bench.registry import Plugin
 
@@ -125,6 +127,21 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
                 )
         table.add_row(f"order, {norm}", *cells)
     return table
+
+
+_SIGNS = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
+
+
+def finding_line(finding: Finding) -> Text:
+    """A check in a line: a tick, a cross or a dash, its name and what it found."""
+    sign, style = _SIGNS[finding.verdict]
+    why = "does not apply: " if finding.verdict == NOT_APPLICABLE else ""
+    return Text.assemble((f"  {sign} {finding.check}: ", style), why, finding.text)
+
+
+def say(line: Text | str) -> None:
+    """Print a line as it is, however long: the terminal wraps it."""
+    Console().print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 class RunProgress:
