@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.conformance.verdicts import DoesNotApply, Failed
-from bench.registry import Registry, explain
+from bench.conformance.verdicts import DoesNotApply, Failed, shortly
+from bench.registry import Registry
 from problems import jax, jnp, spec
-from problems.formulations import consistent_start
 from problems.system import MechatronicSystem, Variables
 
 #: Derivatives agree with difference quotients to this, relative to the block's largest entry.
@@ -48,15 +47,19 @@ def _block(name: str) -> Callable[[MechatronicSystem, Variables], Any]:
 
 
 def _points(scene: MechatronicSystem) -> list[Variables]:
-    """The start, and states near it that satisfy nothing in particular."""
-    start, random = consistent_start(scene).z, np.random.default_rng(1)
-    points = [Variables(*(jnp.asarray(part, dtype=float) for part in start))]
+    """The start, and states near it, with all else made up: blocks are functions of anything."""
+    state, random = scene.initial_state(), np.random.default_rng(1)
+    try:
+        sizes = scene.sizes
+    except Exception as error:
+        raise Failed(f"constraint or actuation cannot be traced: {shortly(error)}") from error
+    a, lam, y = (np.zeros(n) for n in (sizes.nq, sizes.nl, sizes.ny))
+    start = Variables(state.q, state.v, a, lam, state.x, y, np.float64(scene.interval[0]))
+    points = [start]
     for _ in range(_POINTS - 1):
-        moved = [
-            p + 0.1 * np.maximum(1.0, np.abs(p)) * random.uniform(-1, 1, p.shape) for p in start
-        ]
-        points.append(Variables(*map(jnp.asarray, moved)))
-    return points
+        moves = [0.1 * np.maximum(1.0, np.abs(p)) * random.uniform(-1, 1, p.shape) for p in start]
+        points.append(Variables(*(p + move for p, move in zip(start, moves, strict=True))))
+    return [Variables(*(jnp.asarray(part, dtype=float) for part in point)) for point in points]
 
 
 def check_blocks(registry: Registry, scene: MechatronicSystem) -> str:
@@ -71,7 +74,7 @@ def check_blocks(registry: Registry, scene: MechatronicSystem) -> str:
             jax.block_until_ready(slope(points[0]))
         except Exception as error:
             raise Failed(
-                f"{name} cannot be traced by JAX: {_first(error)} Write it in jax.numpy, without "
+                f"{name} cannot be traced by JAX: {shortly(error)} Write it in jax.numpy, without "
                 f"branches on values."
             ) from error
         for z in points:
@@ -80,11 +83,6 @@ def check_blocks(registry: Registry, scene: MechatronicSystem) -> str:
                 raise Failed(f"{name} gives other values when called again; keep it pure.")
             _compare(name, traced, slope(z), z)
     return f"{', '.join(names)}: derivatives agree with difference quotients at {_POINTS} states."
-
-
-def _first(error: Exception) -> str:
-    """The first sentence: JAX explains itself at length."""
-    return explain(type(error)(str(error).split(". ")[0].split("\n")[0]))
 
 
 def _compare(name: str, block: Callable, slope: Variables, z: Variables) -> None:

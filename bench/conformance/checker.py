@@ -20,8 +20,16 @@ from pathlib import Path
 from typing import Any
 
 from bench.conformance import integrators, scenes
-from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, DoesNotApply, Failed, Finding
-from bench.registry import Plugin, Registry, explain
+from bench.conformance.verdicts import (
+    FAILED,
+    NOT_APPLICABLE,
+    PASSED,
+    DoesNotApply,
+    Failed,
+    Finding,
+    shortly,
+)
+from bench.registry import Plugin, Registry
 from problems import spec
 from problems.spec import SpecError
 
@@ -42,7 +50,7 @@ def examine(registry: Registry, kind: str, text: str, check: str) -> Finding:
     except (Failed, SpecError) as fault:
         return Finding(check, FAILED, str(fault))
     except (Exception, SystemExit) as error:  # a plugin may do anything
-        return Finding(check, FAILED, f"It raised {explain(error)}")
+        return Finding(check, FAILED, f"It raised {shortly(error)}")
 
 
 def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:

@@ -24,8 +24,8 @@ from bench.conformance.trials import (
     trials,
     words,
 )
-from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
-from bench.registry import Registry, explain
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
+from bench.registry import Registry
 from integrators.contract import STATUSES, Integrator, Trajectory
 from problems.formulations import consistent_start
 from problems.spec import SpecError
@@ -209,7 +209,7 @@ def check_empty_interval(registry: Registry, method: Integrator) -> str:
         return f"An interval of length zero is refused: {refusal}"
     except Exception as error:
         raise Failed(
-            f"An interval of length zero raises {explain(error)} Return the start as the only "
+            f"An interval of length zero raises {shortly(error)} Return the start as the only "
             f"row, or raise SpecError with a sentence."
         ) from error
     if run.status != "ok" or len(run.t) != 1 or run.t[0] != t0:
@@ -242,7 +242,7 @@ def _ends_badly(method: Integrator, scene: MechatronicSystem, what: str) -> str:
         run = method.prepare(scene, end, resolution(method, scene)).measure()
     except Exception as error:
         raise Failed(
-            f"{what} raises {explain(error)} Return the rows so far with a status such as "
+            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
             f"diverged, and a message that names the time."
         ) from error
     if run.status == "ok" or run.status not in STATUSES:

@@ -85,8 +85,8 @@ def _size_words(scene: MechatronicSystem) -> str:
 
 def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
     """M is symmetric, and the augmented matrix is regular at the start."""
-    z = consistent_start(scene).z
-    mass = np.asarray(scene.mass(z.q))
+    q = jnp.asarray(scene.initial_state().q, dtype=float)
+    mass = np.asarray(scene.mass(q))
     size = np.abs(mass).max()
     skew = np.abs(mass - mass.T)
     if not skew.max() <= 1e-12 * size:
@@ -98,7 +98,7 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
     nl = scene.sizes.nl
     augmented = mass / size
     if nl:
-        jacobian = np.asarray(jax.jacfwd(scene.constraint)(jnp.asarray(z.q), z.t))
+        jacobian = np.asarray(jax.jacfwd(scene.constraint)(q, scene.interval[0]))
         # Rows of any unit: each is scaled to its own size, and a row of zeros stays one.
         rows = np.abs(jacobian).max(axis=1, keepdims=True)
         jacobian = jacobian / np.where(rows > 0, rows, 1.0)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from bench.registry import explain
 from problems.spec import SpecError, format_value
 
 PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"
@@ -27,6 +28,11 @@ class Failed(Exception):
 
 class DoesNotApply(Exception):
     """A check has nothing to look at; the message says why."""
+
+
+def shortly(error: BaseException) -> str:
+    """The first sentence on an exception: JAX explains itself at length."""
+    return explain(error).split(". ")[0].rstrip(".") + "."
 
 
 def round_trip(make: Callable[[str], Any], subject: Any) -> str:

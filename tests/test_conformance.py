@@ -1,0 +1,179 @@
+"""The conformance kit: what is right passes, and every planted fault is told by its check."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.conformance.checker import CHECKS, Checker, examine
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
+from bench.registry import Registry
+
+PLUGINS = Path(__file__).parent / "wrong_plugins.py"
+
+
+@pytest.fixture(scope="module")
+def registry():
+    return Registry([PLUGINS])
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("problems", "spring_mass"),
+        ("problems", "pendulum[th0=2.0]"),
+        ("integrators", "newmark"),
+        ("integrators", "generalized_alpha[rho_inf=0.5]"),
+        ("integrators", "kvaerno5"),
+        ("integrators", "ida"),
+        ("integrators", "wrong"),
+    ],
+)
+def test_what_is_right_passes_every_check(registry, kind, text):
+    findings = [examine(registry, kind, text, check) for check in CHECKS[kind]]
+    assert [finding for finding in findings if finding.verdict == FAILED] == []
+    assert sum(finding.verdict == PASSED for finding in findings) >= 8
+
+
+@pytest.mark.parametrize(
+    ("text", "check", "sentence"),
+    [
+        ("wrong[how=mute]", "scenes", "supports() answers '' on"),
+        ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
+        ("wrong[how=order]", "order", "claims order 2 in v on pendulum, is 0.97 (h = 0.016 to"),
+        ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),
+        ("wrong[how=off_grid]", "rows", "is no multiple of the step"),
+        ("wrong[how=late]", "rows", "the last at 5.0, to the last digit"),
+        ("wrong[how=flat]", "rows", "Rows of v on forced_oscillator have shape (51,), not (51, 1)"),
+        ("wrong[how=without_start]", "rows", "The first row of q on forced_oscillator"),
+        ("wrong[how=backwards]", "rows", "do not increase after t=0.4 s"),
+        ("wrong[how=uncounted]", "work", "steps on forced_oscillator: None at h=0.1 s, None at"),
+        ("wrong[how=always_seven]", "work", "residuals on forced_oscillator: 7 at h=0.1 s, 7 at"),
+        ("wrong[how=twice]", "work", "100 steps are counted on forced_oscillator, 50 were asked"),
+        ("wrong[how=stateful]", "execute", "measure() before and after execute()"),
+        ("wrong[how=idle]", "execute", "is not in what execute() returns"),
+        ("wrong[how=from_zero]", "start time", "moved by 64 s q ends 0."),
+        ("wrong[how=raises]", "nan", "raises FloatingPointError: not finite (wrong_plugins.py"),
+        ("wrong[how=raises]", "blow-up", "raises FloatingPointError"),
+        ("wrong[how=says_ok]", "nan", "ends with the status 'ok'"),
+        ("wrong[how=speechless]", "nan", "the message 'It went wrong.'; name the time"),
+        ("wrong[how=divides]", "empty interval", "raises ZeroDivisionError"),
+        ("deaf", "tolerance", "Errors in q on forced_oscillator are 1."),
+        ("deaf", "work", "steps on forced_oscillator: 50 at rtol=1e-06, 50 at rtol=1e-09"),
+        ("forgetful", "options", "forgetful[damping=1.0] is made with damping=0.9"),
+        ("nameless", "options", "'nameless' makes another object"),
+    ],
+)
+def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence):
+    finding = examine(registry, "integrators", text, check)
+    assert finding.verdict == FAILED
+    assert sentence in finding.text
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "sentence"),
+    [
+        ("wrong_energy", "energy", "W; let the energy fit the forces"),
+        ("lopsided_mass", "mass", "M[0,1]=0.1, M[1,0]=0"),
+        ("twice_held", "mass", "is singular at the start"),
+        ("wrong_exact", "reference", "its a differs from a of the equations of motion"),
+        ("wrong_exact", "constraints", "at acceleration level by"),
+        ("longer", "constraints", "at position level by"),
+        ("off_the_rod", "start", "violates the constraints at position level"),
+        ("numpy_force", "blocks", "force cannot be traced by JAX: TracerArrayConversionError"),
+        ("moody_force", "blocks", "force gives other values when called again"),
+        (
+            "hidden_slope",
+            "blocks",
+            "force[1] by v[1] is 0, the difference quotient -1",
+        ),
+        ("crumpled", "drawing", "Line 0 of draw has shape (4, 3), not (points, 2)"),
+        ("oscillator", "traced", "A traced value of m does not act as a plain one"),
+        ("idle", "traced", "The parameter c changes nothing"),
+        ("idle", "description", "The parameter c has no unit"),
+    ],
+)
+def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
+    finding = examine(registry, "problems", name, check)
+    assert finding.verdict == FAILED
+    assert sentence in finding.text
+    assert "\n" not in finding.text
+
+
+def test_a_check_without_an_object_says_why(registry):
+    findings = [
+        examine(registry, "integrators", "newmark", "tolerance"),
+        examine(registry, "integrators", "ida", "order"),
+        examine(registry, "problems", "spring_mass", "energy"),
+    ]
+    assert {finding.verdict for finding in findings} == {NOT_APPLICABLE}
+    words = ("fixed steps", "cannot take constant steps", "states no energy")
+    for finding, reason in zip(findings, words, strict=True):
+        assert reason in finding.text
+
+
+@pytest.mark.parametrize(
+    ("how", "budget", "sentence"),
+    [("hangs", 2.0, "It did not end within 2 s"), ("exits", 60.0, "The process died")],
+)
+def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
+    registry, monkeypatch, how, budget, sentence
+):
+    few = {name: CHECKS["integrators"][name] for name in ("repeats", "options")}
+    monkeypatch.setitem(CHECKS, "integrators", few)
+    with Checker(registry, budget) as checker:
+        repeats, options = checker.check("integrators", f"wrong[how={how}]")
+    assert repeats.verdict == FAILED
+    assert sentence in repeats.text
+    assert options.verdict == PASSED
+
+
+def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_path):
+    file = tmp_path / "heavy.py"
+    file.write_text(
+        "from dataclasses import dataclass\n"
+        "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+        "@dataclass(frozen=True)\nclass HeavyBob(Pendulum):\n    'A heavy bob.'\n"
+        "    m: float = parameter(50.0, '', 'mass')\n"
+    )
+    result = stepbench("check", "pendulum", file)
+    assert result.exit_code == 1
+    lines = result.stdout.splitlines()
+    assert len(lines) == 2 + 2 * len(CHECKS["problems"])
+    assert [line for line in lines if "✗" in line] == [
+        "  ✗ description: The parameter m has no unit; give '1' for a pure number."
+    ]
+    assert "1 of 20 checks failed." in result.stderr
+
+
+def test_the_command_answers_in_json(stepbench):
+    result = stepbench("check", "spring_mass", "--json")
+    assert result.exit_code == 0, result.output
+    (answer,) = json.loads(result.stdout)
+    assert (answer["name"], answer["kind"], answer["passed"]) == ("spring_mass", "scene", True)
+    assert [check["check"] for check in answer["checks"]] == list(CHECKS["problems"])
+
+
+def test_a_file_that_cannot_be_loaded_fails_with_its_reason(stepbench, tmp_path):
+    file = tmp_path / "broken.py"
+    file.write_text("import no_such_package\n")
+    result = stepbench("check", file)
+    assert result.exit_code == 1
+    assert "✗ loads: It is unavailable: ModuleNotFoundError" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "Nothing is named; give names or Python files, or --all."),
+        (["pendulun"], "did you mean 'pendulum'?"),
+        (["newmark[bet=1]"], "newmark has no option 'bet'; did you mean 'beta'?"),
+        (["no_such_file.py"], "There is no plugin file or folder"),
+    ],
+)
+def test_a_name_that_is_not_known_is_one_sentence(stepbench, arguments, words):
+    result = stepbench("check", *arguments)
+    assert result.exit_code == 1
+    assert words in " ".join(result.output.split())

@@ -1,0 +1,226 @@
+"""Integrators and scenes with one fault each; test_conformance.py checks them as a plugin file."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from integrators import Integrator, PreparedRun, Steps, Work, option
+from integrators.alpha_family import Newmark
+from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.pendulum import Pendulum
+
+RANDOM = np.random.default_rng(0)
+
+
+class Run(PreparedRun):
+    """A run of Newmark's method that goes wrong as it is told."""
+
+    def __init__(self, how, scene, t_end, steps):
+        self.how, self.t0, self.executed = how, scene.interval[0], 0
+        method = Newmark(beta=0.3025, gamma=0.6) if how == "order" else Newmark()
+        self.inner = method.prepare(scene, t_end, steps)
+
+    def measure(self):
+        run, how = self.inner.measure(), self.how
+        if how == "random":
+            run.q[1] += RANDOM.normal()
+        if how == "off_grid":
+            run.t[3] += 0.3 * (run.t[3] - run.t[2])
+        if how == "late":
+            run.t[-1] += 1e-12
+        if how == "flat":
+            run.v = run.v[:, 0]
+        if how == "without_start":
+            run.q[0] = run.q[1]
+        if how == "backwards":
+            run.t[[3, 4]] = run.t[[4, 3]]
+        if how == "uncounted":
+            run.work = Work()
+        if how == "always_seven":
+            run.work.residuals = 7
+        if how == "twice":
+            run.work.steps *= 2
+        if how == "stateful":
+            run.v[-1] += self.executed
+        if how == "from_zero":
+            run.q[1:] += 0.01 * self.t0
+        if how == "raises" and run.status != "ok":
+            raise FloatingPointError("not finite")
+        if how == "says_ok":
+            run.status = "ok"
+        if how == "speechless":
+            run.message = "It went wrong."
+        if how == "hangs":
+            time.sleep(3600)
+        if how == "exits":
+            os._exit(3)
+        return run
+
+    def execute(self):
+        self.executed += 1
+        return np.zeros(3) if self.how == "idle" else self.inner.execute()
+
+
+@dataclass(frozen=True)
+class Wrong(Integrator):
+    """Newmark's method with a fault."""
+
+    formulation: ClassVar[str] = "index3"
+    orders: ClassVar = {"q": 2, "v": 2}
+    how: str = option("not at all", "what is wrong", always=True)
+
+    def supports(self, scene):
+        return {"mute": "", "picky": "it likes none."}.get(self.how)
+
+    def prepare(self, scene, t_end, resolution):
+        if self.how == "divides" and t_end == scene.interval[0]:
+            return 1 / (t_end - scene.interval[0])
+        return Run(self.how, scene, t_end, resolution)
+
+
+@dataclass(frozen=True)
+class Deaf(Wrong):
+    """It takes a tolerance and does not listen to it."""
+
+    controls: ClassVar[str] = "tolerance"
+    how: str = option("not at all", "what is wrong")
+
+    def prepare(self, scene, t_end, resolution):
+        return Run("", scene, t_end, Steps(scene.nominal_step))
+
+
+@dataclass(frozen=True)
+class Forgetful(Wrong):
+    """It keeps another value than it is given."""
+
+    how: str = option("not at all", "what is wrong")
+    damping: float = option(0.5, "damping", low=0.0, high=1.0)
+
+    def __post_init__(self):
+        object.__setattr__(self, "damping", min(self.damping, 0.9))
+
+
+@dataclass(frozen=True)
+class Nameless(Wrong):
+    """Its printed name leaves its option out."""
+
+    how: str = option("not at all", "what is wrong")
+    cheap: bool = option(False, "less work")
+
+    @property
+    def spec(self):
+        return "nameless"
+
+
+@dataclass(frozen=True)
+class WrongEnergy(Pendulum):
+    """Potential energy of the wrong sign."""
+
+    def energy(self, q, v):
+        return 0.5 * self.m * (v @ v) - self.m * self.g * q[1]
+
+
+@dataclass(frozen=True)
+class LopsidedMass(Pendulum):
+    """A mass matrix that is not symmetric."""
+
+    def mass(self, q):
+        return self.m * jnp.array([[1.0, 0.1], [0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class TwiceHeld(Pendulum):
+    """The same constraint twice."""
+
+    def constraint(self, q, t):
+        return jnp.repeat(super().constraint(q, t), 2)
+
+
+@dataclass(frozen=True)
+class WrongExact(Pendulum):
+    """A closed form with the acceleration of a lighter world."""
+
+    def exact(self, t):
+        values = super().exact(t)
+        return values | {"a": values["a"] * [1.0, 1.01]}
+
+
+@dataclass(frozen=True)
+class OffTheRod(Pendulum):
+    """It starts off its circle."""
+
+    def initial_state(self):
+        q, v, x = super().initial_state()
+        return State(1.25 * q, v, x)
+
+
+@dataclass(frozen=True)
+class Longer(Pendulum):
+    """The closed form belongs to another length of the rod."""
+
+    def constraint(self, q, t):
+        return super().constraint(q, t) + 1e-6 * jnp.atleast_1d(t - self.interval[0]) ** 2
+
+
+@dataclass(frozen=True)
+class NumpyForce(Pendulum):
+    """A force written in NumPy."""
+
+    def force(self, q, v, t):
+        return np.array([0.0, -self.m * self.g]) + 0 * np.sin(q)
+
+
+@dataclass(frozen=True)
+class MoodyForce(Pendulum):
+    """A force that is another at every call."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) + RANDOM.normal()
+
+
+@dataclass(frozen=True)
+class HiddenSlope(Pendulum):
+    """A force whose derivative is hidden."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) - jax.lax.stop_gradient(v)
+
+
+@dataclass(frozen=True)
+class Crumpled(Pendulum):
+    """A picture of points in space."""
+
+    def draw(self, q):
+        return [np.zeros((4, 3))]
+
+
+@dataclass(frozen=True)
+class Oscillator(MechatronicSystem):
+    """A mass on a spring that is computed when the scene is made."""
+
+    m: float = parameter(1.0, "kg", "mass", low=1e-9)
+    k: float = parameter(4.0, "N/m", "stiffness", low=0.0)
+
+    def __post_init__(self):
+        object.__setattr__(self, "square", self.k / self.m)
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -self.square * q
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.zeros(1))
+
+
+@dataclass(frozen=True)
+class Idle(Pendulum):
+    """A parameter without use and without a unit."""
+
+    c: float = parameter(1.0, "", "nothing")
