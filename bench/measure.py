@@ -100,4 +100,8 @@ def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
     for rows in groups.values():
         finite_rows = finite_rows & np.isfinite(rows).all(axis=1)
     keep = len(t) if finite_rows.all() else int(np.argmin(finite_rows))
-    return Rows(t=t[:keep].tolist(), values={n: rows[:keep].tolist() for n, rows in groups.items()})
+    return Rows(
+        t=t[:keep].tolist(),
+        values={n: rows[:keep].tolist() for n, rows in groups.items()},
+        notes={n: list(map(finite, r[:keep])) for n, r in values.get("notes", {}).items()},
+    )

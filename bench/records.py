@@ -73,10 +73,12 @@ class Record(msgspec.Struct, kw_only=True):
 
 
 class Rows(msgspec.Struct, kw_only=True):
-    """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]``."""
+    """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]`` and
+    ``notes[name][k]``, None where there is none."""
 
     t: list[float]
     values: dict[str, list[list[float]]]
+    notes: dict[str, list[float | None]] = {}
 
 
 class SceneRecord(msgspec.Struct, kw_only=True):

@@ -5,6 +5,7 @@ The step that they share, and its equations, stand in ``integrators/alpha_step.p
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from integrators.alpha_step import (
 )
 from integrators.contract import option
 from integrators.march import StepMethod
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 
@@ -34,6 +36,7 @@ class AlphaMethod(StepMethod):
 
     family: ClassVar[str] = "generalized-alpha"
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+    noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False
 
     newton_tol: float = option(
@@ -44,6 +47,11 @@ class AlphaMethod(StepMethod):
     )
     newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
 
+    newton: str = option(
+        "full",
+        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
+        choices=("full", "modified"),
+    )
     formulation: str = option(
         "index3",
         "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
@@ -57,36 +65,35 @@ class AlphaMethod(StepMethod):
 
     @property
     def affinity(self) -> str:
-        return f"{self.family} {self.formulation}"
+        return f"{self.family} {self.formulation} {self.newton}"
 
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
         """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        s, claims = self.numbers(), dict(self.orders)
+        s, claims = self.scheme(), dict(self.orders)
         if abs(s.gamma - (0.5 + s.alpha_f - s.alpha_m)) > 1e-12:
             return dict.fromkeys(claims, 1)
         if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
             return dict.fromkeys(AlphaMethod.orders, 1)
-        undamped = s.alpha_f >= 0.5 or s.alpha_m == s.alpha_f
+        undamped = s.alpha_m == s.alpha_f
         if scene.has("constraint") and self.formulation == "index3" and undamped:
             return {"q": 2, "v": 2}  # a and lam oscillate without end
         return claims
 
-    def numbers(self) -> Scheme:
+    def scheme(self) -> Scheme:
+        """All that the step is told of this member."""
         corrected = self.start == "corrected"
         return Scheme(*self.parameters(), corrected, self.newton_tol, self.newton_max)
 
-    def supports(self, scene: MechatronicSystem) -> str | None:
-        if scene.has("constraint") and self.numbers().beta <= 0:
-            return "beta = 0 leaves positions out of a step's unknowns; constraints need beta > 0."
-        return None
+    def numbers(self) -> Any:
+        return self.scheme()
 
-    def functions(self) -> tuple[Any, Any, Any]:
-        return FUNCTIONS[self.formulation]
+    def functions(self) -> tuple[Any, ...]:
+        return FUNCTIONS[self.formulation, self.newton]
 
-    begin, step, read = map(staticmethod, FUNCTIONS["index3"])
+    begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
 
 
 @dataclass(frozen=True)
@@ -122,14 +129,30 @@ class GeneralizedAlpha(AlphaMethod):
 
 @dataclass(frozen=True)
 class HHT(AlphaMethod):
-    """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3]."""
+    """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
+
+    Beyond 1/3 the high frequencies are damped less again, and from 1/2 on it is unstable; such
+    values have to be asked for by ``any_alpha=true``.
+    """
 
     source: ClassVar[str] = "Hilber, Hughes & Taylor (1977), doi:10.1002/eqe.4290050306"
 
     alpha: float = option(
-        0.1, "damping parameter; rho_inf = (1-alpha)/(1+alpha)", low=0.0, high=1 / 3, always=True
+        0.1,
+        "damping parameter in [0, 1/3]; rho_inf = (1-alpha)/(1+alpha)",
+        low=-0.9,
+        high=0.9,
+        always=True,
     )
     gamma: str = _gamma_policy()
+    any_alpha: bool = option(False, "take an alpha outside [0, 1/3], too")
+
+    def __post_init__(self) -> None:
+        if not (self.any_alpha or 0 <= self.alpha <= 1 / 3 + 1e-15):
+            raise SpecError(
+                f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
+                f"known to be stable at every step; give any_alpha=true to take it all the same."
+            )
 
     def parameters(self) -> tuple[float, ...]:
         gamma = 0.5 + self.alpha
@@ -174,6 +197,11 @@ class WBZ(AlphaMethod):
 class Newmark(AlphaMethod):
     """Newmark's method; average acceleration (the trapezoidal rule) by default.
 
+    With gamma = 1/2 it is second order, and beta says which member it is: 1/4 average acceleration,
+    1/6 linear acceleration, 1/12 Fox & Goodwin (fourth order in the period of an undamped
+    oscillator), 0 central differences (explicit where M is constant and the forces do not depend
+    on v). Only 2 beta >= gamma >= 1/2 is stable at every step; see `stability_limit`.
+
     The controller states take the same weights: x+ = x + h ((1-gamma) xdot + gamma xdot+).
     """
 
@@ -185,6 +213,21 @@ class Newmark(AlphaMethod):
     gamma: float = option(
         0.5, "weight of the end acceleration in v", low=0.0, high=1.0, always=True
     )
+
+    def stability_limit(self) -> float:
+        """Largest omega h at which an undamped oscillator stays bounded (Hughes 1987, ch. 9);
+        infinite if there is none, zero if it never does."""
+        if self.gamma < 0.5:
+            return 0.0
+        return math.inf if 2 * self.beta >= self.gamma else (self.gamma / 2 - self.beta) ** -0.5
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if scene.has("constraint") and math.isfinite(self.stability_limit()):
+            return (
+                f"constraints act like infinite frequencies, and with beta={self.beta:g}, "
+                f"gamma={self.gamma:g} it is not stable there; give 2 beta >= gamma >= 1/2."
+            )
+        return None
 
     def parameters(self) -> tuple[float, ...]:
         return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False, self.classical

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.march import Reading, StepReport
+from integrators.march import Reading, StepReport, largest
 from problems import formulations
 from problems.formulations import Start
 from problems.runtime import jax, jnp
@@ -41,6 +41,8 @@ from problems.system import MechatronicSystem, Sizes, Variables
 _EPS = float(np.finfo(float).eps)
 #: Newton updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-10
+#: Modified Newton keeps a tangent while its updates shrink at least so fast.
+_CONTRACTION = 0.1
 
 
 class Scheme(NamedTuple):
@@ -63,7 +65,8 @@ class Scheme(NamedTuple):
 class AlphaState(NamedTuple):
     """Everything that a step hands to the next; ``shift`` and ``shift_x`` are the times by which
     the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
-    is the last step, ``seen`` the acceleration that is reported."""
+    is the last step and ``gamma``, ``theta`` were its weights, ``seen`` is the acceleration that is
+    reported, ``inverse`` the inverted tangent that modified Newton keeps (empty in full Newton)."""
 
     q: Any
     v: Any
@@ -77,7 +80,10 @@ class AlphaState(NamedTuple):
     shift: Any
     shift_x: Any
     h: Any
+    gamma: Any
+    theta: Any
     seen: Any
+    inverse: Any
 
 
 def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
@@ -113,11 +119,51 @@ def safe_ratio(alpha_m: Any) -> Any:
 
 
 def _read(state: AlphaState) -> Reading:
-    return Reading(state.q, state.v, state.seen, state.lam, state.x, state.xdot, state.y)
+    s = state
+    return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))
+
+
+class Weights(NamedTuple):
+    """What a step of size h starts from: auxiliary values and shifts (those of a restart where the
+    cut is too sharp), gamma and theta, and the shifts at its end."""
+
+    aux: Any
+    auxx: Any
+    shift: Any
+    shift_x: Any
+    gamma: Any
+    theta: Any
+    shift_end: Any
+    shift_x_end: Any
+
+
+def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
+    """Gamma and theta of the next step, by the policy of the scheme.
+
+    A cut below the safe ratio restarts the recurrence (order two is kept) when they are updated.
+    """
+    ratio = h / state.h
+    again = s.updated & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
+    again_x = s.updated & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
+    shift = jnp.where(again, 0.0, state.shift)
+    shift_x = jnp.where(again_x, 0.0, state.shift_x)
+    gamma, shift_end = updated_weight(s.alpha_m, s.alpha_f, shift, h)
+    theta, shift_x_end = updated_weight(s.delta_m, s.delta_f, shift_x, h)
+    return Weights(
+        aux=jnp.where(again, state.a, state.aux),
+        auxx=jnp.where(again_x, state.xdot, state.auxx),
+        shift=shift,
+        shift_x=shift_x,
+        gamma=jnp.where(s.updated, gamma, s.gamma),
+        theta=jnp.where(s.updated, theta, s.theta),
+        shift_end=shift_end,
+        shift_x_end=shift_x_end,
+    )
 
 
 def _begin(
     stabilised: bool,
+    modified: bool,
     scene: MechatronicSystem,
     sizes: Sizes,
     numbers: Scheme,
@@ -138,13 +184,17 @@ def _begin(
         v = v + on * c * h**2 * formulations.constrained_part(scene, sizes, z.q, z.t, start.jerk)
     aux = z.a + on * shift * start.jerk
     auxx = start.xdot + on * shift_x * start.xddot
+    n = sizes.nq + sizes.nl * (2 if stabilised else 1) + sizes.nx + sizes.ny
+    inverse = jnp.full((n, n) if modified else (0, 0), jnp.nan)  # none yet
     return AlphaState(
-        z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, z.a
+        z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma, s.theta,
+        z.a, inverse,
     )  # fmt: skip
 
 
 def _step(
     stabilised: bool,
+    modified: bool,
     scene: MechatronicSystem,
     sizes: Sizes,
     numbers: Scheme,
@@ -153,16 +203,8 @@ def _step(
     h: Any,
 ) -> tuple[AlphaState, StepReport]:
     s = numbers
-    # A cut below the safe ratio restarts the recurrence (order two is kept) when it is updated.
-    ratio = h / state.h
-    again = s.updated & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
-    again_x = s.updated & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
-    aux = jnp.where(again, state.a, state.aux)
-    auxx = jnp.where(again_x, state.xdot, state.auxx)
-    gamma, shift = updated_weight(s.alpha_m, s.alpha_f, jnp.where(again, 0.0, state.shift), h)
-    theta, shift_x = updated_weight(s.delta_m, s.delta_f, jnp.where(again_x, 0.0, state.shift_x), h)
-    gamma = jnp.where(s.updated, gamma, s.gamma)
-    theta = jnp.where(s.updated, theta, s.theta)
+    w = weights(s, state, h)
+    aux, auxx, gamma, theta = w.aux, w.auxx, w.gamma, w.theta
 
     # Every end value is "base + slope * unknown", the unknowns being a and xdot.
     aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
@@ -197,60 +239,96 @@ def _step(
         rows += formulations.control_residuals(scene, seen_by_controller(z), xdot)
         return jnp.concatenate(rows)
 
-    # An end position is rounded to eps |q|; the scaled constraint rows turn that into an
-    # acceleration, below which no Newton update can fall.
-    floor = 16 * _EPS * jnp.max(jnp.abs(q_base)) / q_slope if sizes.nl else 0.0
+    # End positions and velocities are rounded to eps |q| and eps |v|; the scaled constraint rows
+    # turn that into accelerations, below which no Newton update can fall. What an old tangent
+    # leaves behind points the same way in every step and adds up: modified Newton goes closer.
+    closest = (2 if modified else 16) * _EPS
+    of_q, of_v = (
+        closest * largest(base) / slope for base, slope in ((q_base, q_slope), (v_base, v_slope))
+    )
+    of_a = (of_v if nmu else of_q) if sizes.nl else 0.0
+    floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, 0.0, 0.0)
     guess = jnp.concatenate([state.a, state.lam, jnp.zeros(nmu), state.xdot, state.y])
-    u, report = newton(residual, guess, cuts, s.newton_tol, s.newton_max, floor)
+    u, inverse, report = newton(
+        residual, guess, cuts, s.newton_tol, s.newton_max, floors, state.inverse
+    )
     z, xdot = at(u)
     aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
     seen = jnp.where(s.classical, aux_end, z.a)
     return AlphaState(
-        z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, shift, shift_x, h, seen
+        z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
+        gamma, theta, seen, inverse,
     ), report  # fmt: skip
 
 
-#: begin, step and read per formulation; one object each, so that all members share one kernel.
+#: begin, step and read per formulation and kind of Newton's method; one object each, so
+#: that all members share one kernel.
 FUNCTIONS = {
-    form: (partial(_begin, stabilised), partial(_step, stabilised), _read)
-    for form, stabilised in (("index3", False), ("stabilised_index2", True))
+    (form, kind): (
+        partial(_begin, form == "stabilised_index2", kind == "modified"),
+        partial(_step, form == "stabilised_index2", kind == "modified"),
+        _read,
+    )
+    for form in ("index3", "stabilised_index2")
+    for kind in ("full", "modified")
 }
 
 
 def newton(
-    residual: Any, guess: Any, cuts: Any, tol: Any, most: Any, floor: Any
-) -> tuple[Any, StepReport]:
-    """Full Newton iteration with the exact tangent, in the traced loop of a step.
+    residual: Any, guess: Any, cuts: Any, tol: Any, most: Any, floors: Any, inverse: Any
+) -> tuple[Any, Any, StepReport]:
+    """Newton's method with the exact tangent, in the traced loop of a step.
+
+    Full Newton (an empty ``inverse`` comes) takes a new tangent in every iteration. Modified
+    Newton keeps the inverse that it is given while an update is at most ``_CONTRACTION`` times
+    the one before, and takes a new one where it is not. Returns the solution, the inverse for
+    the next step, and the report.
 
     With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
-    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, xdot,
-    y), below ``tol`` times the group's size plus ``floor``; or when the updates no longer shrink
-    and are tiny: round-off then forbids more.
+    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
+    xdot, y), below ``tol`` times the group's size plus its entry of ``floors``; or when the updates
+    no longer shrink and are tiny: round-off then forbids more.
     """
 
-    def sizes_of(u: Any) -> list[Any]:
-        return [jnp.max(jnp.abs(part)) for part in jnp.split(u, cuts) if part.size]
-
     def measure(du: Any, u: Any) -> Any:
-        scales = sizes_of(jnp.maximum(jnp.abs(u), jnp.abs(guess)))
-        ratios = [d / (tol * s + floor + 1e-300) for d, s in zip(sizes_of(du), scales, strict=True)]
-        return jnp.max(jnp.stack(ratios))
+        split = [jnp.split(part, cuts) for part in (du, jnp.abs(u), jnp.abs(guess))]
+        return jnp.max(
+            jnp.stack(
+                [
+                    largest(d) / (tol * jnp.maximum(largest(a), largest(b)) + floor + 1e-300)
+                    for d, a, b, floor in zip(*split, floors, strict=True)
+                    if d.size
+                ]
+            )
+        )
 
-    def settled(size: Any, before: Any) -> Any:
+    def settled(size: Any, before: Any, exact: Any) -> Any:
         # The first update has nothing to be compared with: before is infinite.
         left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
         small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-        stagnant = (size > 0.5 * before) & (size * tol < _STAGNANT)
+        stagnant = exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
         return small | stagnant
 
     def go_on(carry: tuple) -> Any:
-        _, k, size, before = carry
-        return (k < most) & ~settled(size, before)
+        _, k, size, before, exact, *_ = carry
+        return (k < most) & ~settled(size, before, exact)
+
+    def invert(u: Any) -> Any:
+        return jnp.linalg.inv(jax.jacfwd(residual)(u))
 
     def iterate(carry: tuple) -> tuple:
-        u, k, before, _ = carry
-        du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
-        return u - du, k + 1, measure(du, u - du), before
+        u, k, size, before, exact, inverse, tangents = carry
+        if inverse.size:
+            # Before the first update both sizes are infinite; a NaN never contracts.
+            exact = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
+            u = jnp.where(exact & ~(size <= before), guess, u)  # an old tangent led astray
+            inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
+            du = inverse @ residual(u)
+        else:
+            du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
+        return u - du, k + 1, measure(du, u - du), size, exact, inverse, tangents + exact
 
-    u, k, size, before = jax.lax.while_loop(go_on, iterate, (guess, 0, jnp.inf, jnp.inf))
-    return u, StepReport(settled(size, before), k, k, k, k, k)
+    carry = (guess, 0, jnp.inf, jnp.inf, not inverse.size, inverse, 0)
+    u, k, *sizes, exact, inverse, tangents = jax.lax.while_loop(go_on, iterate, carry)
+    report = StepReport(settled(*sizes, exact), k, k, tangents, tangents, k)
+    return u, inverse, report

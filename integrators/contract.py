@@ -163,7 +163,8 @@ class Work:
 class Trajectory:
     """Rows of a run at some of its own steps: t ``(k,)``, the others ``(k, n)``.
 
-    A run that failed keeps the rows up to where it came.
+    ``notes`` holds what else a method tells of the step that led to a row, each ``(k,)``, such as
+    its size "h" or weight "gamma". A run that failed keeps the rows up to where it came.
     """
 
     t: np.ndarray
@@ -177,6 +178,7 @@ class Trajectory:
     status: str = "ok"
     message: str = ""
     work: Work = field(default_factory=Work)
+    notes: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def failed(cls, status: str, message: str) -> Trajectory:

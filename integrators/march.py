@@ -63,7 +63,8 @@ class Clock(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """The variables that a state holds, as they are reported."""
+    """The variables that a state holds, as they are reported, and scalars of the last step in the
+    order of the method's ``noted``."""
 
     q: Any
     v: Any
@@ -72,6 +73,7 @@ class Reading(NamedTuple):
     x: Any
     xdot: Any
     y: Any
+    notes: tuple = ()
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ class StepMethod(Integrator):
     """Base of fixed-step (or step-pattern) methods written as pure JAX functions."""
 
     controls: ClassVar[str] = "step"
+    #: Names of what ``read`` notes of the last step beside the variables.
+    noted: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def numbers(self) -> Any:
@@ -130,7 +134,7 @@ class _March(PreparedRun):
         padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
-        self._start = start
+        self._start, self._noted = start, method.noted
         clock = Clock(t0, t_end - t0, macro, fractions, ends, slots)
         self._kernel = method.kernel(scene)
         self._arguments = self._kernel.pack(scene.parameters(), method.numbers(), start, clock)
@@ -144,21 +148,29 @@ class _March(PreparedRun):
 
     def measure(self) -> Trajectory:
         rows, end = (np.asarray(part) for part in self._kernel(self._arguments, *self._all_rows))
-        reached, times = rows[:, 0], rows[:, 1]
-        kept = np.flatnonzero(reached[: len(self._rows)] == self._rows)
-        z = self._start.z
-        first = Reading(z.q, z.v, z.a, z.lam, z.x, self._start.xdot, z.y)
-        cuts = np.cumsum([len(part) for part in first])[:-1]
-        parts = np.split(rows[kept, 2:], cuts, axis=1)
-        values = {
-            name: np.concatenate([np.asarray(row0)[None], part])
-            for name, row0, part in zip(Reading._fields, first, parts, strict=True)
-        }
+        kept = np.flatnonzero(rows[: len(self._rows), 0] == self._rows)
         status, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         name, message = _outcome(int(status), float(t))
-        t_rows = np.concatenate([[self._t0], times[kept]])
-        return Trajectory(t=t_rows, **values, status=name, message=message, work=work)
+        values = with_start(self._start, rows[kept, 1:], self._noted)
+        return Trajectory(**values, status=name, message=message, work=work)
+
+
+def with_start(start: Start, rows: np.ndarray, noted: tuple[str, ...]) -> dict[str, Any]:
+    """Fields of a Trajectory from rows ``(k, [t, q, v, a, lam, x, xdot, y, notes])`` of a kernel.
+
+    The scene's start comes before them; no step led to it, so its notes are NaN.
+    """
+    z, nothing = start.z, np.full(len(noted), np.nan)
+    first = [np.atleast_1d(p) for p in (z.t, z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y, nothing)]
+    table = np.concatenate([np.concatenate(first)[None], rows])
+    cuts = np.cumsum([len(part) for part in first])[:-1]
+    t, *groups, notes = np.split(table, cuts, axis=1)
+    return {
+        "t": t[:, 0],
+        **dict(zip(Reading._fields[:-1], groups, strict=True)),
+        "notes": dict(zip(noted, notes.T, strict=True)),
+    }
 
 
 def _outcome(status: int, t: float) -> tuple[str, str]:
@@ -181,7 +193,7 @@ class Kernel:
 
     Each array that is handed to a compiled program or back costs as much as a step.
 
-    It returns rows ``(row, [steps done or -1, t, q, v, a, lam, x, xdot, y])`` and
+    It returns rows ``(row, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])`` and
     ``[status, t, counts...]``.
     """
 
@@ -208,8 +220,8 @@ class Kernel:
         self._unpack = self._unpack or unpack
         return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
 
-    def __call__(self, packed: Any, rows: Any, row_count: Any) -> Any:
-        return self._compiled(packed, rows, row_count)
+    def __call__(self, packed: Any, *rows: Any) -> Any:
+        return self._compiled(packed, *rows)
 
     @property
     def compilations(self) -> int:
@@ -234,7 +246,7 @@ def kernel(
         scene = template.with_parameters(p)
         state = begin(scene, sizes, numbers, start, step_times(clock, 0)[1])
         first = read(state)
-        bound = GROWTH_LIMIT * (1.0 + _largest(first.q, first.v))
+        bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
 
         def one_step(progress: tuple) -> tuple:
             n, state, _, counts, _ = progress
@@ -242,7 +254,7 @@ def kernel(
             state, report = step(scene, sizes, numbers, state, t, h)
             now = read(state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
-            sane = (_largest(now.q, now.v) < bound) & jnp.isfinite(_largest(now.a, now.lam))
+            sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))
             status = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
             counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
             return n + 1, state, status, counts, t
@@ -254,12 +266,12 @@ def kernel(
             )
             n, state, status, _, t = progress
             reached = jnp.where(status == _OK, n, -1)
-            row = jnp.concatenate([jnp.stack([reached, t]), *read(state)])
+            row = jnp.concatenate([jnp.stack([reached, t]), flat(read(state))])
             return k + 1, kept.at[k].set(row), progress
 
         counts = (jnp.asarray(0),) * len(StepReport._fields)
         progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
-        width = 2 + sum(part.size for part in first)
+        width = 2 + flat(first).size
         _, kept, progress = jax.lax.while_loop(
             lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
             to_row,
@@ -271,6 +283,11 @@ def kernel(
     return Kernel(march)
 
 
-def _largest(*parts: Any) -> Any:
+def flat(reading: Reading) -> Any:
+    """All numbers of a reading in one array."""
+    return jnp.concatenate([jnp.atleast_1d(part) for part in jax.tree.leaves(reading)])
+
+
+def largest(*parts: Any) -> Any:
     """Largest absolute value over arrays that may be empty; NaN if there is one."""
     return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))

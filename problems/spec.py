@@ -10,6 +10,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from typing import Any
 
 _NAME = r"[A-Za-z_][\w.-]*"
@@ -80,9 +81,11 @@ def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
             result: Any = {"true": True, "false": False}[str(value).lower()]
         elif kind is int:
             result = int(str(value))
+        elif kind is float and re.fullmatch(r"\d+/\d+", str(value)):
+            result = float(Fraction(value))
         else:
             result = kind(value)
-    except (ValueError, KeyError):
+    except (ValueError, KeyError, ZeroDivisionError):
         raise SpecError(f"{where} is not a {kind.__name__}.") from None
     if kind is float and not math.isfinite(result):
         raise SpecError(f"{where} is not a finite number.")

@@ -1,0 +1,59 @@
+"""The damped and driven Duffing oscillator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import MechatronicSystem, State, jnp, parameter
+
+
+@dataclass(frozen=True)
+class Duffing(MechatronicSystem):
+    """One mass on a hardening spring, damped and driven: m a + c v + k q + k3 q^3 = F cos(w t).
+
+    Tests the order of the acceleration in the simplest setting in which nothing hides: damping,
+    nonlinearity and explicit time, so that no symmetry or conservation cancels an error, and a
+    method that reports its auxiliary acceleration shows first order. Left out: constraints and a
+    controller, which have scenes of their own; a long interval, on which the driven oscillator
+    can become chaotic and errors would no longer tell the order.
+    """
+
+    interval = (0.0, 3.0)
+    nominal_step = 0.05
+    tags = ("smooth", "nonlinear", "driven", "damped")
+    coordinates = ("position",)
+    source = "Duffing (1918), Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz"
+
+    m: float = parameter(1.0, "kg", "mass", low=1e-12)
+    c: float = parameter(0.3, "N s/m", "damping")
+    k: float = parameter(1.0, "N/m", "linear stiffness")
+    k3: float = parameter(0.5, "N/m^3", "cubic stiffness")
+    amplitude: float = parameter(1.0, "N", "amplitude of the driving force")
+    w: float = parameter(2.0, "rad/s", "angular frequency of the driving force")
+    q0: float = parameter(1.0, "m", "initial position")
+    v0: float = parameter(0.5, "m/s", "initial velocity")
+
+    def mass(self, q: Any) -> Any:
+        return self.m * jnp.eye(1)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return self.amplitude * jnp.cos(self.w * t) - self.c * v - self.k * q - self.k3 * q**3
+
+    def initial_state(self) -> State:
+        return State(q=np.array([self.q0]), v=np.array([self.v0]))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        wall, half, coils = -3.0, 0.3, 7
+        x = float(q[0])
+        spring = np.linspace(wall, x - half, 2 * coils + 2)
+        zigzag = np.where(np.arange(spring.size) % 2, 0.2, -0.2)
+        zigzag[[0, -1]] = 0.0
+        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
+        return [
+            np.array([[wall, -0.5], [wall, 0.5]]),
+            np.column_stack([spring, zigzag]),
+            box,
+        ]

@@ -1,0 +1,100 @@
+"""The heavy top about a fixed point, in Euler parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import MechatronicSystem, State, jnp, lagrange, parameter
+
+
+@dataclass(frozen=True)
+class HeavyTop(MechatronicSystem):
+    """A spinning symmetric top in gravity: position and four Euler parameters, index 3.
+
+    Tests three things at once: rotation in three dimensions; order reduction of the multipliers
+    of the joint, with a mass matrix and constraints that depend on q; and that nobody inverts M
+    alone, which is singular along the Euler parameters: only together with their unit norm the
+    equations are regular. The position of the centre of mass is not eliminated: about the fixed
+    point alone the only constraint would be the unit norm, in whose direction there is no
+    inertia, and no order reduction would show. Left out: friction.
+
+    The data are the literature's benchmark, with the top level at the start; ``nod`` is added
+    to it, because in steady precession nothing changes that a start could get wrong. -(lam1,
+    lam2, lam3) is the force of the joint; lam4, of the unit norm, has no mechanical meaning of
+    its own.
+    """
+
+    interval = (0.0, 0.5)
+    nominal_step = 2e-3
+    tags = ("constrained", "index 3", "conservative", "spatial", "singular mass")
+    coordinates = ("x", "y", "z", "p0", "p1", "p2", "p3")
+    source = "Geradin & Cardona (2001); data as in Bruels & Cardona (2010), doi:10.1115/1.4001370"
+
+    m: float = parameter(15.0, "kg", "mass", low=1e-12)
+    length: float = parameter(1.0, "m", "distance of the centre of mass from the fixed point")
+    j: float = parameter(
+        0.234375, "kg m^2", "inertia across the axis, about the centre of mass", low=1e-12
+    )
+    j_axis: float = parameter(0.46875, "kg m^2", "inertia about the body's axis", low=1e-12)
+    g: float = parameter(9.81, "m/s^2", "gravity, along -z")
+    spin: float = parameter(150.0, "rad/s", "initial angular velocity about the body's axis")
+    turn: float = parameter(-4.61538, "rad/s", "initial angular velocity about the vertical")
+    nod: float = parameter(2.0, "rad/s", "initial angular velocity of the tip upwards")
+
+    @staticmethod
+    def angular_velocity(p: Any, rate: Any) -> Any:
+        """Angular velocity in the body's axes, shape ``(3,)``: 2 times the vector of p* p'."""
+        return 2 * (p[0] * rate[1:] - rate[0] * p[1:] - jnp.cross(p[1:], rate[1:]))
+
+    @staticmethod
+    def axis(p: Any) -> Any:
+        """Direction of the body's axis in space (of length p.p), shape ``(3,)``."""
+        p0, p1, p2, p3 = p
+        return jnp.stack(
+            [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
+        )
+
+    def _kinetic(self, q: Any, v: Any) -> Any:
+        turning = self.angular_velocity(q[3:], v[3:])
+        inertias = jnp.stack([self.j, self.j_axis, self.j])
+        return 0.5 * self.m * (v[:3] @ v[:3]) + 0.5 * (inertias * turning) @ turning
+
+    def _potential(self, q: Any) -> Any:
+        return self.m * self.g * q[2]
+
+    def mass(self, q: Any) -> Any:
+        return lagrange.mass(self._kinetic, q)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return lagrange.force(self._kinetic, self._potential, q, v)
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        x, p = q[:3], q[3:]
+        return jnp.concatenate([x - self.length * self.axis(p), 0.5 * (p @ p - 1.0)[None]])
+
+    def energy(self, q: Any, v: Any) -> Any:
+        return self._kinetic(q, v) + self._potential(q)
+
+    def initial_state(self) -> State:
+        # Space and body axes coincide; the tip is at (0, length, 0).
+        turning = np.array([self.nod, self.spin, self.turn])
+        tip = self.length * np.array([-self.turn, 0.0, self.nod])
+        return State(
+            q=np.array([0.0, self.length, 0.0, 1.0, 0.0, 0.0, 0.0]),
+            v=np.concatenate([tip, [0.0], turning / 2]),
+        )
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        # Oblique view: y to the right, z up, x towards the lower left.
+        p0, p = q[3], np.asarray(q[4:])
+        cross = np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
+        rotation = (p0**2 - p @ p) * np.eye(3) + 2 * np.outer(p, p) + 2 * p0 * cross
+        view = np.array([[-0.4, 1.0, 0.0], [-0.4, 0.0, 1.0]])
+        angle = np.linspace(0, 2 * np.pi, 33)
+        rim = np.column_stack([0.4 * np.cos(angle), np.ones_like(angle), 0.4 * np.sin(angle)])
+        shaft = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        spoke = np.array([shaft[1], rim[0]])
+        return [self.length * line @ rotation.T @ view.T for line in (shaft, rim, spoke)]

@@ -1,0 +1,233 @@
+"""Planar slider cranks of rigid bodies: moving freely (in two forms), and driven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
+from problems.spec import SpecError
+
+
+def _polylines(l1: float, tip: np.ndarray, slider: float) -> list[np.ndarray]:
+    """Guide, crank and rod, slider; all in m."""
+    half, reach = 0.2 * l1, 1.4 * l1
+    box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [slider, 0.0]
+    guide = np.array([[slider - reach, -half], [slider + reach, -half]])
+    return [guide, np.array([[0.0, 0.0], tip, [slider, 0.0]]), box]
+
+
+@dataclass(frozen=True)
+class _FreeCrank(MechatronicSystem):
+    """Data that the two forms of the free slider crank share."""
+
+    interval = (0.0, 5.0)
+    nominal_step = 0.005
+
+    l1: float = parameter(0.15, "m", "length of the crank", low=1e-9)
+    l2: float = parameter(0.3, "m", "length of the rod", low=1e-9)
+    m1: float = parameter(0.36, "kg", "mass of the crank, a uniform bar", low=1e-12)
+    m2: float = parameter(0.15, "kg", "mass of the rod, a uniform bar", low=1e-12)
+    m3: float = parameter(0.075, "kg", "mass of the slider", low=0.0)
+    g: float = parameter(9.81, "m/s^2", "gravity, along -y")
+    th0: float = parameter(0.7, "rad", "initial angle of the crank from the guide")
+    w0: float = parameter(10.0, "rad/s", "initial angular velocity of the crank")
+
+    def __post_init__(self) -> None:
+        if not self.l2 > self.l1 * abs(np.sin(self.th0)):
+            raise SpecError(
+                f"The rod (l2={self.l2:g} m) does not reach the guide from a crank of "
+                f"l1={self.l1:g} m at th0={self.th0:g} rad; give l2 > l1 |sin(th0)|."
+            )
+
+    def inertias(self) -> Any:
+        """The diagonal mass matrix of the bodies in absolute coordinates, shape ``(7,)``."""
+        m1, m2, m3 = self.m1, self.m2, self.m3
+        return jnp.stack([m1, m1, m1 * self.l1**2 / 12, m2, m2, m2 * self.l2**2 / 12, m3])
+
+    def assembled(self, th: Any, xp: Any = np) -> Any:
+        """Absolute coordinates ``(7,)`` of the mechanism whose crank stands at th.
+
+        Of the two ways to assemble it, the one with the slider on the far side of the crank.
+        """
+        ph = -xp.arcsin(self.l1 / self.l2 * xp.sin(th))
+        x, y = self.l1 * xp.cos(th), self.l1 * xp.sin(th)
+        u, w = self.l2 * xp.cos(ph), self.l2 * xp.sin(ph)
+        return xp.stack([x / 2, y / 2, th, x + u / 2, y + w / 2, ph, x + u])
+
+
+@dataclass(frozen=True)
+class SliderCrank(_FreeCrank):
+    """A slider crank in absolute coordinates, moving freely under gravity: seven coordinates,
+    six constraints.
+
+    The standard mechanism: it tests index 3 with many constraints on few freedoms. The multipliers
+    are joint forces: -(lam1, lam2) and -(lam3, lam4) are the sums of the joint forces on crank and
+    rod, -lam5 is the force of the rod on the slider, -lam6 that of the guide on the rod's end.
+    Conservative: the energy shows what an integrator takes away. Left out: friction, play and a
+    drive, so that the form with one degree of freedom (``slider_crank_minimal``) is the same
+    motion by other equations; the slider's height and weight, which the guide takes. With
+    l2 <= l1 the crank can run into a singular position.
+    """
+
+    tags = ("constrained", "index 3", "conservative", "multibody")
+    coordinates = ("crank x", "crank y", "crank angle", "rod x", "rod y", "rod angle", "slider x")
+    source = "Standard planar mechanism; data of the IVP test set's crank, rounded, rigid rod"
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(self.inertias())
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        weights = jnp.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+        return -self.g * weights * self.inertias()
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        x1, y1, th, x2, y2, ph, x3 = q
+        x, y = self.l1 * jnp.cos(th), self.l1 * jnp.sin(th)
+        u, w = self.l2 * jnp.cos(ph), self.l2 * jnp.sin(ph)
+        return jnp.stack(
+            [x1 - x / 2, y1 - y / 2, x2 - x - u / 2, y2 - y - w / 2, x3 - x - u, y + w]
+        )
+
+    def energy(self, q: Any, v: Any) -> Any:
+        return 0.5 * (self.inertias() * v) @ v + self.g * (self.m1 * q[1] + self.m2 * q[4])
+
+    def initial_state(self) -> State:
+        q = self.assembled(np.float64(self.th0))
+        w1, (c1, s1), (c2, s2) = self.w0, _direction(q[2]), _direction(q[5])
+        w2 = -self.l1 * c1 * w1 / (self.l2 * c2)
+        tip = self.l1 * w1 * np.array([-s1, c1])
+        half = self.l2 / 2 * w2 * np.array([-s2, c2])
+        v = [*(tip / 2), w1, *(tip + half), w2, (tip + 2 * half)[0]]
+        return State(q=q, v=np.array(v))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        return _polylines(self.l1, 2 * np.asarray(q[:2]), float(q[6]))
+
+
+def _direction(angle: float) -> tuple[float, float]:
+    return np.cos(angle), np.sin(angle)
+
+
+@dataclass(frozen=True)
+class SliderCrankMinimal(_FreeCrank):
+    """The free slider crank by its crank angle alone: an ODE of one degree of freedom.
+
+    Tests what absolute coordinates cost: it is the motion of ``slider_crank``, and a reference
+    for it that no constraint enters. Left out, besides what is left out there: the multipliers,
+    which this form does not have.
+    """
+
+    tags = ("smooth", "nonlinear", "conservative", "multibody")
+    coordinates = ("crank angle",)
+    source = "Lagrange's equation of slider_crank"
+
+    def _kinetic(self, q: Any, v: Any) -> Any:
+        _, rate = jax.jvp(lambda q: self.assembled(q[0], jnp), (q,), (v,))
+        return 0.5 * (self.inertias() * rate) @ rate
+
+    def _potential(self, q: Any) -> Any:
+        at = self.assembled(q[0], jnp)
+        return self.g * (self.m1 * at[1] + self.m2 * at[4])
+
+    def mass(self, q: Any) -> Any:
+        return lagrange.mass(self._kinetic, q)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return lagrange.force(self._kinetic, self._potential, q, v)
+
+    def energy(self, q: Any, v: Any) -> Any:
+        return self._kinetic(q, v) + self._potential(q)
+
+    def initial_state(self) -> State:
+        return State(q=np.array([self.th0]), v=np.array([self.w0]))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        at = self.assembled(np.float64(q[0]))
+        return _polylines(self.l1, 2 * at[:2], float(at[6]))
+
+
+@dataclass(frozen=True)
+class SliderCrankDriven(MechatronicSystem):
+    """A slider crank driven at constant speed: rheonomic, and known in closed form.
+
+    Two coordinates, crank angle and slider position; two constraints, the length of a rod without
+    mass and phi = Omega t. No freedom is left, so every acceleration and multiplier is exact:
+    lam1 is the force density of the rod (its force divided by l2), lam2 the torque that the drive
+    takes. Left out: the masses of crank and rod; they would change multipliers, never the motion.
+
+    Positions (and velocities where the constraint's derivative is imposed, too) follow from the
+    constraints alone: they are exact up to Newton's tolerance at every step, and orders are seen
+    in what remains, a and lam, and v on index 3.
+
+    With l1 = l2 the augmented matrix is singular at phi = pi/2, where the slider passes the
+    bearing: a run that steps near it fails or goes on by luck. ``exact`` then is the branch
+    that a slider with mass takes, x = 2 l1 cos(phi); for l2 slightly above l1 the acceleration
+    has a peak there instead.
+    """
+
+    interval = (0.005, 0.05)
+    nominal_step = 5e-4
+    tags = ("constrained", "index 3", "closed form", "rheonomic")
+    coordinates = ("crank angle", "slider x")
+    source = "Closed form: x = l1 cos(p) + sqrt(l2^2 - l1^2 sin(p)^2), p = Omega t"
+
+    l1: float = parameter(0.15, "m", "length of the crank", low=1e-9)
+    l2: float = parameter(0.3, "m", "length of the rod", low=1e-9)
+    omega: float = parameter(150.0, "rad/s", "angular velocity of the drive")
+    j1: float = parameter(2.7e-3, "kg m^2", "inertia of the crank", low=0.0)
+    m3: float = parameter(0.075, "kg", "mass of the slider", low=1e-12)
+
+    def __post_init__(self) -> None:
+        if not self.l2 > self.l1 * abs(np.sin(self.omega * self.interval[0])):
+            raise SpecError(
+                f"The rod (l2={self.l2:g} m) does not reach the guide at the start, where "
+                f"phi={self.omega * self.interval[0]:g} rad; give l2 > l1 |sin(phi)|, and "
+                f"l2 > l1={self.l1:g} m for full turns."
+            )
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(jnp.stack([self.j1, self.m3]))
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return jnp.zeros(2)
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        phi, x = q
+        along, across = x - self.l1 * jnp.cos(phi), self.l1 * jnp.sin(phi)
+        return jnp.stack([0.5 * (along**2 + across**2 - self.l2**2), phi - self.omega * t])
+
+    def initial_state(self) -> State:
+        start = self.exact(np.array([self.interval[0]]))
+        return State(q=start["q"][0], v=start["v"][0])
+
+    def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
+        """x = l1 cos(p) + R with R = sqrt(l2^2 - l1^2 sin(p)^2); NaN where the rod is too short.
+
+        R is the rod's projection on the guide. The slider's equation m3 x'' + R lam1 = 0 and the
+        crank's x l1 sin(p) lam1 + lam2 = 0 give the multipliers.
+        """
+        p, w, l1 = self.omega * np.asarray(t, dtype=float), self.omega, self.l1
+        c, s = np.cos(p), np.sin(p)
+        if self.l1 == self.l2:  # R would be l1 |cos(p)|; moving on, the slider takes l1 cos(p)
+            r, r1, r2 = l1 * c, -l1 * w * s, -l1 * w**2 * c
+            lam1 = np.full_like(p, 2 * self.m3 * w**2)
+        else:
+            with np.errstate(invalid="ignore"):
+                r = np.sqrt((self.l2 - l1) * (self.l2 + l1) + (l1 * c) ** 2)
+            r1 = -(l1**2) * w * s * c / r
+            r2 = -(l1**2 * w**2 * (c - s) * (c + s) + r1**2) / r
+            lam1 = -self.m3 * (r2 - l1 * w**2 * c) / r
+        x = l1 * c + r
+        return {
+            "q": np.column_stack([p, x]),
+            "v": np.column_stack([np.full_like(p, w), r1 - l1 * w * s]),
+            "a": np.column_stack([np.zeros_like(p), r2 - l1 * w**2 * c]),
+            "lam": np.column_stack([lam1, -x * l1 * s * lam1]),
+        }
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        tip = self.l1 * np.array([np.cos(q[0]), np.sin(q[0])])
+        return _polylines(self.l1, tip, float(q[1]))

@@ -1,0 +1,255 @@
+"""The adaptive generalized-alpha method: tolerance, estimates, steps, statuses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers import slope
+from scipy.integrate import solve_ivp
+
+from integrators import Steps, Tolerances, adaptive, alpha_adaptive
+from integrators.alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.alpha_family import GeneralizedAlpha
+from integrators.contract import FIRST_ROWS, SPREAD_ROWS
+from problems import MechatronicSystem, State, jnp, parameter
+from problems.duffing import Duffing
+from problems.formulations import compiled, consistent_start
+from problems.pendulum import Pendulum
+from problems.reference import Reference
+from problems.soft_impact import SoftImpact
+from problems.spring_mass import SpringMass
+
+TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8]
+GROUPS = ("q", "v", "a", "lam", "x")
+SWING = Pendulum(th0=3.1)  # released close to the upright position: slow, fast, slow again
+SWING_END = 3.2
+
+
+def run_of(method, scene, rtol):
+    t_end = SWING_END if scene is SWING else scene.interval[1]
+    run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
+    assert run.status == "ok", run.message
+    return run
+
+
+def errors_of(run, scene):
+    exact = Reference(scene, run.t[-1])(run.t)
+    return {
+        g: np.linalg.norm(getattr(run, g) - exact[g], axis=1).max()
+        / np.linalg.norm(exact[g], axis=1).max()
+        for g in GROUPS
+        if exact[g].shape[1]
+    }
+
+
+@pytest.mark.parametrize("error_test", ["states", "all"])
+@pytest.mark.parametrize(
+    "scene", [SpringMass(), Duffing(), Pendulum(), SWING], ids=lambda s: s.spec
+)
+def test_the_achieved_error_follows_the_tolerance(scene, error_test):
+    method = GeneralizedAlphaAdaptive(error_test=error_test)
+    errors = [errors_of(run_of(method, scene, tol), scene) for tol in TOLERANCES]
+    for group in errors[0]:
+        assert 0.9 < slope(TOLERANCES, [e[group] for e in errors]) < 1.1, group
+        assert all(e[group] < 2 * tol for e, tol in zip(errors, TOLERANCES, strict=True)), group
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 1.0])
+def test_it_does_so_with_any_damping(rho_inf):
+    method, scene = GeneralizedAlphaAdaptive(rho_inf=rho_inf), Pendulum()
+    tols = TOLERANCES[:4]
+    errors = [errors_of(run_of(method, scene, tol), scene) for tol in tols]
+    for group in errors[0]:
+        assert 0.85 < slope(tols, [e[group] for e in errors]) < 1.15, group
+
+
+def local_errors(method, scene, ratios, h):
+    """Estimated and true errors of each of some steps: the truth starts from the same q, v, x."""
+    begin, step, read, estimate, *_ = method.functions()
+    sizes, numbers, start = scene.sizes, method.numbers(), consistent_start(scene)
+    p, rate = scene.parameters(), compiled(scene).ode
+    t, state, pairs = scene.interval[0], begin(scene, sizes, numbers, start, jnp.asarray(h)), []
+    for ratio in ratios:
+        h *= ratio
+        new, _ = step(scene, sizes, numbers, state, t + h, jnp.asarray(h))
+        estimated = estimate(sizes, numbers, state, new, h)
+        old, now = read(state), read(new)
+        s0 = np.concatenate([old.q, old.v, old.x])
+        exact = solve_ivp(
+            lambda t, s: rate(p, t, s), (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15
+        ).y[:, -1]
+        true = np.concatenate([now.q, now.v, now.x]) - exact
+        pairs.append((np.concatenate([estimated.q, estimated.v, estimated.x]), true))
+        state, t = new, t + h
+    return pairs
+
+
+RATIOS = [1.0, 1.0, 1.3, 0.8, 1.6, 0.4, 1.0, 0.7, 1.2]  # 0.4 restarts gamma and theta
+
+
+@pytest.mark.parametrize("scene", [SpringMass(), Duffing()], ids=lambda s: s.name)
+@pytest.mark.parametrize(("gamma", "rho_inf"), [("updated", 0.8), ("updated", 0.2), ("fixed", 0.8)])
+def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
+    method = GeneralizedAlphaAdaptive(rho_inf=rho_inf, gamma=gamma)
+    for estimated, true in local_errors(method, scene, RATIOS, h=0.001):
+        assert np.abs(estimated - true).max() < 0.1 * np.abs(true).max()
+
+
+def test_a_wrong_estimate_would_be_seen(monkeypatch):
+    right = alpha_adaptive._bend
+    monkeypatch.setattr(alpha_adaptive, "_bend", lambda *args: -right(*args))
+    pairs = local_errors(GeneralizedAlphaAdaptive(), Duffing(), RATIOS, h=0.001)
+    assert any(np.abs(e - t).max() > 0.1 * np.abs(t).max() for e, t in pairs)
+
+
+def steps_of_fixed(scene, t_end, wanted):
+    """Equal steps with which no group is worse than wanted, found by doubling then halving."""
+    method = GeneralizedAlpha(formulation="stabilised_index2", start="corrected")
+
+    def good(n):
+        h = (t_end - scene.interval[0]) / n
+        run = method.prepare(scene, t_end, Steps(h)).measure()
+        errors = errors_of(run, scene) if run.status == "ok" else {}
+        return bool(errors) and all(errors[g] <= wanted[g] for g in wanted)
+
+    high = 64
+    while not good(high):
+        high *= 2
+    low = high // 2
+    while high - low > high // 50:
+        middle = (low + high) // 2
+        low, high = (low, middle) if good(middle) else (middle, high)
+    return high
+
+
+@pytest.mark.parametrize(("scene", "factor"), [(SWING, 1.4), (SoftImpact(), 15.0)])
+def test_it_needs_fewer_steps_than_equal_ones_at_equal_error(scene, factor):
+    run = run_of(GeneralizedAlphaAdaptive(), scene, 1e-5)
+    tries = run.work.steps + run.work.rejected
+    assert steps_of_fixed(scene, run.t[-1], errors_of(run, scene)) > factor * tries
+
+
+def test_steps_shrink_in_the_impact_and_keep_gamma_in_its_proven_interval():
+    method = GeneralizedAlphaAdaptive(rho_inf=0.8)
+    run = run_of(method, SoftImpact(), 1e-3)
+    h, gamma = run.notes["h"], run.notes["gamma"]
+    assert len(run.t) == run.work.steps + 1  # every step is kept in a short run
+    np.testing.assert_allclose(np.diff(run.t), h[1:], rtol=1e-9)
+    assert h[1:].max() > 1000 * h[1:].min()
+    s = method.scheme()
+    assert (gamma[1:] >= (1 - s.alpha_m) / (2 * (1 - s.alpha_f)) - 1e-12).all()
+    assert (gamma[1:] < 1 - s.alpha_m).all()
+    assert np.ptp(gamma[1:]) > 0.02
+
+
+def test_accepted_steps_keep_to_the_guarded_ratios():
+    run = run_of(GeneralizedAlphaAdaptive(rho_inf=0.8), Pendulum(), 1e-3)
+    assert run.work.rejected <= 2
+    ratios = run.notes["h"][2:] / run.notes["h"][1:-1]
+    delta_m = GeneralizedAlphaAdaptive().scheme().delta_m
+    lowest = delta_m / (1 - delta_m)
+    # a rejected step, and the last ones that meet the end, may be cut sharper
+    assert (ratios[:-2] < lowest - 1e-9).sum() <= run.work.rejected
+    assert ratios.max() <= adaptive.GROWTH + 1e-9
+
+
+def test_rows_do_not_grow_with_the_number_of_steps():
+    scene = SpringMass()
+    run = run_of(GeneralizedAlphaAdaptive(), scene, 1e-7)
+    assert run.work.steps > 20_000
+    assert SPREAD_ROWS < len(run.t) <= FIRST_ROWS + 2 * SPREAD_ROWS + 1
+    assert run.t[0] == 0.0
+    assert run.t[-1] == 20.0
+    assert (np.diff(run.t) > 0).all()
+    assert np.diff(run.t).max() < 1.0  # spread over all of the interval
+    np.testing.assert_allclose(np.diff(run.t[:FIRST_ROWS]), run.notes["h"][1:FIRST_ROWS])
+    exact = Reference(scene, 20.0)(run.t)
+    assert np.abs(run.q - exact["q"]).max() < 1e-6
+
+
+def test_counts_add_up():
+    run = run_of(GeneralizedAlphaAdaptive(), SoftImpact(), 1e-4)
+    work = run.work
+    assert work.rejected > 0
+    assert work.newton >= work.steps + work.rejected
+    assert work.residuals == work.jacobians == work.factorisations == work.newton
+    modified = run_of(GeneralizedAlphaAdaptive(newton="modified"), SoftImpact(), 1e-4).work
+    assert modified.jacobians < modified.newton == modified.residuals
+
+
+@dataclass(frozen=True)
+class Trouble(MechatronicSystem):
+    """A free mass whose force goes wrong in the chosen way."""
+
+    interval = (0.0, 2.0)
+    nan_after: float = parameter(1e9, "s", "time after which the force is not a number")
+    growth: float = parameter(0.0, "1/(m^2 s^2)", "cubic push that blows up in finite time")
+    kick: float = parameter(0.0, "N", "size of a force that jumps to and fro ever faster")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        jump = self.kick * jnp.sign(jnp.sin(1.0 / jnp.abs(1.0 - t + 1e-300)))
+        force = self.growth * q**3 + jnp.where(self.kick > 0, jump, 0.0)
+        return jnp.where(t > self.nan_after, jnp.nan, force)
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.ones(1))
+
+
+@pytest.mark.parametrize(
+    ("trouble", "options", "status", "words"),
+    [
+        (
+            {"growth": 0.5},
+            {"max_steps": 20},
+            "budget_exceeded",
+            "20 steps were used up; raise max_steps",
+        ),
+        ({"nan_after": 1.0}, {}, "diverged", "Ended at t=1 s of 2 s: the equations are not finite"),
+        ({"growth": 2.0}, {}, "diverged", "grew beyond all bounds"),
+        ({"growth": 2.0}, {"max_steps": 3000}, "budget_exceeded", "use a larger rtol"),
+    ],
+)
+def test_trouble_is_a_status_with_a_time_and_a_cure(trouble, options, status, words):
+    scene, rtol = Trouble(**trouble), 1e-12 if options.get("max_steps") == 3000 else 1e-4
+    run = GeneralizedAlphaAdaptive(**options).prepare(scene, 2.0, Tolerances(rtol)).measure()
+    assert (run.status, words in run.message) == (status, True), run.message
+    assert np.isfinite(run.q).all()
+    assert len(run.t) > 5
+
+
+def test_a_test_that_cannot_be_passed_ends_as_step_too_small(monkeypatch):
+    # The estimate is made to fail at any step size from t = 1 on.
+    method = GeneralizedAlphaAdaptive()
+    *functions, right, ratio, order = method.functions()
+
+    def hopeless(sizes, numbers, before, after, h):
+        errors = right(sizes, numbers, before, after, h)
+        return errors._replace(q=jnp.where(after.alpha.q > 2.0, 1e6, errors.q))
+
+    planted = SimpleNamespace(
+        functions=lambda: (*functions, hopeless, ratio, order),
+        numbers=method.numbers,
+        noted=method.noted,
+        max_steps=method.max_steps,
+    )
+    scene = Trouble()
+    run = adaptive._AdaptiveRun(planted, scene, 2.0, Tolerances(1e-4)).measure()
+    assert run.status == "step_too_small", run.message
+    assert "Ended at t=1 s" in run.message
+
+
+def test_new_tolerances_and_schemes_compile_nothing():
+    scene = Duffing()
+    first = GeneralizedAlphaAdaptive().prepare(scene, 3.0, Tolerances(1e-3))
+    compilations = first._kernel.compilations
+    for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
+        run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
+        assert run._kernel is first._kernel
+        run.measure()
+    assert first._kernel.compilations == compilations
