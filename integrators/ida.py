@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from integrators.callbacks import NOT_FINITE, Stop, cure
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -27,7 +28,7 @@ from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Sizes
 
 #: Absolute tolerance that takes a variable out of the error test: IDA's own switch for it
-#: (suppressalg) is not reachable through the Python bindings.
+#: (suppressalg) is not reachable through the Python bindings, and others have none.
 _NOT_TESTED = 1e6
 
 #: IDA's return flags by what they mean here; any other negative flag is a crash.
@@ -82,10 +83,8 @@ class IDA(Integrator):
 
 
 @cache
-def _compiled(
-    template: MechatronicSystem, sizes: Sizes, formulation: str
-) -> tuple[Callable, Callable]:
-    """F(p, t, w, wdot) and dF/dw + cj dF/dwdot at (p, t, w, wdot, cj) for any parameter values.
+def compiled_residual(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Callable:
+    """F(p, t, w, wdot) for any parameter values.
 
     p is one array, because a call costs a microsecond for every array that it is given.
     """
@@ -95,11 +94,21 @@ def _compiled(
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
         return dae_residual(scene, sizes, formulation, t, w, wdot)
 
+    return jax.jit(residual)
+
+
+@cache
+def _compiled(
+    template: MechatronicSystem, sizes: Sizes, formulation: str
+) -> tuple[Callable, Callable]:
+    """F(p, t, w, wdot) and dF/dw + cj dF/dwdot at (p, t, w, wdot, cj) for any parameter values."""
+    residual = compiled_residual(template, sizes, formulation)
+
     def jacobian(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
         # Along w and wdot together: one sweep over n directions instead of two.
         return jax.jacfwd(lambda d: residual(p, t, w + d, wdot + cj * d))(jnp.zeros_like(w))
 
-    return jax.jit(residual), jax.jit(jacobian)
+    return residual, jax.jit(jacobian)
 
 
 def start_vectors(scene: MechatronicSystem, at: Layout) -> tuple[np.ndarray, np.ndarray]:
@@ -112,12 +121,17 @@ def start_vectors(scene: MechatronicSystem, at: Layout) -> tuple[np.ndarray, np.
     return w, wdot
 
 
-class _Stop(Exception):
-    """Ends a run from inside a callback."""
-
-    def __init__(self, status: str, reason: str) -> None:
-        super().__init__(reason)
-        self.status, self.reason = status, reason
+def absolute_tolerances(
+    sizes: Sizes, formulation: str, atol: float, multipliers_tested: bool
+) -> np.ndarray:
+    """An atol for each entry of w, with which the multipliers are tested or not."""
+    at = dae_layout(sizes, formulation)
+    atols = np.full(at.size, atol)
+    if not multipliers_tested:
+        atols[at.lam] = atols[at.mu] = _NOT_TESTED
+        if sizes.nl and formulation != "index1":
+            atols[at.y] = _NOT_TESTED
+    return atols
 
 
 class _Equations:
@@ -131,13 +145,13 @@ class _Equations:
     # IDA checks the signatures and passes t, w, wdot, then what is to be filled in place.
     def residual(self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray) -> None:
         if self.residuals == self._max_calls:
-            raise _Stop("budget_exceeded", f"{self._max_calls} residual calls were used up")
+            raise Stop("budget_exceeded", f"{self._max_calls} residual calls were used up")
         self.residuals += 1
         res[:] = self._residual(self._p, t, w, wdot)
         # IDA would take a NaN for a failed step and try again without end. The sum is finite
         # only if every entry is, and is cheaper to form than the test of each.
         if not math.isfinite(res.sum()):
-            raise _Stop("diverged", "the equations gave a value that is not finite")
+            raise Stop("diverged", NOT_FINITE)
 
     def jacobian(
         self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
@@ -155,20 +169,14 @@ class _IDARun(PreparedRun):
         self._t0 = scene.interval[0]
         self._at = dae_layout(sizes, method.formulation)
         self._w, self._wdot = start_vectors(scene, self._at)
-        self._tolerances = {"rtol": resolution.rtol, "atol": self._atol(sizes, resolution.atol)}
+        tested = method.multipliers_in_error_test
+        atol = absolute_tolerances(sizes, method.formulation, resolution.atol, tested)
+        self._tolerances = {"rtol": resolution.rtol, "atol": atol}
         self._functions = _compiled(scene.template(), sizes, method.formulation)
         self._p = jax.device_put(np.array(list(scene.parameters().values())))
         warm_up = (self._p, self._t0, self._w, self._wdot)
         self._functions[0](*warm_up)
         self._functions[1](*warm_up, 1.0)
-
-    def _atol(self, sizes: Sizes, atol: float) -> np.ndarray:
-        atols = np.full(self._at.size, atol)
-        if not self._method.multipliers_in_error_test:
-            atols[self._at.lam] = atols[self._at.mu] = _NOT_TESTED
-            if sizes.nl and self._method.formulation != "index1":
-                atols[self._at.y] = _NOT_TESTED
-        return atols
 
     def _new(self) -> tuple[Any, _Equations]:
         """A new solver: a used one keeps counters and history."""
@@ -179,7 +187,7 @@ class _IDARun(PreparedRun):
         return ida.IDA(equations.residual, jacfn=equations.jacobian, **options), equations
 
     def execute(self) -> Any:
-        with contextlib.suppress(_Stop, RuntimeError), _silence():
+        with contextlib.suppress(Stop, RuntimeError), _silence():
             solver, _ = self._new()
             # With two times given, IDA stops at each of its own steps and never interpolates.
             return solver.solve([self._t0, self._t_end], self._w, self._wdot)
@@ -198,7 +206,7 @@ class _IDARun(PreparedRun):
                     if flag >= 0:
                         t.append(float(step.t))
                         w.append(step.y)
-            except _Stop as stop:
+            except Stop as stop:
                 failure = (stop.status, stop.reason)
             except RuntimeError as error:
                 failure = ("crashed", f"IDA gave up: {error}")
@@ -227,16 +235,12 @@ class _IDARun(PreparedRun):
         status, reason = failure
         method = self._method
         if self._scene.has("constraint") and method.formulation in ("index3", "index2"):
-            cure = "use formulation=stabilised_index2"
+            advice = "use formulation=stabilised_index2"
         elif self._scene.has("constraint") and method.multipliers_in_error_test:
-            cure = "use multipliers_in_error_test=false"
-        elif status == "budget_exceeded":
-            cure = "raise max_calls or use a larger rtol"
-        elif status == "diverged":
-            cure = "check the scene's equations beyond this time or use a smaller rtol"
+            advice = "use multipliers_in_error_test=false"
         else:
-            cure = "use a larger rtol, or a smaller one if the solution changes abruptly here"
-        return f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
+            advice = cure(status)
+        return f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {advice}."
 
 
 def _silence() -> contextlib.redirect_stdout:
