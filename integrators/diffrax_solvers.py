@@ -1,29 +1,21 @@
-"""Implicit Runge-Kutta methods of diffrax on the explicit ODE form."""
+"""Runge-Kutta methods of diffrax on the explicit ODE form."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-import numpy as np
+from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
+from integrators.diffrax_runs import AdaptiveRun, ConstantRun
+from problems.runtime import jnp
+from problems.system import MechatronicSystem
 
-from integrators.contract import (
-    Integrator,
-    PreparedRun,
-    Tolerances,
-    Trajectory,
-    Work,
-    option,
-    spread_rows,
-)
-from integrators.counting import Counts, run_counted, watch
-from integrators.rows import rows_from_states
-from problems.formulations import compiled, consistent_start, ode_rate
-from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes
+
+def _in_every_group(order: int) -> dict[str, int]:
+    # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
+    return dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
 
 
 @dataclass(frozen=True)
@@ -35,9 +27,9 @@ class DiffraxSolver(Integrator):
     Reported q, v and x are the solver's own, at the ends of accepted steps; a, lam, y and xdot
     solve the equations of motion there.
 
-    ``root_finder=fair`` is Newton's method at the tolerances of the step-size control. diffrax's
-    own default takes "not yet converged" for "diverged" (0.7.2) and rejects steps in masses. The
-    first step is diffrax's 0.01 s.
+    ``steps=adaptive`` is diffrax's own loop under its step-size control; the first step is
+    diffrax's 0.01 s. ``steps=constant`` takes the solver's steps on a given grid, step patterns
+    included, without error control and without a limit of steps.
 
     Work counts: ``residuals`` are evaluations of the right-hand side that are used as such;
     ``jacobians`` are linearisations of it, each of which is factorised once. They are counted in
@@ -45,18 +37,27 @@ class DiffraxSolver(Integrator):
     """
 
     family: ClassVar[str] = "diffrax"
-    controls: ClassVar[str] = "tolerance"
+    root_finder: ClassVar[str] = "none"
 
-    root_finder: str = option(
-        "fair",
-        "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
-        choices=("fair", "library_default"),
+    steps: str = option(
+        "adaptive",
+        "adaptive: diffrax's step-size control; constant: equal steps, or a pattern of them",
+        choices=("adaptive", "constant"),
     )
-    max_steps: int = option(65_536, "most steps in a run, rejected ones included", low=1)
+    max_steps: int = option(
+        65_536, "most steps in a run of adaptive steps, rejected ones included", low=1
+    )
 
     @property
     def formulation(self) -> str:
         return "ode"
+
+    @property
+    def controls(self) -> str:
+        return "step" if self.steps == "constant" else "tolerance"
+
+    def at_constant_steps(self) -> Integrator | None:
+        return replace(self, steps="constant")
 
     @staticmethod
     @abstractmethod
@@ -71,25 +72,94 @@ class DiffraxSolver(Integrator):
         return diffrax.ODETerm(rate)
 
     def prepare(
-        self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
+        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
     ) -> PreparedRun:
-        return _DiffraxRun(self, scene, t_end, resolution)
-
-
-def implicit_only(rate: Callable) -> Any:
-    """All of the right-hand side in the implicit term of an implicit-explicit solver."""
-    import diffrax
-
-    nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
-    return diffrax.MultiTerm(nothing, diffrax.ODETerm(rate))
+        run = ConstantRun if self.steps == "constant" else AdaptiveRun
+        return run(self, scene, t_end, resolution)
 
 
 @dataclass(frozen=True)
-class Kvaerno5(DiffraxSolver):
+class ImplicitDiffraxSolver(DiffraxSolver):
+    """Base of the implicit diffrax methods.
+
+    ``root_finder=fair`` is Newton's method at the tolerances of the step-size control, or at
+    constant steps until what is left is round-off. diffrax's own default takes "not yet
+    converged" for "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6
+    KenCarp3 uses up 65,536 steps with it, and 224 with Newton's method. At constant steps diffrax
+    has no default.
+    """
+
+    root_finder: str = option(
+        "fair",
+        "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
+        choices=("fair", "library_default"),
+    )
+
+    def at_constant_steps(self) -> Integrator | None:
+        return super().at_constant_steps() if self.root_finder == "fair" else None
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if self.steps == "constant" and self.root_finder == "library_default":
+            return "diffrax has no default root finder at constant steps; use root_finder=fair."
+        return super().supports(scene)
+
+
+@dataclass(frozen=True)
+class ImplicitEuler(ImplicitDiffraxSolver):
+    """The implicit Euler method: L-stable, one stage, the floor under all the others.
+
+    A step whose Newton iteration fails ends the run: diffrax 0.7.2 does not repeat it with a
+    smaller one as it does for its other implicit methods. Its default root finder is another
+    one, too: a chord method, which waits until it has converged.
+    """
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(1)
+    source: ClassVar[str] = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.ImplicitEuler(**options)
+
+
+class _Kvaerno(ImplicitDiffraxSolver):
+    """What Kvaerno's methods share: the paper."""
+
+    source: ClassVar[str] = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
+
+
+@dataclass(frozen=True)
+class Kvaerno3(_Kvaerno):
+    """Kvaerno's ESDIRK method 3(2): stiffly accurate, L-stable, four stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(3)
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Kvaerno3(**options)
+
+
+@dataclass(frozen=True)
+class Kvaerno4(_Kvaerno):
+    """Kvaerno's ESDIRK method 4(3): stiffly accurate, L-stable, five stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(4)
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Kvaerno4(**options)
+
+
+@dataclass(frozen=True)
+class Kvaerno5(_Kvaerno):
     """Kvaerno's ESDIRK method 5(4): stiffly accurate, L-stable, seven stages."""
 
-    orders: ClassVar[dict[str, int]] = {"q": 5, "v": 5, "a": 5, "lam": 5, "x": 5, "y": 5}
-    source: ClassVar[str] = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
+    orders: ClassVar[dict[str, int]] = _in_every_group(5)
 
     @staticmethod
     def solver(**options: Any) -> Any:
@@ -98,15 +168,41 @@ class Kvaerno5(DiffraxSolver):
         return diffrax.Kvaerno5(**options)
 
 
-@dataclass(frozen=True)
-class KenCarp4(DiffraxSolver):
-    """The implicit part of Kennedy & Carpenter's ARK4(3)6L[2]SA: ESDIRK, L-stable, six stages."""
+class _KenCarp(ImplicitDiffraxSolver):
+    """What the methods of Kennedy & Carpenter share: all of the right-hand side is implicit."""
 
-    orders: ClassVar[dict[str, int]] = {"q": 4, "v": 4, "a": 4, "lam": 4, "x": 4, "y": 4}
     source: ClassVar[str] = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
 
+    @staticmethod
+    def terms(rate: Callable) -> Any:
+        import diffrax
+
+        nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
+        return diffrax.MultiTerm(nothing, diffrax.ODETerm(rate))
+
+
+@dataclass(frozen=True)
+class KenCarp3(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK3(2)4L[2]SA: ESDIRK, L-stable, four stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(3)
+
+    name: ClassVar[str] = "kencarp3"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.KenCarp3(**options)
+
+
+@dataclass(frozen=True)
+class KenCarp4(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK4(3)6L[2]SA: ESDIRK, L-stable, six stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(4)
+
     name: ClassVar[str] = "kencarp4"
-    terms = staticmethod(implicit_only)
 
     @staticmethod
     def solver(**options: Any) -> Any:
@@ -115,139 +211,30 @@ class KenCarp4(DiffraxSolver):
         return diffrax.KenCarp4(**options)
 
 
-class _Programs(NamedTuple):
-    """The solve to be timed; the solve with all its steps, for `run_counted`."""
+@dataclass(frozen=True)
+class KenCarp5(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK5(4)8L[2]SA: ESDIRK, L-stable, eight stages."""
 
-    timed: Callable
-    counted: Callable
+    orders: ClassVar[dict[str, int]] = _in_every_group(5)
 
+    name: ClassVar[str] = "kencarp5"
 
-@cache
-def _compiled(
-    method: type[DiffraxSolver],
-    root_finder: str,
-    template: MechatronicSystem,
-    sizes: Sizes,
-    max_steps: int,
-) -> _Programs:
-    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the result."""
-    import diffrax
-    import optimistix
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
 
-    options = {}
-    if root_finder == "fair":
-        options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-
-    @jax.jit
-    def rate(t: Any, s: Any, p: Any) -> Any:
-        return ode_rate(template.with_parameters(p), sizes, t, s)
-
-    def program(rate: Callable, save: Any) -> Callable:
-        def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
-            # A step near the rounding of time cannot help. Without this limit diffrax would
-            # go on trying ever smaller ones until max_steps.
-            smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
-            solution = diffrax.diffeqsolve(
-                method.terms(rate),
-                method.solver(**options),
-                t0,
-                t_end,
-                None,
-                s0,
-                args=p,
-                stepsize_controller=diffrax.PIDController(
-                    rtol=rtol, atol=atol, dtmin=smallest, force_dtmin=False
-                ),
-                saveat=save,
-                max_steps=max_steps,
-                adjoint=diffrax.ForwardMode(),
-                throw=False,
-            )
-            return solution.ts, solution.ys, solution.stats, solution.result
-
-        return jax.jit(solve)
-
-    return _Programs(
-        timed=program(rate, diffrax.SaveAt(t1=True)),
-        counted=program(watch(rate), diffrax.SaveAt(steps=True)),
-    )
+        return diffrax.KenCarp5(**options)
 
 
-class _DiffraxRun(PreparedRun):
-    def __init__(
-        self, method: DiffraxSolver, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> None:
-        self._method, self._scene = method, scene
-        self._t0, self._t_end = scene.interval[0], float(t_end)
-        self._programs = _compiled(
-            type(method), method.root_finder, scene.template(), scene.sizes, method.max_steps
-        )
-        z = consistent_start(scene).z
-        self._s0 = np.concatenate([z.q, z.v, z.x])
-        arguments = (scene.parameters(), self._s0, self._t0, self._t_end, resolution.rtol,
-                     resolution.atol)  # fmt: skip
-        self._arguments = jax.tree.map(jnp.asarray, arguments)
-        # A solve over no time compiles the program and costs nothing else.
-        p, s0, t0, _, *tolerances = self._arguments
-        jax.block_until_ready(self._programs.timed(p, s0, t0, t0, *tolerances))
+@dataclass(frozen=True)
+class Dopri8(DiffraxSolver):
+    """Dormand & Prince's explicit method 8(7), 13 stages: the yardstick where nothing is stiff."""
 
-    def execute(self) -> Any:
-        return jax.block_until_ready(self._programs.timed(*self._arguments))
+    orders: ClassVar[dict[str, int]] = _in_every_group(8)
+    source: ClassVar[str] = "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3"
 
-    def measure(self) -> Trajectory:
-        try:
-            self.execute()  # the warm-up
-            solution, counts = run_counted(self._programs.counted, *self._arguments)
-        except jax.errors.JaxRuntimeError as error:
-            reason = str(error).splitlines()[0]
-            return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")
-        t, s, stats, result = solution
-        work = self._work(stats, counts)
-        t = np.concatenate([[self._t0], np.asarray(t)[: work.steps]])
-        s = np.concatenate([self._s0[None], np.asarray(s)[: work.steps]])
-        status, message = self._outcome(result, t[-1], s[-1])
-        keep, nq = spread_rows(work.steps), self._scene.sizes.nq
-        q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
-        rows = rows_from_states(self._scene, t[keep], q, v, x)
-        return Trajectory(**rows, status=status, message=message, work=work)
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
 
-    def _work(self, stats: dict[str, Any], counts: Counts) -> Work:
-        work = Work(int(stats["num_accepted_steps"]), int(stats["num_rejected_steps"]))
-        work.jacobians = work.factorisations = counts.linearisations
-        work.residuals = counts.evaluations
-        if self._method.root_finder == "fair":
-            # Each iteration of Newton's method linearises once and gets the value on the way.
-            # diffrax's own root finder discards the value; its iterations cannot be told apart
-            # from explicit evaluations.
-            work.residuals += counts.linearisations
-            work.newton = work.solves = counts.linearisations
-        return work
-
-    def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
-        """Status and message; t and s are the last that were accepted."""
-        from diffrax import RESULTS
-
-        if result == RESULTS.successful and np.isfinite(s).all():
-            return "ok", ""
-        if not self._defined_after(t, s):
-            status, reason = "diverged", "the right-hand side is not finite from here on"
-            cure = "check the scene's equations beyond this time or use a smaller rtol"
-        elif result == RESULTS.max_steps_reached:
-            status, reason = "budget_exceeded", f"{self._method.max_steps} steps were used up"
-            cure = "raise max_steps or use a larger rtol"
-        elif result == RESULTS.dt_min_reached:
-            status, reason = "step_too_small", "the step size fell to the rounding of time"
-            cure = "use a larger rtol, or a smaller one if the solution changes abruptly here"
-        else:
-            status = "newton_failed"
-            reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"
-            cure = "use root_finder=fair or another rtol"
-        return status, f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
-
-    def _defined_after(self, t: float, s: np.ndarray) -> bool:
-        """Whether the right-hand side is finite here and a few smallest steps later."""
-        rate, p = compiled(self._scene).ode, self._scene.parameters()
-        here = np.asarray(rate(p, t, s))
-        ahead = 1e-13 * max(abs(self._t0), abs(self._t_end))
-        later = np.asarray(rate(p, t + ahead, s + ahead * here))
-        return bool(np.isfinite([s, here, later]).all())
+        return diffrax.Dopri8(**options)

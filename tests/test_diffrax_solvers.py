@@ -6,13 +6,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from helpers import errors_at, slope
 from probe import Probe, worst
 
-from integrators import Tolerances, Trajectory, diffrax_solvers
-from integrators.diffrax_solvers import DiffraxSolver, KenCarp4, Kvaerno5
-from problems import MechatronicSystem
+from integrators import Steps, Tolerances, Trajectory
+from integrators.counting import run_counted
+from integrators.diffrax_runs import _Marched, _step_functions, adaptive_programs
+from integrators.diffrax_solvers import (
+    DiffraxSolver,
+    Dopri8,
+    ImplicitEuler,
+    KenCarp3,
+    KenCarp4,
+    KenCarp5,
+    Kvaerno3,
+    Kvaerno4,
+    Kvaerno5,
+)
+from problems import MechatronicSystem, jnp
 from problems.pendulum import Pendulum
+from problems.spec import SpecError, build
 from problems.spring_mass import SpringMass
+
+IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, KenCarp5)
 
 
 @dataclass(frozen=True)
@@ -26,10 +42,31 @@ class Dopri5(DiffraxSolver):
         return diffrax.Dopri5()
 
 
+@dataclass(frozen=True)
+class Filtered(Probe):
+    """A probe whose force stays while the rate of a state beside it ceases to exist."""
+
+    def force(self, q, v, t):
+        return -self.k * q
+
+    def state_rate(self, z):
+        return jnp.where(z.t > self.breaks_at, jnp.nan, -z.x)
+
+    def initial_state(self):
+        return super().initial_state()._replace(x=np.ones(1))
+
+
 def run(
     method: DiffraxSolver, scene: MechatronicSystem, rtol: float, t_end: float = 0.0
 ) -> Trajectory:
     return method.prepare(scene, t_end or scene.interval[1], Tolerances(rtol)).measure()
+
+
+def march(
+    method: DiffraxSolver, scene: MechatronicSystem, h: float, pattern: tuple[float, ...] = (1.0,)
+) -> Trajectory:
+    resolution = Steps(h, pattern)
+    return method.at_constant_steps().prepare(scene, scene.interval[1], resolution).measure()
 
 
 # ---- accuracy --------------------------------------------------------------------------
@@ -49,6 +86,77 @@ def test_errors_fall_with_the_tolerance_to_eight_digits_in_every_group(method, s
         assert worst(tight, scene, group) < worst(loose, scene, group) / 100
 
 
+@pytest.mark.parametrize("cls", [ImplicitEuler, Kvaerno3, KenCarp3, Dopri8])
+def test_the_error_falls_with_the_tolerance(cls):
+    rtols = (1e-3, 1e-5) if cls is ImplicitEuler else (1e-5, 1e-9)
+    loose, tight = (run(cls(), Pendulum(), rtol) for rtol in rtols)
+    assert loose.status == tight.status == "ok", tight.message
+    assert worst(tight, Pendulum(), "q") < worst(loose, Pendulum(), "q") / 8
+    assert worst(loose, Pendulum(), "q") < 0.1
+
+
+# ---- constant steps --------------------------------------------------------------------
+# Small enough to be asymptotic, large enough to stay above round-off. The gentler start keeps
+# the actuator out of its saturation, whose bend asks for very small steps.
+COARSEST = {1: 0.03, 3: 0.15, 4: 0.15, 5: 0.15, 8: 0.18}
+SCENES = [(SpringMass(q0=2.0), 5.0), (Pendulum(), 1.35)]
+
+
+@pytest.mark.parametrize(("scene", "t_end"), SCENES, ids=["spring_mass", "pendulum"])
+@pytest.mark.parametrize("cls", [*IMPLICIT, Dopri8])
+def test_the_claimed_order_shows_in_every_group_at_constant_steps(cls, scene, t_end):
+    method = cls().at_constant_steps()
+    ratio = 2**0.5 if method.orders["q"] == 8 else 2
+    length = t_end - scene.interval[0]
+    # The pendulum swings three times as fast.
+    coarsest = COARSEST[method.orders["q"]] / (3 if scene.sizes.nl else 1)
+    counts = [round(length / coarsest * ratio**k) for k in range(3)]
+    steps = [length / count for count in counts]
+    errors = [errors_at(method, scene, t_end, h) for h in steps]
+    assert set(errors[0]) == set(method.orders) - ({"x", "y"} if scene.sizes.nl else {"lam"})
+    for group in errors[0]:
+        order = slope(steps, [np.sqrt(np.mean(e[group] ** 2)) for e in errors])
+        assert order == pytest.approx(method.claims(scene)[group], abs=0.2), group
+
+
+def test_a_pattern_of_steps_is_hit_exactly_and_keeps_the_order():
+    pattern, scene = (0.5, 0.2, 0.3), Pendulum()
+    t = march(KenCarp3(), scene, 0.02, pattern).t
+    m, j = np.divmod(np.arange(16), 3)
+    assert t[1:17].tolist() == (0.35 + 1.0 * ((m + np.array([0.5, 0.7, 1.0])[j]) / 50)).tolist()
+    assert t[-1] == 1.35
+    steps = [0.04, 0.02, 0.01]
+    errors = [errors_at(KenCarp3().at_constant_steps(), scene, 1.35, h, pattern) for h in steps]
+    assert slope(steps, [e["lam"].max() for e in errors]) == pytest.approx(3, abs=0.2)
+
+
+def test_other_steps_patterns_and_parameters_compile_nothing_new():
+    method, scene = Kvaerno3().at_constant_steps(), Pendulum()
+    for resolution, length in ((Steps(0.1), 1.0), (Steps(0.02, (0.3, 0.7)), 1.5)):
+        scene = replace(scene, length=length)
+        assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
+    for counted in (False, True):
+        functions = _step_functions(Kvaerno3, "fair", scene.template(), scene.sizes, counted)
+        assert _Marched(scene.parameters(), *functions).kernel(scene).compilations == 1
+
+
+def test_the_counted_march_takes_the_timed_steps_and_more_of_them_than_max_steps():
+    method = replace(Kvaerno3(max_steps=1), steps="constant")
+    prepared = method.prepare(SpringMass(), 5.0, Steps(0.1))
+    trajectory, ((rows, _), counts) = prepared.measure(), run_counted(prepared.execute)
+    assert counts == (0, 0)  # what is timed counts nothing
+    assert (trajectory.status, trajectory.work.steps) == ("ok", 50)
+    assert trajectory.q[-1] == pytest.approx(np.asarray(rows)[0, 2], abs=1e-14)
+    alone = np.tanh(trajectory.y[:, 0])
+    assert trajectory.a[:, 0] == pytest.approx(alone - trajectory.q[:, 0], abs=1e-9)
+
+
+def test_constant_steps_are_refined_by_steps_and_adaptive_ones_by_tolerances():
+    assert Kvaerno5().controls == Dopri8().controls == "tolerance"
+    assert Kvaerno5(steps="constant").controls == "step"
+    assert Dopri8(max_steps=9).at_constant_steps() == Dopri8(max_steps=9, steps="constant")
+
+
 def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     method = Kvaerno5()
     run(method, Pendulum(), 1e-6)
@@ -56,9 +164,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = diffrax_solvers._compiled(
-        Kvaerno5, "fair", scene.template(), scene.sizes, method.max_steps
-    )
+    programs = adaptive_programs(Kvaerno5, "fair", scene.template(), scene.sizes, method.max_steps)
     assert programs.timed._cache_size() == programs.counted._cache_size() == 1
 
 
@@ -87,6 +193,17 @@ def test_an_implicit_explicit_method_starts_every_step_anew():
     attempts = work.steps + work.rejected
     assert work.jacobians == (1 + 2 * 5) * attempts
     assert work.residuals == work.jacobians + attempts
+
+
+def test_at_constant_steps_the_stages_are_counted_to_the_last():
+    # Newton's method solves a linear stage and confirms it; implicit Euler evaluates its
+    # predictor besides, and the last of Dopri8's stages is the first of the next step.
+    euler, explicit = (march(cls(), Probe(), 0.1).work for cls in (ImplicitEuler, Dopri8))
+    assert (euler.steps, euler.rejected, euler.newton) == (20, 0, 2 * 20)
+    assert euler.jacobians == euler.factorisations == euler.solves == euler.newton
+    assert euler.residuals == 20 + 2 * 20
+    assert (explicit.steps, explicit.residuals) == (20, 13 * 20 + 1)
+    assert explicit.jacobians == explicit.newton == explicit.solves == 0
 
 
 def test_the_librarys_own_root_finder_linearises_twice_a_step_and_rejects_in_masses():
@@ -145,7 +262,45 @@ def test_a_pole_of_the_solution_ends_the_run_near_it():
     assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_root_finder_that_fails_at_a_constant_step_ends_the_run_there():
+    trajectory = march(ImplicitEuler(), Pendulum(), 0.125)
+    assert trajectory.status == "newton_failed"
+    assert "in the step to t=0.6 s; take a smaller step" in trajectory.message
+    assert trajectory.t.tolist() == [0.35, 0.475]
+    assert trajectory.work.steps == 2
+
+
+@pytest.mark.parametrize(("cls", "scene"), [(Kvaerno3, Probe), (Dopri8, Probe), (Dopri8, Filtered)])
+def test_a_rate_that_becomes_nan_at_constant_steps_ends_the_run_as_diverged(cls, scene):
+    trajectory = march(cls(), scene(breaks_at=0.5), 0.1)
+    assert trajectory.status == "diverged"
+    assert "in the step to t=0.6 s" in trajectory.message
+    assert trajectory.t[-1] == 0.5
+    assert np.isfinite(trajectory.a).all()
+
+
+def test_implicit_euler_ends_where_newton_fails_instead_of_taking_a_smaller_step():
+    trajectory = run(ImplicitEuler(), Probe(k=0.0, c=6.0, v0=2.0), 1e-3)
+    assert trajectory.status in ("newton_failed", "step_too_small", "diverged")
+    assert 0.5 < trajectory.t[-1] < 1.5
+    assert f"t={trajectory.t[-1]:.6g} s" in trajectory.message
+
+
 # ---- options ---------------------------------------------------------------------------
+def test_an_explicit_method_shows_and_takes_no_root_finder():
+    assert Dopri8(steps="constant").spec == "dopri8[steps=constant]"
+    with pytest.raises(SpecError, match="root_finder"):
+        build(Dopri8, {"root_finder": "fair"}, "dopri8")
+
+
+def test_the_librarys_root_finder_is_refused_at_constant_steps_where_there_is_none():
+    method = build(KenCarp5, {"root_finder": "library_default", "steps": "constant"}, "kencarp5")
+    assert method.spec == "kencarp5[root_finder=library_default,steps=constant]"
+    assert "use root_finder=fair" in method.supports(Pendulum())
+    assert replace(method, steps="adaptive").supports(Pendulum()) is None
+    assert replace(method, steps="adaptive").at_constant_steps() is None
+
+
 def test_the_fair_root_finder_needs_no_mention_and_the_other_does():
     assert Kvaerno5().spec == "kvaerno5"
     assert KenCarp4(max_steps=9).spec == "kencarp4[max_steps=9]"
