@@ -103,7 +103,7 @@ def test_tables_for_people_show_the_same(stepbench):
         (["solve", "pendulum", "ida", "--rtol", "0"], "rtol=0 is not allowed"),
         (["solve", "pendulum", "newmark", "--pattern", "0.3,x"], "not a list of numbers"),
         (["solve", "pendulum", "newmark", "--pattern", "0.3,0.3"], "sum to 1"),
-        (["solve", "pendulum", "newmark[beta=0]"], "constraints need beta > 0"),
+        (["solve", "pendulum", "newmark[beta=0]"], "constraints act like infinite frequencies"),
         (["solve", "pendulum", "newmark", "--plugins", "no_such.py"], "no plugin file or folder"),
         (["order", "pendulum", "newmark", "--steps", "0.1,0.05"], "at least three"),
         (["order", "pendulum", "ida"], "chooses its own steps"),
