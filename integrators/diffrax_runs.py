@@ -215,7 +215,10 @@ def _step_functions(
         z = start.z
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
-        atol = _NEWTON_TOLERANCE * (1 + size)
+        # No iteration can get below the rounding of the rates, which in stiff scenes is large.
+        slopes = jnp.abs(jax.jacfwd(rate, argnums=1)(z.t, s, p))
+        rounding = np.finfo(float).eps * jnp.max(slopes @ (1 + jnp.abs(s)))
+        atol = _NEWTON_TOLERANCE * (1 + size) + 100 * rounding
         return _State(s, solver(atol).init(terms, z.t, z.t + h, s, p), atol)
 
     def step(

@@ -151,6 +151,13 @@ def test_the_counted_march_takes_the_timed_steps_and_more_of_them_than_max_steps
     assert trajectory.a[:, 0] == pytest.approx(alone - trajectory.q[:, 0], abs=1e-9)
 
 
+def test_a_stiff_equilibrium_whose_rates_are_known_to_few_digits_does_not_stop_newtons_method():
+    # The spring force is a difference of terms of 1e10 and rounds to 1e-6.
+    trajectory = march(Kvaerno3(), Probe(k=-1e10, c=-1e10, v0=1e-3), 0.05)
+    assert trajectory.status == "ok", trajectory.message
+    assert np.abs(trajectory.q[-1] - 1) < 1e-8
+
+
 def test_constant_steps_are_refined_by_steps_and_adaptive_ones_by_tolerances():
     assert Kvaerno5().controls == Dopri8().controls == "tolerance"
     assert Kvaerno5(steps="constant").controls == "step"
