@@ -44,9 +44,9 @@ class SliderCrankFlexible(MechatronicSystem):
 
     The published start makes a smooth motion with these parameters, but not an entirely smooth
     one: vibrations of about 1e-5 of the velocities and 1e-3 of the accelerations and multipliers
-    remain. Steps that do not resolve 24613 rad/s (above some 2e-6 s) cannot follow them, so that
-    the errors of a and lam stall at that size, and second order shows in q only. With other
-    parameters the start remains consistent, but vibrates more.
+    remain. Steps that do not resolve 24613 rad/s (above some 2e-6 s) cannot follow them: the
+    errors stall at that size, first those of a and lam, and second order is seen below only. With
+    other parameters the start remains consistent, but vibrates more.
     """
 
     interval = (0.0, 0.1)
