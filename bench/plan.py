@@ -7,12 +7,13 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from bench.records import Plan, Record, Study
+from bench.records import NORMS, Plan, Record, Study
 from bench.registry import Registry, fingerprint
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
@@ -22,7 +23,9 @@ from problems.spec import SpecError
 DEFAULT_HALVINGS = 6
 DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 
+#: What a study can show; "runs" is a table of every run, not shown unless asked for.
 FIGURES = ("trajectory", "convergence", "work_precision")
+TABLES = ("runs",)
 
 
 @dataclass(frozen=True)
@@ -76,10 +79,15 @@ class Cell:
 
 
 class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A ``[[study]]`` of a profile."""
+    """A ``[[study]]`` of a profile.
+
+    ``vary`` maps option names to values: every integrator is taken with every combination of
+    them. ``norm`` is the norm whose orders are tabled first.
+    """
 
     problems: list[str]
     integrators: list[str]
+    vary: dict[str, list[str]] = {}
     title: str = ""
     note: str = ""
     t_end: float | None = None
@@ -88,6 +96,7 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     rtol: list[float] | None = None
     atol: float | None = None
     figures: tuple[str, ...] = FIGURES
+    norm: str = "settled"
 
 
 class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -144,7 +153,21 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
         profile = msgspec.convert(data, ProfileFile)
     except msgspec.ValidationError as error:
         raise SpecError(f"The profile {path} is not as expected: {error}.") from None
-    return path.stem, profile
+    return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
+
+
+def _varied(study: StudyFile) -> StudyFile:
+    """The study with every combination of the options that it varies written out."""
+    combinations = [
+        dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
+    ]
+    integrators = []
+    for text in study.integrators:
+        name, options = spec.split_spec(text)
+        for more in combinations:
+            every = ",".join(f"{key}={value}" for key, value in (options | more).items())
+            integrators.append(f"{name}[{every}]" if every else name)
+    return msgspec.structs.replace(study, integrators=integrators, vary={})
 
 
 def _check_keys(data: dict[str, Any], struct: type, where: str) -> None:
@@ -173,8 +196,8 @@ def make_suite(
         If a name, option or number is not known or not allowed, or nothing is left to do.
     """
     files = _select_problems(profile.study, registry, problems)
-    if not 1 <= profile.samples <= 1000:
-        raise SpecError(f"samples={profile.samples} is not allowed; give 1 to 1000.")
+    if not 0 <= profile.samples <= 1000:
+        raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
     for key in ("budget_s", "memory_gib"):
         if not getattr(profile, key) > 0:
             raise SpecError(f"{key}={getattr(profile, key)} is not allowed; give more than 0.")
@@ -182,8 +205,10 @@ def make_suite(
     placed: defaultdict[str, set[str]] = defaultdict(set)
     for file in files:
         for figure in file.figures:
-            if figure not in FIGURES:
-                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, FIGURES)}.")
+            if figure not in (known := FIGURES + TABLES):
+                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
+        if file.norm not in NORMS:
+            raise SpecError(f"There is no norm {file.norm!r}; {spec.suggest(file.norm, NORMS)}.")
         for problem in file.problems:
             own = [registry.integrator(text) for text in file.integrators]
             chosen = _select_integrators(own, registry, integrators) if integrators else own
@@ -274,6 +299,7 @@ def _expand(
         problem=scene.spec,
         t_end=t_end,
         figures=list(file.figures),
+        norm=file.norm,
         cells=list(cells),
     )
     return study, cells

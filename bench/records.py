@@ -109,6 +109,7 @@ class Study(msgspec.Struct, kw_only=True):
     t_end: float
     figures: list[str]
     cells: list[str]
+    norm: str = "settled"
 
 
 class Plan(msgspec.Struct, kw_only=True):

@@ -50,6 +50,7 @@ class StudyPart:
     figures: list[Figure]
     tables: list[Table]
     more: list[Table]
+    runs: Table | None = None
 
 
 @dataclass
@@ -143,7 +144,7 @@ class SceneReader:
             for figure in study.figures
             if figure in makers
         ]
-        settled, every = tables.orders(series, ("settled",)), tables.orders(series)
+        first, every = tables.orders(series, (study.norm,)), tables.orders(series)
         fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudyPart(
             title=study.title or "All runs",
@@ -151,8 +152,9 @@ class SceneReader:
             state=_study_state(study, records),
             findings=findings(series),
             figures=[figure for figure in made if figure],
-            tables=[settled] if settled and fitted else [],
+            tables=[first] if first and fitted else [],
             more=[every] if every and fitted else [],
+            runs=tables.runs(series) if "runs" in study.figures else None,
         )
 
     def _convergence(self, series: Sequence[Series], name: str) -> Figure | None:

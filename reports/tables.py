@@ -213,6 +213,29 @@ def _fit(fit: Fit) -> str:
     return f"{prefix}{order_text(fit.order)} ({window})"
 
 
+def runs(series: Sequence[Series]) -> Table | None:
+    """Every run with its errors, work and ending."""
+    records = [(s, r) for s in series for r in s.records]
+    groups = groups_of(r for _, r in records)
+    if not records:
+        return None
+    rows = [
+        [
+            s.label,
+            r.resolution,
+            r.status,
+            *(number(error_of(r, group, "max")) for group in groups),
+            *(count(r.work.get(name)) for name in ("steps", "rejected", "residuals")),
+            milliseconds(seconds_of(r)),
+        ]
+        for s, r in records
+    ]
+    errors = [f"error in {g}" for g in groups]
+    head = ["integrator", "run", "ending", *errors, "steps", "rejected", "residual evaluations"]
+    note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
+    return Table("All runs", [*head, "time in ms"], rows, note=note)
+
+
 def drift(series: Sequence[Series]) -> Table | None:
     """Constraint residuals and energy drift of each integrator's finest run."""
     runs = [(s, s.ok[-1]) for s in series if s.ok]

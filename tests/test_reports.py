@@ -342,6 +342,17 @@ def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
             ] * 2
 
 
+def test_a_table_of_all_runs_shows_each_with_its_ending(folder: Path, page: Document) -> None:
+    tables = [rows for name, rows in page.tables if name == "All runs"]
+    records = stored(folder)
+    assert sum(len(rows) - 1 for rows in tables) == len(records)
+    shown = {(row[1], row[2]) for rows in tables for row in rows[1:]}
+    assert shown == {(r.resolution, r.status) for r in records}
+    column = tables[0][0].index("error in q")
+    worst = {number(r.errors["q"]["max"]) for r in records if r.status == "ok"}
+    assert {row[column] for rows in tables for row in rows[1:] if row[2] == "ok"} == worst
+
+
 def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
     assert "quiet enough" in page.words
     assert "0 of 36 timed runs spread by more than 50%" in page.words

@@ -1,0 +1,59 @@
+"""Profiles: combinations of options, tables on request, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench.plan import built_in_profiles, make_suite, read_profile
+from bench.registry import Registry
+from problems.spec import SpecError
+
+STUDY = """
+samples = 0
+[[study]]
+problems = ["pendulum"]
+integrators = ["generalized_alpha[rho_inf=0.5]", "newmark"]
+vary = { formulation = ["index3", "stabilised_index2"], start = ["consistent", "corrected"] }
+steps = [0.02, 0.01]
+"""
+
+
+def suite_of(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    return make_suite(*read_profile(str(file)), Registry())
+
+
+def test_varied_options_are_combined_with_every_integrator(tmp_path):
+    suite = suite_of(tmp_path, STUDY)
+    names = {cell.integrator for cell in suite.cells.values()}
+    assert len(names) == 8
+    assert len(suite.cells) == 16
+    assert "generalized_alpha[rho_inf=0.5,formulation=stabilised_index2,start=corrected]" in names
+    assert "newmark[beta=0.25,gamma=0.5]" in names
+    assert suite.plan.samples == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("start =", "strat =", "did you mean 'start'"),
+        ('"corrected"', '"late"', "start=late is not allowed"),
+        ("samples = 0", "samples = -1", "samples=-1 is not allowed; give 0 (no timing) to 1000"),
+        ("steps =", 'norm = "mean"\nsteps =', "There is no norm 'mean'"),
+        ("steps =", 'figures = ["run"]\nsteps =', "did you mean 'runs'"),
+    ],
+)
+def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):
+    with pytest.raises(SpecError) as error:
+        suite_of(tmp_path, STUDY.replace(old, new))
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("name", built_in_profiles())
+def test_built_in_profiles_name_only_what_there_is(name):
+    registry = Registry()
+    suite = make_suite(*read_profile(name), registry)
+    for text in {cell.integrator for cell in suite.cells.values()}:
+        assert registry.integrator(text).spec == text
+    assert suite.plan.title
