@@ -315,6 +315,21 @@ def test_the_start_is_consistent_and_can_be_drawn(scene):
         assert len(scene.coordinates) == len(q)
 
 
+def test_a_drawing_shows_where_the_bodies_are():
+    def later(scene):
+        t = scene.interval[0] + 0.2 * np.ptp(scene.interval)
+        q = Reference(scene, t)(np.array([t]))["q"][0]
+        return t, q, scene.draw(q)
+
+    t, _, lines = later(CarAxis())  # q does not hold the moving wheel: it is found from the axle
+    assert lines[3][1] == pytest.approx(np.asarray(CarAxis()._wheel(t)), abs=1e-10)
+    _, q, lines = later(HeavyTop())
+    assert lines[0][1] == pytest.approx([q[1] - 0.4 * q[0], q[2] - 0.4 * q[0]], abs=1e-10)
+    for scene, slider in ((SliderCrankFlexible(), 2), (SliderCrank(), 6), (SliderCrankDriven(), 1)):
+        _, q, lines = later(scene)
+        assert lines[1][-1] == pytest.approx([q[slider], 0], abs=1e-10)
+
+
 @pytest.mark.parametrize(
     ("cls", "options", "says"),
     [
