@@ -160,9 +160,12 @@ def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
 
 def check_work(registry: Registry, method: Integrator) -> str:
     """Work is counted, and grows with the number of steps."""
-    scenes, finer = trials(registry, method), 2.0 if method.controls == "step" else 1e3
+    scenes, pair = (
+        trials(registry, method),
+        (1.0, 2.0) if method.controls == "step" else (0.01, 1.0),
+    )
     for scene in scenes:
-        coarse, fine = (measured(method, scene, f).work for f in (1.0, finer))
+        coarse, fine = (measured(method, scene, factor).work for factor in pair)
         for name, value in (vars(coarse) | vars(fine)).items():
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
             if value is not None and not (whole and value >= 0):
@@ -171,8 +174,8 @@ def check_work(registry: Registry, method: Integrator) -> str:
             few, many = getattr(coarse, name), getattr(fine, name)
             if few is None or many is None or not 0 < few < many:
                 raise Failed(
-                    f"{name} on {scene.spec}: {few} at {words(method, scene)}, {many} at "
-                    f"{words(method, scene, finer)}; count {name} where they happen."
+                    f"{name} on {scene.spec}: {few} at {words(method, scene, pair[0])}, "
+                    f"{many} at {words(method, scene, pair[1])}; count {name} where they happen."
                 )
         if method.controls == "step" and coarse.steps != step_count(scene):
             raise Failed(
