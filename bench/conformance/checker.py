@@ -124,14 +124,13 @@ class Checker:
                 yield self._pool.submit(_answer, *job).result()
             except BrokenProcessPool:
                 self._pool = None
-                if time.monotonic() - started < self._budget:
-                    text_ = "The process died; look for a crash in compiled code or for an exit."
-                else:
-                    text_ = (
+                fault = "The process died; look for a crash in compiled code or for an exit."
+                if time.monotonic() - started >= self._budget:
+                    fault = (
                         f"It did not end within {self._budget:g} s; end such a run with the "
                         f"status budget_exceeded or step_too_small, or raise --budget."
                     )
-                yield Finding(name, FAILED, text_)
+                yield Finding(name, FAILED, fault)
 
     def _plugin(self, kind: str, text: str) -> Plugin:
         plugins = getattr(self._registry, kind)

@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
+    GROUPS,
     TRIAL_RTOL,
     FiniteTimeBlowUp,
     measured,
@@ -18,6 +19,7 @@ from bench.conformance.trials import (
     names_of,
     prepared,
     resolution,
+    size_of,
     spoilt,
     step_count,
     trial_end,
@@ -35,7 +37,6 @@ from problems.system import MechatronicSystem
 _SHIFT = 64.0
 #: How deep numbers are looked for in what execute() returns.
 _DEEPEST = 4
-_GROUPS = {"q": "nq", "v": "nq", "a": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
 
 
 def check_scenes(registry: Registry, method: Integrator) -> str:
@@ -69,8 +70,8 @@ def check_rows(registry: Registry, method: Integrator) -> str:
     for scene in scenes:
         run, (t0, t_end) = measured(method, scene), (scene.interval[0], trial_end(scene))
         k, t = len(run.t), np.asarray(run.t)
-        for group, size in _GROUPS.items():
-            shape, wanted = np.shape(getattr(run, group)), (k, getattr(scene.sizes, size))
+        for group in GROUPS:
+            shape, wanted = np.shape(getattr(run, group)), (k, size_of(scene, group))
             if shape != wanted:
                 raise Failed(f"Rows of {group} on {scene.spec} have shape {shape}, not {wanted}.")
         if k < 2 or t[0] != t0 or t[-1] != t_end:
@@ -114,7 +115,7 @@ def check_repeats(registry: Registry, method: Integrator) -> str:
 
 
 def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
-    for name in ("t", *_GROUPS):
+    for name in ("t", *GROUPS):
         if not np.array_equal(getattr(one, name), getattr(two, name)):
             raise Failed(f"{what} differ in {name}; seed random numbers and keep no state.")
     if one.work != two.work:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from bench.conformance.trials import reference
+from bench.conformance.trials import reference, size_of
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.measure import relative_errors
 from bench.orders import Fit, fit_order
@@ -53,7 +53,7 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     for scene, t_end in trials:
         if steady.supports(scene):
             continue
-        claims = {g: p for g, p in steady.claims(scene).items() if _has(scene, g)}
+        claims = {g: p for g, p in steady.claims(scene).items() if size_of(scene, g)}
         if not claims:
             continue
         levels, floors = _refine(steady, scene, t_end, claims)
@@ -73,11 +73,6 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     if not found:
         raise DoesNotApply("No order is claimed, or errors are round-off; see `orders`.")
     return f"Measured as claimed: order {'; '.join(found)}."
-
-
-def _has(scene: MechatronicSystem, group: str) -> bool:
-    sizes = scene.sizes._asdict() | {"nv": scene.sizes.nq, "na": scene.sizes.nq, "nlam": 0}
-    return bool(scene.sizes.nl if group == "lam" else sizes[f"n{group}"])
 
 
 def _words(claims: dict[str, int]) -> str:

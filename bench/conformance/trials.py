@@ -20,6 +20,8 @@ TRIALS = ("spring_mass", "pendulum")
 #: A trial run takes this many nominal steps of its scene.
 TRIAL_STEPS = 50
 TRIAL_RTOL = 1e-6
+#: The groups of a trajectory, with the size of each.
+GROUPS = {"q": "nq", "v": "nq", "a": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
 
 
 # ---- trial scenes ----------------------------------------------------------------------
@@ -180,3 +182,8 @@ def names_of(scenes: list[MechatronicSystem]) -> str:
 def step_count(scene: MechatronicSystem) -> int:
     """Steps of a trial run at fixed steps."""
     return Steps(scene.nominal_step).count(scene.interval[0], trial_end(scene))
+
+
+def size_of(scene: MechatronicSystem, group: str) -> int:
+    """Entries of a group of a trajectory on this scene."""
+    return getattr(scene.sizes, GROUPS[group])
