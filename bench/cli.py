@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
-from bench import answers, options
+from bench import answers, cli_plugins, cli_scenes, options
 from bench import plan as plans
-from bench.cli_plugins import check, new
 from bench.plan import Cell, check_end, make_suite, read_profile
 from bench.records import Record, Rows, flatten
 from bench.registry import Registry, explain
@@ -313,8 +312,8 @@ def export(folder: Path, form: str, out: Path | None) -> None:
         click.echo(text, nl=False)
 
 
-main.add_command(check)
-main.add_command(new)
+for command in (cli_plugins.check, cli_plugins.new, cli_scenes.show, cli_scenes.catalogue):
+    main.add_command(command)
 
 
 # ---- helpers ---------------------------------------------------------------------------

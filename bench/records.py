@@ -98,6 +98,11 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     reference: Rows
     drawings: list[dict[str, Any]] = []
     fingerprint: str = ""
+    tags: list[str] = []
+    difficulties: list[str] = []
+    equations: list[str] = []
+    nominal_step: float | None = None
+    rates: dict[str, float] | None = None
 
 
 class Study(msgspec.Struct, kw_only=True):

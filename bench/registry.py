@@ -44,9 +44,9 @@ class Plugin:
 
     @property
     def summary(self) -> str:
-        """First line of the class's docstring."""
+        """First paragraph of the class's docstring, on one line."""
         doc = inspect.getdoc(self.cls) if self.cls else None
-        return doc.splitlines()[0] if doc else ""
+        return " ".join(doc.split("\n\n")[0].split()) if doc else ""
 
     @property
     def options(self) -> list[dict[str, Any]]:

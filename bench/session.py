@@ -7,11 +7,12 @@ from typing import Protocol
 
 from bench.environment import environment
 from bench.plan import Cell, Suite
-from bench.records import Record, Rows
+from bench.records import Record, Rows, SceneRecord
 from bench.registry import Registry, fingerprint
 from bench.runner import Lost, Runner, Task
 from bench.store import Store
 from bench.worker import Measured
+from problems.system import MechatronicSystem
 
 
 class Progress(Protocol):
@@ -96,6 +97,27 @@ def solve_cells(
         for cell, _, seconds in runner.time(good, samples, {}):
             answers[cell.key][0].run_s.append(seconds)
     return [answers[cell.key] for cell in cells]
+
+
+def describe_scenes(
+    scenes: list[MechatronicSystem],
+    registry: Registry,
+    budget_s: float,
+    progress: Progress,
+    memory_gib: float = 4.0,
+) -> list[SceneRecord]:
+    """Records of scenes over their own intervals; one that fails is noted and left out."""
+    records = {}
+    groups = [[Task("scene", (scene.spec, scene.interval[1]))] for scene in scenes]
+    progress.phase("references", len(groups))
+    with Runner(registry.paths, 2, budget_s, memory_gib) as runner:
+        for task, answer in runner.run(groups, lambda t: progress.working(_words(t))):
+            if isinstance(answer, Lost):
+                progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
+            else:
+                records[task.arguments[0]] = answer
+            progress.advance()
+    return [records[scene.spec] for scene in scenes if scene.spec in records]
 
 
 def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> None:

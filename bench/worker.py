@@ -22,7 +22,8 @@ import numpy as np
 from bench import measure
 from bench.plan import Cell
 from bench.records import Record, Rows, SceneRecord
-from bench.registry import Registry, explain, fingerprint
+from bench.registry import Registry, explain
+from bench.scenes import scene_record
 from integrators.contract import PreparedRun, Trajectory
 from problems.formulations import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
@@ -33,7 +34,6 @@ from problems.system import MechatronicSystem
 SAMPLE_SECONDS = 2e-3
 #: A run that lasts longer warms its caches itself.
 _LONG_SECONDS = 1e-3
-_GHOSTS = 7
 
 
 @dataclass
@@ -51,14 +51,13 @@ class _Bench:
     prepared: dict[str, PreparedRun] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     references: dict[tuple[str, float], Reference] = field(default_factory=dict)
-    relative: dict[tuple[str, float], dict[str, float]] = field(default_factory=dict)
 
     def reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
         key = (scene.spec, t_end)
         if key not in self.references:
             self.notify(f"making the reference of {scene.spec}")
             reference = Reference(scene, t_end)
-            self.relative[key] = measure.relative_reference_error(reference)
+            reference.error  # noqa: B018 - made now, where the runner knows what takes so long
             self.references[key] = reference
         return self.references[key]
 
@@ -123,29 +122,7 @@ class _Bench:
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Everything that a report shows of a scene."""
         scene = self.registry.problem(problem)
-        reference = self.reference(scene, t_end)
-        t0 = scene.interval[0]
-        t = np.linspace(t0, t_end, 301)
-        values = {"t": t} | reference(t)
-        drawings = []
-        if scene.has("draw"):
-            for k in np.linspace(0, len(t) - 1, _GHOSTS).astype(int):
-                lines = [np.asarray(line).tolist() for line in scene.draw(values["q"][k])]
-                drawings.append({"t": float(t[k]), "lines": lines})
-        return SceneRecord(
-            problem=problem,
-            t_end=t_end,
-            source=scene.source,
-            coordinates=list(scene.coordinates),
-            sizes=scene.sizes._asdict(),
-            t0=t0,
-            reference_method=reference.method,
-            reference_error=self.relative[problem, t_end],
-            reference=measure.rows_of(values),
-            drawings=drawings,
-            fingerprint=fingerprint(type(scene)),
-            **scene.describe(),
-        )
+        return scene_record(scene, self.reference(scene, t_end))
 
 
 def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:

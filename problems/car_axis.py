@@ -26,6 +26,10 @@ class CarAxis(MechatronicSystem):
     interval = (0.0, 3.0)
     nominal_step = 0.005
     tags = ("constrained", "index 3", "rheonomic", "stiff", "benchmark")
+    difficulties = (
+        "stiff springs against light masses: explicit methods are held to short steps",
+        "the right wheel's motion makes a constraint depend on time: velocities need Phi_t, too",
+    )
     coordinates = ("left x", "left y", "right x", "right y")
     source = "Mazzia & Magherini, Test Set for IVP Solvers, problem caraxis; Schneider (1995)"
 

@@ -29,6 +29,10 @@ class Chain(MechatronicSystem):
     interval = (0.0, 0.5)
     nominal_step = 0.01
     tags = ("constrained", "index 3", "conservative", "chaotic", "scalable")
+    difficulties = (
+        "the motion is chaotic: errors grow with the interval and with the number of links",
+        "cost of a step with dense matrices grows with the cube of the number of links",
+    )
     source = "Standard multiple pendulum"
 
     links: int = parameter(8, "-", "number of links", low=1)

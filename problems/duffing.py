@@ -24,6 +24,7 @@ class Duffing(MechatronicSystem):
     interval = (0.0, 3.0)
     nominal_step = 0.05
     tags = ("smooth", "nonlinear", "driven", "damped")
+    difficulties = ("the classical forms of generalized-alpha report a first-order acceleration",)
     coordinates = ("position",)
     source = "Duffing (1918), Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz"
 

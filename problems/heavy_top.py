@@ -30,6 +30,10 @@ class HeavyTop(MechatronicSystem):
     interval = (0.0, 0.5)
     nominal_step = 2e-3
     tags = ("constrained", "index 3", "conservative", "spatial", "singular mass")
+    difficulties = (
+        "M(q) alone is singular: a method that inverts it cannot take this scene",
+        "lam loses an order on index 3 with the plain start",
+    )
     coordinates = ("x", "y", "z", "p0", "p1", "p2", "p3")
     source = "Geradin & Cardona (2001); data as in Bruels & Cardona (2010), doi:10.1115/1.4001370"
 

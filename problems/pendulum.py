@@ -23,6 +23,11 @@ class Pendulum(MechatronicSystem):
     interval = (0.35, 1.35)
     nominal_step = 0.02
     tags = ("constrained", "index 3", "closed form", "conservative")
+    difficulties = (
+        "index 3: undamped methods leave a and lam oscillating",
+        "the plain start leaves a first-order transient in a and lam",
+        "near the upright position (th0 close to pi) small errors grow exponentially",
+    )
     coordinates = ("X", "Y")
     source = "Closed form by Jacobi elliptic functions, e.g. Landau & Lifshitz, Mechanics, par. 11"
 

@@ -73,6 +73,10 @@ class SliderCrank(_FreeCrank):
     """
 
     tags = ("constrained", "index 3", "conservative", "multibody")
+    difficulties = (
+        "six constraints on seven coordinates: index 3 with one freedom left",
+        "the plain start leaves a first-order transient in a and lam",
+    )
     coordinates = ("crank x", "crank y", "crank angle", "rod x", "rod y", "rod angle", "slider x")
     source = "Standard planar mechanism; data of the IVP test set's crank, rounded, rigid rod"
 
@@ -171,6 +175,7 @@ class SliderCrankDriven(MechatronicSystem):
     interval = (0.005, 0.05)
     nominal_step = 5e-4
     tags = ("constrained", "index 3", "closed form", "rheonomic")
+    difficulties = ("with l1 = l2 the constraints lose rank at a crank angle of pi/2",)
     coordinates = ("crank angle", "slider x")
     source = "Closed form: x = l1 cos(p) + sqrt(l2^2 - l1^2 sin(p)^2), p = Omega t"
 

@@ -52,6 +52,10 @@ class SliderCrankFlexible(MechatronicSystem):
     interval = (0.0, 0.1)
     nominal_step = 1e-4
     tags = ("constrained", "index 3", "rheonomic", "stiff", "flexible", "benchmark")
+    difficulties = (
+        "vibrations of the rod are a thousand times faster than the motion",
+        "the benchmark's start excites them slightly: errors in a and lam stall at usual steps",
+    )
     coordinates = ("crank angle", "rod angle", "slider x", "bending 1", "bending 2",
                    "elongation middle", "elongation end")  # fmt: skip
     source = "Mazzia & Magherini, Test Set for IVP Solvers, problem crank; Simeon (1996)"

@@ -23,6 +23,10 @@ class SoftImpact(MechatronicSystem):
     interval = (0.0, 1.0)
     nominal_step = 2e-3
     tags = ("smooth", "fast and slow phases", "conservative")
+    difficulties = (
+        "equal steps have to be as short as the impact everywhere",
+        "an error in the time of the impact is an error of the size of v",
+    )
     coordinates = ("distance from the wall",)
     source = "one-dimensional motion in an exponential (Toda) potential; textbook closed form"
 
@@ -59,4 +63,4 @@ class SoftImpact(MechatronicSystem):
         reach = 0.02
         box = np.array([[0, -1], [2, -1], [2, 1], [0, 1], [0, -1]]) * reach
         wall = np.array([[0.0, -4 * reach], [0.0, 4 * reach]])
-        return [wall, box + [float(q[0]), 0.0]]
+        return [wall, box + np.array([q[0], 0.0])]

@@ -24,6 +24,9 @@ class SpringMass(MechatronicSystem):
     interval = (0.0, 20.0)
     nominal_step = 0.1
     tags = ("mechatronic", "smooth", "nonlinear output")
+    difficulties = (
+        "the acceleration is fed back in the step: a first-order one spoils everything",
+    )
     coordinates = ("position",)
     source = "Bruels & Arnold (2008), section 6, Figs 3-6"
 

@@ -30,6 +30,10 @@ class StiffBar(MechatronicSystem):
     interval = (0.0, 10.0)
     nominal_step = 0.02
     tags = ("stiff", "nonlinear", "conservative", "closed form")
+    difficulties = (
+        "an axial frequency of 18124 rad/s beside a period of 2.5 s",
+        "the trapezoidal rule gains energy until Newton's method fails",
+    )
     coordinates = ("x", "y")
     source = "Kuhl & Crisfield (1999), Int. J. Numer. Meth. Engng 45, 569-599"
 

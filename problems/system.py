@@ -90,6 +90,8 @@ class MechatronicSystem:
         the step size in s from which a convergence study starts
     ``tags``
         words to search by
+    ``difficulties``
+        what is hard about it and for whom, a sentence each
     ``coordinates``
         names of the entries of q, for plots
     """
@@ -98,6 +100,7 @@ class MechatronicSystem:
     interval: ClassVar[tuple[float, float]] = (0.0, 1.0)
     nominal_step: ClassVar[float] = 0.01
     tags: ClassVar[tuple[str, ...]] = ()
+    difficulties: ClassVar[tuple[str, ...]] = ()
     coordinates: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
 
@@ -181,13 +184,14 @@ class MechatronicSystem:
 
     def describe(self) -> dict[str, Any]:
         """Title, description and parameters in words, for reports and lists."""
-        title, _, text = (inspect.getdoc(type(self)) or self.name).partition("\n")
+        title, _, text = (inspect.getdoc(type(self)) or self.name).partition("\n\n")
         parameters = [
             {"name": f.name, "value": getattr(self, f.name)}
             | {key: f.metadata[key] for key in ("unit", "doc")}
             for f in dataclasses.fields(self)
             if "unit" in f.metadata
         ]
+        title = " ".join(title.split())
         return {"title": title, "description": text.strip(), "parameters": parameters}
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:

@@ -34,6 +34,14 @@ def write(folder: Path) -> Path:
         If the folder holds no readable store.
     """
     page = read_page(folder, interactive=True)
+    path = Path(folder) / FILE
+    text = template("report.html.j2").render(page=page, library=_library())
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def template(name: str) -> jinja2.Template:
+    """A page's template, which escapes what it is given."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports"),
         autoescape=True,
@@ -41,13 +49,7 @@ def write(folder: Path) -> Path:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    path = Path(folder) / FILE
-    text = environment.get_template("report.html.j2").render(
-        page=page,
-        library=_library(),
-    )
-    path.write_text(text, encoding="utf-8")
-    return path
+    return environment.get_template(name)
 
 
 def _library() -> str:

@@ -35,6 +35,13 @@ def write(folder: Path) -> Path:
     """
     page = read_page(folder, interactive=False)
     _draw(page, Path(folder) / FIGURES)
+    path = Path(folder) / FILE
+    path.write_text(render("report.md.j2", page=page, figures=FIGURES), encoding="utf-8")
+    return path
+
+
+def render(name: str, **values: object) -> str:
+    """A template's text without runs of blank lines."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports"),
         autoescape=False,
@@ -43,10 +50,8 @@ def write(folder: Path) -> Path:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {"md": escape, "code": code, "table": table}
-    text = environment.get_template("report.md.j2").render(page=page, figures=FIGURES)
-    path = Path(folder) / FILE
-    path.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", encoding="utf-8")
-    return path
+    text = environment.get_template(name).render(**values)
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
 def _draw(page: Page, folder: Path) -> None:

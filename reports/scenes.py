@@ -107,9 +107,9 @@ class SceneReader:
             name=self.name,
             title=self.scene.title.rstrip(".") if self.scene and not self.described else "",
             about=self._about(),
-            facts=_facts(self.scene) if self.scene else [],
+            facts=facts(self.scene) if self.scene else [],
             picture=None if self.described else self._picture(),
-            parameters=_parameters(self.scene) if self.scene and not self.described else None,
+            parameters=parameters(self.scene) if self.scene and not self.described else None,
             targets=tables.targets(series) if series else None,
             summary=tables.summary(series) if series else None,
             studies=parts,
@@ -263,21 +263,23 @@ def _sampled(tables_of_rows: Iterable[Rows]) -> list[str]:
     return [group for group in GROUPS if group in present]
 
 
-def _facts(scene: SceneRecord) -> list[tuple[str, str]]:
+def facts(scene: SceneRecord) -> list[tuple[str, str]]:
+    """Names and values of what a page tells of a scene."""
     names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
     sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
     errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
-    facts = [
+    found = [
         ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
         ("Size", ", ".join(sizes)),
         ("Reference", scene.reference_method),
         ("Its own relative error", ", ".join(errors)),
         ("Source", scene.source),
     ]
-    return [(name, text) for name, text in facts if text]
+    return [(name, text) for name, text in found if text]
 
 
-def _parameters(scene: SceneRecord) -> Table | None:
+def parameters(scene: SceneRecord) -> Table | None:
+    """Its parameters with units and meaning."""
     if not scene.parameters:
         return None
     head = list(dict.fromkeys(key for row in scene.parameters for key in row))

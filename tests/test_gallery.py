@@ -1,0 +1,124 @@
+"""Pictures of scenes: stills, animations, the catalogue, and what it tells of a scene."""
+
+from __future__ import annotations
+
+import json
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from planted import Document
+
+from bench.scenes import drawings, equations, rates, scene_record
+from problems.car_axis import CarAxis
+from problems.pendulum import Pendulum
+from problems.reference import Reference
+from problems.spring_mass import SpringMass
+
+
+def test_rates_are_the_eigenvalues_of_the_motion():
+    quiet = Pendulum(th0=1e-4)  # small swings: a pair at +-i sqrt(g/length), the rest is zero
+    found = rates(quiet, Reference(quiet, 1.35))
+    assert found["oscillation"] == pytest.approx(np.sqrt(quiet.g / quiet.length), rel=1e-4)
+    assert found["fastest"] == pytest.approx(found["oscillation"], rel=1e-4)
+    loop = SpringMass(k=4.0, b=0.0)  # no feedback: the filter's pole stands beside the spring's
+    found = rates(loop, Reference(loop, 2.0))
+    assert found["oscillation"] == pytest.approx(2.0)
+    assert found["decay"] == pytest.approx(loop.sigma)
+    assert found["slowest"] == pytest.approx(loop.sigma)
+
+
+def test_equations_are_those_that_the_scene_has():
+    assert equations(CarAxis()) == ["M(q) a = g(q, v, t) - Phi_q^T lam", "0 = Phi(q, t)"]
+    assert equations(SpringMass())[0] == "M(q) a = g(q, v, t) + L y"
+    assert len(equations(SpringMass())) == 3
+
+
+def test_drawings_follow_the_motion():
+    scene = Pendulum()
+    made = drawings(scene, Reference(scene, 1.35), 5)
+    assert [d["t"] for d in made] == pytest.approx(np.linspace(0.35, 1.35, 5))
+    for d in made:
+        rod = np.array(d["lines"][0])
+        np.testing.assert_allclose(rod[1], scene.exact(np.array([d["t"]]))["q"][0], atol=1e-12)
+    record = scene_record(scene, Reference(scene, 1.35))
+    assert record.tags == list(scene.tags)
+    assert record.difficulties
+    assert record.title == "A point mass on a massless rod: the smallest index-3 system with an " \
+        "exact solution."  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png"])
+def test_show_writes_a_picture(stepbench, tmp_path, suffix):
+    file = tmp_path / f"swing.{suffix}"
+    result = stepbench("show", "pendulum", "--set", "th0=2.0", "-o", file)
+    assert result.exit_code == 0, result.output
+    if suffix == "svg":
+        assert ElementTree.parse(file).getroot().tag.endswith("svg")
+    else:
+        assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_animation_has_all_it_needs_in_one_file(stepbench, tmp_path):
+    file = tmp_path / "play.html"
+    result = stepbench("show", "pendulum", "--animate", "--t-end", "0.85", "-o", file)
+    assert result.exit_code == 0, result.output
+    text = file.read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:)|https?://(?!www\.w3\.org)""", text)
+    frames = json.loads(re.search(r"const frames = (.*);\n", text).group(1))
+    assert len(frames) == 240
+    assert (frames[0]["t"], frames[-1]["t"]) == (0.35, 0.85)
+    x, y = Pendulum().exact(np.array([0.85]))["q"][0]
+    # A page has y downwards, the scene upwards.
+    assert frames[-1]["lines"][0][1] == pytest.approx([x, -y], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pendulm"], "did you mean 'pendulum'"),
+        (["pendulum", "-o", "x.pdf"], "x.pdf is not a picture; give a name that ends in .svg"),
+        (["pendulum", "--animate", "-o", "x.svg"], "give a name that ends in .html"),
+        (["pendulum", "--t-end", "0.1"], "does not lie after the start"),
+        (["pendulum", "-o", "no/such/folder/x.svg"], "The system refused"),
+    ],
+)
+def test_show_refuses_in_one_sentence(stepbench, arguments, words):
+    result = stepbench("show", *arguments)
+    assert result.exit_code != 0
+    assert words in result.output
+    assert "Traceback" not in result.output
+
+
+INVISIBLE = """
+from dataclasses import dataclass
+import numpy as np
+from problems import MechatronicSystem, State, jnp
+
+@dataclass(frozen=True)
+class Invisible(MechatronicSystem):
+    '''A free mass that nobody draws.'''
+    def mass(self, q): return jnp.eye(1)
+    def force(self, q, v, t): return -q
+    def initial_state(self): return State(q=np.ones(1), v=np.zeros(1))
+"""
+
+
+def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tmp_path):
+    plugin = tmp_path / "invisible.py"
+    plugin.write_text(INVISIBLE)
+    result = stepbench("show", "invisible", "--plugins", plugin)
+    assert result.exit_code != 0
+    assert "invisible has no picture: it does not define draw(q)" in result.output
+    out = tmp_path / "catalogue"
+    result = stepbench("catalogue", "invisible", "spring_mass", "--plugins", plugin, "--out", out)
+    assert result.exit_code == 0, result.output
+    page = Document((out / "catalogue.html").read_text())
+    paper = (out / "catalogue.md").read_text()
+    for words in ("A free mass that nobody draws", "Active damping of one mass"):
+        assert words in page.words
+        assert words in paper
+    assert "xdot = f(q, v, a, lam, x, y, t)" in page.words
+    assert [file.name for file in (out / "catalogue_figures").iterdir()] == ["spring_mass.svg"]
+    assert "](catalogue_figures/spring_mass.svg)" in paper
