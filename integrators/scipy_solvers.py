@@ -142,7 +142,7 @@ class SteppedRun(PreparedRun):
             try:
                 solver = self._new(calls)
                 watch(solver)
-                while solver.status == "running":
+                while solver.status == "running" and solver.t < self._t_end:
                     calls.begin_step(solver.t)
                     solver.step()
                     if solver.status != "failed":
@@ -153,7 +153,7 @@ class SteppedRun(PreparedRun):
                 if calls.finite:
                     return Stop("newton_failed", f"the linear algebra failed ({error})")
                 return Stop("diverged", NOT_FINITE)
-        if solver.status == "finished":
+        if solver.t == self._t_end:
             return None
         if not calls.finite:
             return Stop("diverged", NOT_FINITE)
