@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.records import Environment, Plan, Record, SceneRecord, Study
 from bench.store import Store
-from reports import tables
-from reports.scenes import ScenePart, SceneReader
-from reports.series import error_of, label_of, looks_of, number, series_of
+from reports import overview, tables
+from reports.scenes import Figure, ScenePart, SceneReader
+from reports.series import Look, error_of, label_of, looks_of, number, series_of
+from reports.standings import Standing, overall, standings, verdicts
 from reports.tables import Table
 
 #: Timing samples that spread further than this, relative to their median, are noisy.
@@ -26,6 +27,9 @@ class Page:
     title: str
     state: str
     missing: list[str]
+    verdict: Table | None
+    overall: list[str]
+    overview: list[Figure]
     scenes: list[ScenePart]
     failures: Table | None
     timing: Table | None
@@ -49,9 +53,10 @@ def read_page(folder: Path, interactive: bool) -> Page:
         looks = looks_of((label_of(r), r.family) for r in records.values())
         keys = _scene_keys(plan, scenes, records.values())
         names = _names(keys)
-        parts = []
+        parts, series = [], {}
         for i, key in enumerate(keys, 1):
             own = [r for r in records.values() if (r.problem, r.t_end) == key]
+            series[names[key]] = series_of(own)
             twins = [k for k in keys[: i - 1] if _same(scenes.get(k), scenes.get(key))]
             part = SceneReader(
                 anchor=f"scene-{i}",
@@ -65,11 +70,14 @@ def read_page(folder: Path, interactive: bool) -> Page:
             )
             parts.append(part.read([s for s in _studies(plan) if (s.problem, s.t_end) == key]))
         environments = store.environments()
-    everything = list(records.values())
+    everything, found = list(records.values()), standings(series)
     return Page(
         title=(plan.title or plan.name) if plan else "Results",
         state=_state(plan, everything),
         missing=_missing(plan, scenes, records, keys, environments),
+        verdict=tables.verdict(verdicts(found)),
+        overall=overall(found),
+        overview=_overview(found, looks, interactive),
         scenes=parts,
         failures=tables.failures(everything),
         timing=tables.timing(series_of(everything)),
@@ -77,6 +85,29 @@ def read_page(folder: Path, interactive: bool) -> Page:
         environments=list(environments.items()),
         fairness=_fairness(plan),
     )
+
+
+def _overview(
+    found: Sequence[Standing], looks: Mapping[str, Look], interactive: bool
+) -> list[Figure]:
+    """The charts over all scenes, with more than one integrator to compare."""
+    if len({s.label for s in found}) < 2:
+        return []
+    which = "(choose below)" if interactive else "(acceleration to 1e-4, residual evaluations)"
+    made = [
+        (
+            "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
+            f"scene {which}. Grey: not reached.",
+            {"overview-heat": overview.heat(found, interactive)},
+        ),
+        (
+            f"Performance profile {which}: part of the scenes on which an integrator costs at "
+            "most so many times the best (Dolan and More 2002). High on the left: often the "
+            "cheapest; high on the right: reaches the accuracy almost everywhere.",
+            {"overview-profile": overview.profile(found, looks, interactive)},
+        ),
+    ]
+    return [Figure(text, charts) for text, charts in made if all(charts.values())]
 
 
 # ---- words -------------------------------------------------------------------------------

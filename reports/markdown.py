@@ -58,13 +58,15 @@ def _draw(page: Page, folder: Path) -> None:
     """All charts of a page as SVG; those of an earlier page go."""
     for old in folder.glob("*.svg"):
         old.unlink()
+    figures = list(page.overview)
     for scene in page.scenes:
-        figures = [figure for study in scene.studies for figure in study.figures]
-        for figure in [scene.picture, *figures] if scene.picture else figures:
-            for name, chart in figure.charts.items():
-                folder.mkdir(exist_ok=True)
-                svg = vl_convert.vegalite_to_svg(chart)
-                (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
+        figures += [scene.picture] if scene.picture else []
+        figures += [figure for study in scene.studies for figure in study.figures]
+    for figure in figures:
+        for name, chart in figure.charts.items():
+            folder.mkdir(exist_ok=True)
+            svg = vl_convert.vegalite_to_svg(chart)
+            (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
 
 
 def escape(text: object) -> str:

@@ -21,7 +21,9 @@ from reports.series import NORM_NAMES, Look
 Spec = dict[str, Any]
 
 GREY = "#808080"
-_TEXT_COLUMNS = {"series", "look", "norm", "run", "line"}
+_TEXT_COLUMNS = {
+    *("series", "look", "norm", "run", "line", "scene", "group", "target", "cost", "text"),
+}
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
 _DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
 

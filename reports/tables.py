@@ -21,8 +21,7 @@ from reports.series import (
     run_name,
     seconds_of,
 )
-
-TARGETS = (1e-2, 1e-4, 1e-6)
+from reports.standings import JUDGED, LEAST, TARGETS, Verdict, reaches
 
 
 @dataclass
@@ -38,11 +37,11 @@ class Table:
 
 
 def targets(series: Sequence[Series]) -> Table | None:
-    """For an accuracy in q and in a: who reaches it for the least time and the least work.
+    """For an accuracy in q, a and lam: who reaches it for the least time and the least work.
 
     None if there is nobody to compare.
     """
-    groups = [g for g in groups_of(r for s in series for r in s.ok) if g in "qa"]
+    groups = [g for g in groups_of(r for s in series for r in s.ok) if g in JUDGED]
     rows = []
     for group in groups if len(series) > 1 else ():
         for target in TARGETS:
@@ -60,12 +59,26 @@ def targets(series: Sequence[Series]) -> Table | None:
     )
 
 
+def verdict(found: Sequence[Verdict]) -> Table | None:
+    """Who wins on which scene."""
+    if not found:
+        return None
+    rows = [[v.scene, *(v.by.get(cost, "not known") for cost in LEAST)] for v in found]
+    return Table(
+        "Cheapest way to an acceleration within 1e-4",
+        ["scene", *LEAST.values()],
+        rows,
+        note="Largest relative error over all times. Who cannot be told apart from the winner by "
+        "timing samples, or has the same count, ties. Other accuracies and costs: below.",
+    )
+
+
 def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
     floor = floor_of((r for s in series for r in s.ok), group, "max")
     if TRUST * floor > target:
         return [f"cannot be judged: the reference's own error is {number(floor)}", "", ""]
     tried = [s for s in series if s.ok]
-    reached = {s.label: [r for r in s.ok if _reaches(r, group, target)] for s in tried}
+    reached = {s.label: [r for r in s.ok if reaches(r, group, target)] for s in tried}
     runs = [r for rs in reached.values() for r in rs]
     count = f"{sum(map(bool, reached.values()))} of {len(series)}"
     if not runs:
@@ -76,11 +89,6 @@ def _target_row(series: Sequence[Series], group: str, target: float) -> list[str
         nearest = f"nearest: {number(error)} by {run_name(record)}"
         return [count, nearest, number(None)]
     return [count, _fastest(runs), _fewest(runs)]
-
-
-def _reaches(record: Record, group: str, target: float) -> bool:
-    error = error_of(record, group, "max")
-    return error is not None and error <= target
 
 
 def _fastest(runs: Sequence[Record]) -> str:
