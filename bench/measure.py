@@ -66,27 +66,22 @@ def relative_reference_error(reference: Reference) -> dict[str, float]:
     }
 
 
-def constraint_residuals(
-    scene: MechatronicSystem, trajectory: Trajectory
-) -> dict[str, float | None]:
-    """Largest absolute residual of Phi and its first two time derivatives over the rows."""
-    if not scene.has("constraint"):
-        return {}
-    y = trajectory
-    levels = compiled(scene).levels(scene.parameters(), y.q, y.v, y.a, y.t)
-    return {
-        name: finite(np.abs(r).max(initial=0.0)) for name, r in zip(LEVELS, levels, strict=True)
-    }
-
-
-def energy_drift(scene: MechatronicSystem, trajectory: Trajectory) -> float | None:
-    """Largest change of the energy over the rows, relative to the largest kinetic energy."""
-    if not scene.has("energy"):
-        return None
-    energy, p = compiled(scene).energy, scene.parameters()
-    total = np.asarray(energy(p, trajectory.q, trajectory.v))
-    kinetic = total - np.asarray(energy(p, trajectory.q, 0 * trajectory.v))
-    return finite(np.abs(total - total[0]).max() / (np.abs(kinetic).max() or 1.0))
+def histories(scene: MechatronicSystem, trajectory: Trajectory) -> dict[str, np.ndarray]:
+    """What a run violates, per row ``(k,)``: the largest absolute residual of Phi and its first two
+    time derivatives ("position", "velocity", "acceleration"), and the "energy"'s change relative
+    to the largest kinetic energy. A scene without constraints or energy has none of them."""
+    y, p, found = trajectory, scene.parameters(), {}
+    if scene.has("constraint"):
+        levels = compiled(scene).levels(p, y.q, y.v, y.a, y.t)
+        found = {
+            name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
+        }
+    if scene.has("energy"):
+        energy = compiled(scene).energy
+        total = np.asarray(energy(p, y.q, y.v))
+        kinetic = total - np.asarray(energy(p, y.q, 0 * y.v))
+        found["energy"] = np.abs(total - total[0]) / (np.abs(kinetic).max() or 1.0)
+    return found
 
 
 def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:

@@ -78,8 +78,11 @@ class _Bench:
             record.errors, record.reference_error = measure.relative_errors(run, reference)
         except Exception as error:
             record.message = f"No errors are known, the reference failed: {explain(error)}"
-        record.constraint = measure.constraint_residuals(scene, run)
-        record.energy_drift = measure.energy_drift(scene, run)
+        histories = measure.histories(scene, run)
+        largest = {name: measure.finite(values.max()) for name, values in histories.items()}
+        record.energy_drift = largest.pop("energy", None)
+        record.constraint = largest
+        run.notes |= histories
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         scene = self.registry.problem(cell.problem)

@@ -8,7 +8,17 @@ from dataclasses import replace
 from typing import Any
 
 from bench.records import Rows
-from reports.marks import Data, Spec, View, arrange, config, quantity, short
+from reports.marks import (
+    Data,
+    Spec,
+    View,
+    arrange,
+    config,
+    log_axis,
+    log_scale,
+    quantity,
+    short,
+)
 from reports.panels import (
     MOST_COMPONENTS,
     component,
@@ -61,11 +71,13 @@ def work_precision(
     groups: Sequence[str],
     looks: Mapping[str, Look],
     norm: str = "end",
-    interactive: bool = False,
 ) -> Spec | None:
-    """Error in the groups against seconds and against counted work; None if nothing to draw."""
+    """A picture of the errors in the groups against seconds and counted work; None of nothing.
+
+    A page that answers shows `reports.explorer.explorer` instead.
+    """
     series = [s for s in series if s.ok]
-    view = View({s.label: looks[s.label] for s in series}, norm, interactive)
+    view = View({s.label: looks[s.label] for s in series}, norm)
     data, panels, columns = [error_data(series, group, view) for group in groups], [], 1
     for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
         before = len(panels)
@@ -73,7 +85,7 @@ def work_precision(
             panel = error_panel(table, across, view, not panels, floor_rule(series, table, view))
             panels += [panel] if panel else []
         columns = max(columns, len(panels) - before)
-    return arrange(panels, data, columns, params=view.controls)
+    return arrange(panels, data, columns)
 
 
 def trajectory(
@@ -112,6 +124,47 @@ def trajectory(
             layers.append(run_lines(drawn, name, title, labels, view, first=not panels))
         panels += [{"layer": layers}] if layers else []
     return arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
+
+
+#: What is drawn over time beside the variables: title, and whether the axis is logarithmic.
+HISTORIES = {
+    "h": ("step size h in s", True),
+    "gamma": ("weight gamma", False),
+    "position": ("constraint residual, position", True),
+    "velocity": ("constraint residual, velocity", True),
+    "energy": ("relative change of the energy", True),
+}
+
+
+def histories(
+    runs: Sequence[tuple[str, Rows]], looks: Mapping[str, Look], interactive: bool = False
+) -> Spec | None:
+    """Notes over time, a panel each; what is the same number in every row is left out."""
+    labels = list(dict.fromkeys(label for label, _ in runs))
+    view = View({label: looks[label] for label in labels}, interactive=interactive)
+    rows = [
+        {"s": labels.index(label), "t": short(t)}
+        | {n: short(run.notes[n][k]) for n in HISTORIES if run.notes.get(n)}
+        for label, run in runs
+        for k, t in enumerate(run.t)
+    ]
+    data, panels = Data("histories", rows), []
+    for name, (title, logarithmic) in HISTORIES.items():
+        told = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
+        if not any(_varies(values) for values in told):
+            continue
+        values = [abs(v) for values in told for v in values if v or not logarithmic]
+        layer = run_lines(data, name, title, labels, view, first=not panels)
+        if logarithmic:
+            layer["transform"].append({"filter": f"datum.{name} > 0"})
+            axis = log_axis(values, ".0e")
+            layer["encoding"]["y"] |= {"scale": log_scale(), "axis": axis}
+        panels.append({"layer": [layer]})
+    return arrange(panels, [data], min(3, len(panels)), height=170)
+
+
+def _varies(values: Sequence[float]) -> bool:
+    return bool(values) and max(values) - min(values) > 1e-9 * max(map(abs, values))
 
 
 def drawing(drawings: Sequence[Mapping[str, Any]]) -> Spec | None:

@@ -33,13 +33,18 @@ from reports.series import (
 
 #: A group with more components than this is drawn by its first ones.
 MOST_COMPONENTS = 3
-_FORMATS = {"h": "~g", "seconds": ".0e", "residuals": "~s"}
+#: How an axis writes its numbers; counts have a suffix.
+#: A reference's error is drawn if it lies less than this factor below the errors.
+DEEP = 1e3
+_FORMATS = {"h": "~g", "seconds": ".0e"}
 #: A guide to the eye runs this factor above the errors.
 _CLEAR = 2.0
 
 
 # ---- errors ------------------------------------------------------------------------------
-def error_data(series: Sequence[Series], group: str, view: View) -> Data:
+def error_data(
+    series: Sequence[Series], group: str, view: View, counts: Sequence[str] = ("residuals",)
+) -> Data:
     """One row per run and norm, named after the group; errors that a log axis can show."""
     rows, labels = [], list(view.looks)
     for s in series:
@@ -51,7 +56,7 @@ def error_data(series: Sequence[Series], group: str, view: View) -> Data:
                 "seconds": short(seconds_of(record)),
                 "fastest": short(min(record.run_s, default=None)),
                 "slowest": short(max(record.run_s, default=None)),
-                "residuals": record.work.get("residuals"),
+                **{name: record.work.get(name) for name in counts},
             }
             for norm in view.norms:
                 error = short(error_of(record, group, norm))
@@ -72,7 +77,9 @@ def error_panel(
     if not rows:
         return None
     zoomed = f"zoom_{field}_{data.name}" if view.interactive else ""
-    x_axis = log_axis([row[field] for row in rows], _FORMATS[field], zoomed and f"{zoomed}.{field}")
+    x_axis = log_axis(
+        [row[field] for row in rows], _FORMATS.get(field, "~s"), zoomed and f"{zoomed}.{field}"
+    )
     y_axis = log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
     x = quantity(field, title=title, scale=log_scale(), axis=x_axis)
     y_title = f"relative error in {GROUP_NAMES[data.name]}"
@@ -125,7 +132,7 @@ def floor_rule(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
     runs = [r for s in series for r in s.ok]
     floors = [{"norm": n, "floor": floor_of(runs, data.name, n)} for n in view.norms]
     lowest = min((row["error"] for row in data.rows), default=0.0)
-    floors = [row for row in floors if row["floor"] > 0 and row["floor"] * 1e3 >= lowest]
+    floors = [row for row in floors if row["floor"] > 0 and row["floor"] * DEEP >= lowest]
     if not floors:
         return []
     tip = quantity("floor", title="reference's own error", format=".2g")

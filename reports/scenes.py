@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bench.records import GROUPS, Record, Rows, SceneRecord, Study
 from bench.store import StoreError
-from reports import charts, tables
+from reports import charts, explorer, tables
 from reports.findings import Finding, findings
 from reports.marks import Spec
 from reports.panels import MOST_COMPONENTS
@@ -139,11 +139,12 @@ class SceneReader:
             "convergence": self._convergence,
             "work_precision": self._work_precision,
         }
-        made = [
-            makers[figure](series, f"{anchor}-{figure}")
-            for figure in study.figures
-            if figure in makers
-        ]
+        figures = [figure for figure in study.figures if figure in makers]
+        made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
+        if "work_precision" in figures:
+            made.append(self._accuracy(series, f"{anchor}-accuracy"))
+        if "trajectory" in figures:
+            made.append(self._histories(series, f"{anchor}-histories"))
         first, every = tables.orders(series, (study.norm,)), tables.orders(series)
         fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudyPart(
@@ -173,12 +174,39 @@ class SceneReader:
         return _figure(caption, made)
 
     def _work_precision(self, series: Sequence[Series], name: str) -> Figure | None:
-        groups = [g for g in groups_of(r for s in series for r in s.ok) if g in "qa"]
-        chart = charts.work_precision(series, groups, self.looks, "end", self.interactive)
+        groups = groups_of(r for s in series for r in s.ok)
+        if self.interactive:
+            chart = explorer.explorer(series, groups, self.looks)
+        else:
+            few = [g for g in groups if g in "qa"]
+            chart = charts.work_precision(series, few, self.looks)
+        where = "" if self.interactive else f" {self._which(['end'])}"
         caption = (
-            f"Error {self._which(['end'])} against cost: median seconds per run (bars: fastest "
-            "to slowest sample) and counted residual evaluations. A line joins the resolutions "
-            f"of one integrator. {self._floor(groups)}"
+            f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
+            "or counted work. A line joins the resolutions of one integrator. "
+            f"{self._floor(groups)}"
+        )
+        return _figure(caption, {name: chart})
+
+    def _accuracy(self, series: Sequence[Series], name: str) -> Figure | None:
+        chart = explorer.accuracy(series, self.looks, "max", self.interactive)
+        caption = (
+            f"Acceleration beside position {self._which(['max'])}: good in q is not always good "
+            "in a. On the dashed line both have the same relative error."
+        )
+        return _figure(caption, {name: chart})
+
+    def _histories(self, series: Sequence[Series], name: str) -> Figure | None:
+        shown = []
+        for s in series:
+            record = (s.ok or s.records)[-1]
+            rows = self._rows(record)
+            if rows and rows.notes:
+                shown.append((s.label, rows))
+        chart = charts.histories(shown, self.looks, self.interactive)
+        caption = (
+            "Over time, for the finest run of each: step size, weights of the recurrence, how far "
+            "the constraints are violated, and how far the energy has changed."
         )
         return _figure(caption, {name: chart})
 

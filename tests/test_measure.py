@@ -1,14 +1,16 @@
-"""What is kept of a trajectory: only rows that can be read back."""
+"""What is kept of a trajectory: rows that can be read back, and what they violate."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bench.measure import rows_of
+from bench.measure import histories, rows_of
 from bench.records import GROUPS, Record
 from bench.store import Store
 from integrators.contract import Trajectory
+from problems.pendulum import Pendulum
+from problems.spring_mass import SpringMass
 
 TIMES = np.linspace(0.0, 0.4, 5)
 
@@ -64,3 +66,21 @@ def test_the_values_of_a_reference_are_rows_too():
     rows = rows_of({"t": TIMES} | values)
     assert rows.t == TIMES.tolist()
     assert set(rows.values) == set(values)
+
+
+def test_histories_are_what_each_row_violates():
+    scene = Pendulum()
+    t = np.linspace(*scene.interval, 5)
+    exact = scene.exact(t)
+    empty = {name: np.zeros((5, 0)) for name in ("x", "xdot", "y")}
+    found = histories(scene, Trajectory(t=t, **exact, **empty))
+    assert set(found) == {"position", "velocity", "acceleration", "energy"}
+    assert all(values.max() < 1e-12 for values in found.values())
+    stretched = exact | {"q": exact["q"] * np.array([1, 1, 1.1, 1, 1])[:, None]}
+    found = histories(scene, Trajectory(t=t, **stretched, **empty))
+    assert found["position"][2] == pytest.approx(0.5 * (1.1**2 - 1))
+    assert found["position"][[0, 1, 3, 4]].max() < 1e-12
+    kinetic = 0.5 * scene.m * (exact["v"] ** 2).sum(axis=1)
+    lifted = scene.m * scene.g * 0.1 * exact["q"][2, 1]
+    assert found["energy"][2] == pytest.approx(abs(lifted) / kinetic.max())
+    assert histories(SpringMass(), trajectory()) == {}

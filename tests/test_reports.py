@@ -22,7 +22,7 @@ from planted import ATTACK, STEPS, Document, everything, plant, planted
 from bench.orders import fit_order
 from bench.records import NORMS, Record, Rows, Study, median
 from bench.store import Store
-from reports import charts, html, markdown
+from reports import charts, explorer, html, markdown
 from reports.findings import findings
 from reports.series import looks_of, milliseconds, number, series_of
 from reports.tables import summary, targets
@@ -195,7 +195,7 @@ def test_the_page_asks_nothing_of_any_network(folder: Path, page: Document) -> N
             return set(node).union(*(keys(v) for v in node.values()))
         return set().union(*(keys(v) for v in node)) if isinstance(node, list) else set()
 
-    assert len(page.charts) == 10
+    assert len(page.charts) == 12
     assert "url" not in keys(list(page.charts.values()))
     assert len(text) < 3_000_000
 
@@ -223,12 +223,14 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         record.run_s = [1e-3, 2e-3]
     series = series_of(records)
     looks = looks_of((s.label, s.family) for s in series)
+    convergence = charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True)
+    assert len(convergence["concat"]) == 4
     for chart in (
-        charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True),
-        charts.work_precision(series, ["q", "a"], looks, interactive=True),
+        convergence,
+        explorer.explorer(series, ["q", "v", "a", "lam"], looks),
+        explorer.accuracy(series, looks, interactive=True),
     ):
-        altair.ConcatChart.from_dict(chart, validate=True)
-        assert len(chart["concat"]) == 4
+        altair.Chart.from_dict(chart, validate=True)
         vega = json.dumps(vl_convert.vegalite_to_vega(chart))
         # The legend has a name only if a click on it is heard.
         assert vega.count('"name": "series_legend_symbols"') == 1
@@ -290,9 +292,9 @@ def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
-    # Two over all scenes; per scene one picture of it, motion, convergence, cost; a held scene
-    # shows the maximum, too.
-    assert len(pictures) == len(set(pictures)) == 11
+    # Two over all scenes; per scene one picture of it, motion, convergence, cost, accuracy; a held
+    # scene shows the maximum, too.
+    assert len(pictures) == len(set(pictures)) == 13
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
 

@@ -1,0 +1,95 @@
+"""Charts with menus, and what is drawn over time: their numbers are those of the records."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+from planted import curves, everything
+
+from bench.records import NORMS
+from reports import charts, explorer
+from reports.series import looks_of, series_of
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+@pytest.fixture
+def series():
+    records = [r for r in everything() if r.problem == "pendulum"]
+    for i, record in enumerate(records):
+        record.run_s = [1e-3 * (i + 1), 2e-3 * (i + 1), 4e-3 * (i + 1)]
+    return series_of(records)
+
+
+@pytest.fixture
+def looks(series):
+    return looks_of((s.label, s.family) for s in series)
+
+
+def test_the_explorer_holds_every_error_beside_every_cost(series, looks):
+    chart = explorer.explorer(series, ["q", "v", "a", "lam"], looks)
+    rows = table(chart["datasets"]["runs"])
+    runs = [(s, r) for s in series for r in s.ok]
+    errors = [r.errors[g][n] for _, r in runs for g in ("q", "v", "a", "lam") for n in NORMS]
+    assert len(rows) == sum(bool(e) for e in errors)
+    label, record = runs[0][0].label, runs[0][1]
+    (mine,) = [
+        row
+        for row in rows
+        if (row["series"], row["run"]) == (label, record.resolution)
+        and (row["group"], row["norm"]) == ("lam", "max")
+    ]
+    assert float(mine["error"]) == pytest.approx(record.errors["lam"]["max"], rel=1e-4)
+    assert float(mine["seconds"]) == pytest.approx(sorted(record.run_s)[1])
+    assert (float(mine["fastest"]), float(mine["slowest"])) == pytest.approx(
+        (min(record.run_s), max(record.run_s))
+    )
+    assert int(mine["residuals"]) == record.work["residuals"]
+    menus = {p["name"]: p["bind"]["options"] for p in chart["params"]}
+    assert menus["group"] == ["q", "v", "a", "lam"]
+    assert menus["norm"] == list(NORMS)
+    assert {"seconds", "residuals", "steps", "h"} <= set(menus["cost"])
+    assert "jacobians" not in menus["cost"]  # nobody counted them
+
+
+def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
+    chart = explorer.explorer(series, ["q"], looks)
+    assert "floors" not in chart["datasets"]  # 1e-15, far below
+    for record in series[0].records:
+        record.reference_error["q"]["max"] = 1e-4
+    chart = explorer.explorer(series, ["q"], looks)
+    assert table(chart["datasets"]["floors"]) == [{"group": "q", "norm": "max", "floor": "0.0001"}]
+
+
+def test_acceleration_stands_beside_position(series, looks):
+    chart = explorer.accuracy(series, looks, "max")
+    points = {(float(r["q"]), float(r["a"])) for r in table(chart["datasets"]["accuracy"])}
+    wanted = {
+        (float(f"{r.errors['q']['max']:.5g}"), float(f"{r.errors['a']['max']:.5g}"))
+        for s in series
+        for r in s.ok
+    }
+    assert points == wanted
+    assert explorer.accuracy([], looks) is None
+
+
+def test_only_what_varies_is_drawn_over_time(looks):
+    label = next(iter(looks))
+    rows = curves(1.0, {"q": 1})
+    count = len(rows.t)
+    rows.notes = {
+        "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
+        "gamma": [None, *[0.6] * (count - 1)],
+        "position": [0.0, *(1e-12 * k for k in range(1, count))],
+    }
+    chart = charts.histories([(label, rows)], looks)
+    drawn = [panel["layer"][0]["encoding"]["y"]["field"] for panel in chart["concat"]]
+    assert drawn == ["h", "position"]
+    values = [row["h"] for row in table(chart["datasets"]["histories"])]
+    assert values[0] == ""  # no step led to the start
+    assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
+    assert charts.histories([(label, curves(1.0, {"q": 1}))], looks) is None
