@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from bench.records import NORMS, Plan, Record, Study
+from bench.records import NORMS, IntegratorFacts, Plan, Record, Study
 from bench.registry import Registry, fingerprint
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
@@ -228,8 +228,22 @@ def make_suite(
         samples=profile.samples,
         budget_s=profile.budget_s,
         studies=studies,
+        integrators={
+            text: _facts(registry, text)
+            for text in dict.fromkeys(cell.integrator for cell in cells.values())
+        },
     )
     return Suite(plan, cells, profile.memory_gib)
+
+
+def _facts(registry: Registry, text: str) -> IntegratorFacts:
+    integrator = registry.integrator(text)
+    return IntegratorFacts(
+        title=registry.integrators[integrator.name].summary,
+        orders=dict(integrator.orders),
+        formulation=integrator.formulation,
+        source=integrator.source,
+    )
 
 
 def _select_problems(

@@ -117,14 +117,25 @@ class Study(msgspec.Struct, kw_only=True):
     norm: str = "settled"
 
 
+class IntegratorFacts(msgspec.Struct, kw_only=True):
+    """What an integrator says of itself: title, claimed order per group, formulation, source."""
+
+    title: str
+    orders: dict[str, int] = {}
+    formulation: str = ""
+    source: str = ""
+
+
 class Plan(msgspec.Struct, kw_only=True):
-    """What a store is about: its title, its studies, and how often each run is timed."""
+    """What a store is about: its title, its studies, how often each run is timed, and the
+    integrators by printed name."""
 
     name: str
     title: str
     samples: int
     budget_s: float
     studies: list[Study]
+    integrators: dict[str, IntegratorFacts] = {}
 
 
 def flatten(record: Record) -> dict[str, Any]:

@@ -31,6 +31,7 @@ class Page:
     overall: list[str]
     overview: list[Figure]
     scenes: list[ScenePart]
+    integrators: Table | None
     failures: Table | None
     timing: Table | None
     noise: str
@@ -79,6 +80,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
         overall=overall(found),
         overview=_overview(found, looks, interactive),
         scenes=parts,
+        integrators=tables.integrators(series, found, plan.integrators if plan else {}),
         failures=tables.failures(everything),
         timing=tables.timing(series_of(everything)),
         noise=_noise(everything),

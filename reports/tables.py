@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from bench.orders import Fit
-from bench.records import LEVELS, NORMS, Record, median
+from bench.records import LEVELS, NORMS, IntegratorFacts, Record, median
 from reports.series import (
     NORM_NAMES,
     TRUST,
@@ -21,7 +21,7 @@ from reports.series import (
     run_name,
     seconds_of,
 )
-from reports.standings import JUDGED, LEAST, TARGETS, Verdict, reaches
+from reports.standings import JUDGED, LEAST, TARGETS, Standing, Verdict, reaches
 
 
 @dataclass
@@ -242,6 +242,62 @@ def runs(series: Sequence[Series]) -> Table | None:
     head = ["integrator", "run", "ending", *errors, "steps", "rejected", "residual evaluations"]
     note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
     return Table("All runs", [*head, "time in ms"], rows, note=note)
+
+
+def integrators(
+    scenes: Mapping[str, Sequence[Series]],
+    found: Sequence[Standing],
+    known: Mapping[str, IntegratorFacts],
+) -> Table | None:
+    """What each integrator is, its orders claimed and measured, its best and worst scenes."""
+    rows = []
+    for label in dict.fromkeys(s.label for series in scenes.values() for s in series):
+        mine = [s for series in scenes.values() for s in series if s.label == label]
+        facts = known.get(mine[0].records[0].integrator)
+        claimed = ", ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
+        ratios = [
+            (s.ratio, s.scene)
+            for s in found
+            if (s.label, s.group, s.target, s.cost) == (label, "a", 1e-4, "residuals") and s.ratio
+        ]
+        best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
+        rows.append(
+            [
+                label,
+                facts.title.rstrip(".") if facts else "",
+                claimed,
+                _measured(mine),
+                best,
+                worst,
+                facts.source if facts else "",
+            ]
+        )
+    if not rows:
+        return None
+    head = ["integrator", "what it is", "orders claimed", "orders measured", "best scene"]
+    return Table(
+        "Integrators",
+        [*head, "worst scene", "source"],
+        rows,
+        note="Orders measured: of the largest error after the start transient, from the smallest "
+        "to the largest over the scenes; at constant steps only. Best and worst scene: residual "
+        "evaluations to an acceleration within 1e-4, as a multiple of the best integrator's.",
+    )
+
+
+def _ends(ratios: Sequence[tuple[float, str]]) -> Sequence[tuple[float | None, str]]:
+    return (min(ratios), max(ratios)) if ratios else ((None, "none"), (None, "none"))
+
+
+def _measured(series: Sequence[Series]) -> str:
+    said = []
+    for group in groups_of(r for s in series for r in s.ok):
+        fits = [s.fit(group, "settled") for s in series if s.controls == "step"]
+        orders = sorted(f.order for f in fits if f.verdict == "converges" and f.order is not None)
+        if orders:
+            ends = dict.fromkeys(order_text(o) for o in (orders[0], orders[-1]))
+            said.append(f"{group} {' to '.join(ends)}")
+    return ", ".join(said)
 
 
 def drift(series: Sequence[Series]) -> Table | None:

@@ -7,10 +7,11 @@ import math
 import pytest
 from planted import planted
 
+from bench.records import IntegratorFacts
 from reports import overview
 from reports.series import looks_of, series_of
 from reports.standings import overall, standings, verdicts
-from reports.tables import verdict
+from reports.tables import integrators, verdict
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 
@@ -124,3 +125,19 @@ def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
     assert cells["won", "coarse"][how] == "not reached"
     assert math.isclose(float(cells["tied", "lean"][ratio]), 1.0)
     assert overview.heat([], interactive=True) is None
+
+
+def test_each_integrator_is_described_by_claims_and_measurements(found):
+    steps = [0.04, 0.02, 0.01, 0.005]
+    slow = {"q": (1.0, 2), "a": (1.0, 1)}
+    series = {
+        "won": series_of(scenes()["won"] + [run("won", "slow", h, 1.0, 1, slow) for h in steps]),
+        "other": series_of([run("other", "slow", h, 1.0, 1, SECOND) for h in steps]),
+    }
+    known = {"slow": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
+    rows = {row[0]: row for row in integrators(series, found, known).rows}
+    assert rows["slow"][1:4] == ["A method", "q 2, a 2", "q 2.00, a 1.00 to 2.00"]
+    assert rows["slow"][4:] == ["none (–)", "none (–)", "me"]  # noqa: RUF001
+    # quick: 3 times the best on "won", the best on "tied" and "alone", 10 times on "untimed"
+    assert rows["quick"][5] == "untimed (10)"
+    assert rows["quick"][4].endswith("(1)")
