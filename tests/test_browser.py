@@ -1,0 +1,195 @@
+"""The page in Chromium: menus, legend, tooltip and download give the numbers of the store."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from planted import everything, plant
+
+from bench.store import Store
+from reports import html
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
+)
+EXPLORER = "scene-2-1-work_precision"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = plant(tmp_path_factory.mktemp("planted"), everything())
+    html.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def downloads(tmp_path_factory):
+    return tmp_path_factory.mktemp("downloads")
+
+
+@pytest.fixture(scope="module")
+def browser(folder, downloads):
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking"):
+        options.add_argument(f"--{flag}")
+    options.add_argument("--window-size=1400,1000")
+    # Every request but those for files and for data in the page goes nowhere.
+    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    driver.get((folder / "report.html").as_uri())
+    yield driver
+    driver.quit()
+
+
+def chart(browser, name):
+    """Scroll to a chart and wait until it is drawn."""
+    browser.execute_script("document.getElementById(arguments[0]).scrollIntoView()", name)
+    return waited(
+        lambda: browser.execute_script(
+            "const p = document.getElementById(arguments[0]); return p.view ? p : null", name
+        )
+    )
+
+
+def waited(ask, seconds=20.0):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        answer = ask()
+        if answer:
+            return answer
+        time.sleep(0.05)
+    raise AssertionError("waited in vain")
+
+
+def shown(browser, name):
+    """What the points of a chart show: [[integrator, across, error], ...]."""
+    return browser.execute_script(
+        """
+        const found = [];
+        for (const path of document.querySelectorAll("#" + arguments[0] + " path")) {
+          const d = path.__data__ && path.__data__.datum;
+          if (d && d.across && path.__data__.mark.marktype === "symbol")
+            found.push([d.series, d.across, d.error]);
+        }
+        return found;
+        """,
+        name,
+    )
+
+
+def choose(browser, name, menu, option):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.ui import Select
+
+    place = chart(browser, name)
+    names = {"group": "error in", "norm": "taken", "cost": "against"}
+    for bound in place.find_elements(By.CSS_SELECTOR, ".vega-bind"):
+        if bound.text.strip().startswith(names[menu]):
+            Select(bound.find_element(By.TAG_NAME, "select")).select_by_visible_text(option)
+            return
+    raise AssertionError(menu)
+
+
+def wanted(folder, group, norm, cost):
+    with Store(folder) as store:
+        records = [r for r in store.records().values() if r.problem == "pendulum"]
+    return sorted(
+        [r.integrator, float(r.work[cost]), float(f"{r.errors[group][norm]:.5g}")]
+        for r in records
+        if r.status == "ok" and r.errors[group][norm] and r.work.get(cost)
+    )
+
+
+def test_the_menus_show_the_errors_and_costs_of_the_store(browser, folder):
+    choose(browser, EXPLORER, "group", "multiplier lam")
+    choose(browser, EXPLORER, "norm", "largest over all times")
+    choose(browser, EXPLORER, "cost", "residual evaluations")
+    expected = wanted(folder, "lam", "max", "residuals")
+    waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
+    choose(browser, EXPLORER, "cost", "steps")
+    choose(browser, EXPLORER, "group", "position q")
+    expected = wanted(folder, "q", "max", "steps")
+    waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
+    assert "relative error in position q" in chart(browser, EXPLORER).text
+
+
+def test_a_point_tells_its_numbers(browser, folder):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+
+    place = chart(browser, EXPLORER)
+    points = place.find_elements(By.CSS_SELECTOR, "g.mark-symbol.role-mark path")
+    ActionChains(browser).move_to_element(points[0]).perform()
+    text = waited(lambda: browser.find_element(By.ID, "vg-tooltip-element").text)
+    with Store(folder) as store:
+        records = [r for r in store.records().values() if r.problem == "pendulum"]
+    assert any(r.integrator in text and r.resolution in text for r in records)
+
+
+def test_a_click_on_the_legend_isolates_a_method(browser):
+    from selenium.webdriver.common.by import By
+
+    place = chart(browser, EXPLORER)
+
+    def opacities():
+        return {
+            float(p.get_attribute("opacity") or 1)
+            for p in place.find_elements(By.CSS_SELECTOR, "g.mark-symbol.role-mark path")
+        }
+
+    assert opacities() == {1.0}
+    label = place.find_element(By.CSS_SELECTOR, "g.role-legend-label text")
+    label.click()
+    waited(lambda: len(opacities()) == 2)
+    assert min(opacities()) < 0.1
+
+
+def test_the_data_of_a_chart_can_be_taken_along(browser, downloads):
+    from selenium.webdriver.common.by import By
+
+    place = chart(browser, EXPLORER)
+    (link,) = [
+        a
+        for a in place.find_elements(By.XPATH, "../following-sibling::p[@class='data'][1]/a")
+        if a.text == "runs.csv"
+    ]
+    browser.execute_script("arguments[0].click()", link)
+    file = downloads / "runs.csv"
+    waited(file.exists)
+    rows = list(csv.DictReader(file.open()))
+    assert {"series", "group", "norm", "error", "residuals"} <= set(rows[0])
+    assert len(rows) > 50
+
+
+def test_nothing_is_asked_of_the_network_and_no_error_is_said(browser, folder):
+    for name in browser.execute_script(
+        "return [...document.querySelectorAll('.chart')].map(node => node.id)"
+    ):
+        chart(browser, name)
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    asked = [
+        entry["message"]
+        for entry in browser.get_log("performance")
+        if '"Network.requestWillBeSent"' in entry["message"] and '"url":"http' in entry["message"]
+    ]
+    assert asked == []
+    assert Path(folder / "report.html").stat().st_size < 3_000_000
+
+
+def test_charts_far_below_wait_until_they_come_near(browser, folder):
+    browser.get((folder / "report.html").as_uri())
+    drawn = "return [...document.querySelectorAll('.chart')].map(n => Boolean(n.dataset.drawn))"
+    states = browser.execute_script(drawn)
+    assert not all(states)
+    browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert all(browser.execute_script(drawn))
