@@ -10,8 +10,9 @@ from typing import Any
 
 import click
 
-from bench import answers, cli_plugins, cli_scenes, options
+from bench import answers, cli_plugins, cli_results, cli_scenes, options
 from bench import plan as plans
+from bench.cli_results import DEFAULT_OUT
 from bench.plan import Cell, check_end, make_suite, read_profile
 from bench.records import Record, Rows, flatten
 from bench.registry import Registry, explain
@@ -19,7 +20,6 @@ from bench.store import Store
 from integrators.contract import Steps, Tolerances
 from problems.spec import SpecError
 
-DEFAULT_OUT = "stepbench-results"
 #: What `stepbench solve` takes for an adaptive method if --rtol is not given.
 DEFAULT_RTOL = 1e-6
 
@@ -312,7 +312,10 @@ def export(folder: Path, form: str, out: Path | None) -> None:
         click.echo(text, nl=False)
 
 
-for command in (cli_plugins.check, cli_plugins.new, cli_scenes.show, cli_scenes.catalogue):
+for command in (
+    *(cli_plugins.check, cli_plugins.new, cli_scenes.show, cli_scenes.catalogue),
+    *(cli_results.compare, cli_results.merge, cli_results.open_, cli_results.figure),
+):
     main.add_command(command)
 
 

@@ -52,7 +52,7 @@ def show(
     path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
     try:
         pictures = drawings(scene, Reference(scene, end), _FRAMES if animate else GHOSTS)
-        written = _view("animation" if animate else "still")(scene.spec, pictures, path)
+        written = view("animation" if animate else "still")(scene.spec, pictures, path)
     except OSError:
         raise
     except Exception as error:  # the scene may be a plugin, which may do anything
@@ -93,11 +93,11 @@ def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[s
         records = describe_scenes(scenes, registry, budget, progress)
     if not records:
         raise SpecError("No scene could be described.")
-    for page in _view("catalogue")(records, out):
+    for page in view("catalogue")(records, out):
         click.echo(f"Catalogue: {page}")
 
 
-def _view(name: str) -> Any:
+def view(name: str) -> Any:
     """What draws; found by entry point, as the reports are, because the bench imports none."""
     (entry,) = entry_points(group="stepbench.views", name=name)
     return entry.load()

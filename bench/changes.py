@@ -1,0 +1,133 @@
+"""What differs between two run folders: its pieces, and how each reads."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import msgspec
+
+#: Ratios nearer to one are no change: rounding, exact counts, and what no clock can tell.
+LEAST = {"error": 1.001, "work": 1.0, "time": 1.1}
+
+
+class Run(msgspec.Struct, kw_only=True, frozen=True):
+    """A cell as a person knows it, and how it ended."""
+
+    key: str
+    scene: str
+    integrator: str
+    resolution: str
+    status: str
+    message: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.integrator} on {self.scene}, {self.resolution}"
+
+
+class Ending(msgspec.Struct, kw_only=True, frozen=True):
+    """A cell that ended in another way before."""
+
+    run: Run
+    before: str
+
+    def __str__(self) -> str:
+        why = f": {self.run.message}" if self.run.message else ""
+        return f"{self.run}: {self.before} -> {self.run.status}{why}"
+
+
+class Change(msgspec.Struct, kw_only=True, frozen=True):
+    """One number of a cell that changed.
+
+    ``name`` is the group, the count or "seconds". ``ratio`` is new over old: infinite if an error
+    is no number any more, None if it cannot be said (a count that one of the two lacks).
+    """
+
+    run: Run
+    kind: str
+    name: str
+    norm: str = ""
+    old: float | None
+    new: float | None
+    ratio: float | None
+    comparable: bool = True
+
+    def __str__(self) -> str:
+        what = " ".join(filter(None, (self.kind, self.name, self.norm)))
+        return f"{self.run}: {what} {shown(self.old)} -> {shown(self.new)} ({factor(self.ratio)})"
+
+
+class Comparison(msgspec.Struct, kw_only=True, frozen=True):
+    """Everything that differs between two run folders.
+
+    ``differences`` name machines and versions, ``edited`` counts the shared cells whose source
+    differs, ``untold`` those whose times cannot be compared for want of two samples each.
+    ``judged`` counts the shared cells that reached the end in both, by scene and integrator.
+    """
+
+    old: str
+    new: str
+    shared: int
+    edited: int
+    untold: int
+    judged: dict[str, int]
+    differences: list[str]
+    endings: list[Ending]
+    changes: list[Change]
+    vanished: list[Run]
+    appeared: list[Run]
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing changed that was measured."""
+        return not (self.endings or self.changes or self.vanished or self.appeared)
+
+    def state(self) -> list[str]:
+        """What was compared, in sentences."""
+        said = [
+            f"{self.shared} runs are in both; {len(self.vanished)} only in {self.old}, "
+            f"{len(self.appeared)} only in {self.new}."
+        ]
+        if self.edited:
+            said.append(f"Of {self.edited} of them the source was edited in between.")
+        if self.differences:
+            said.append(
+                f"Machine or versions differ ({'; '.join(self.differences)}): times are not "
+                "comparable, and no time is a regression."
+            )
+        if self.untold:
+            said.append(f"Times of {self.untold} runs are not compared: they need two samples.")
+        if self.same:
+            said.append("Nothing changed.")
+        return said
+
+    def summary(self) -> list[str]:
+        """What changed, a line per integrator, scene and quantity, the worst first."""
+        groups: defaultdict[tuple[str, ...], list[Change]] = defaultdict(list)
+        for c in self.changes:
+            groups[f"{c.run.integrator} on {c.run.scene}", c.kind, c.name].append(c)
+        lines = []
+        for (who, kind, name), changes in groups.items():
+            ratios = [c.ratio for c in changes if c.ratio is not None]
+            ends = dict.fromkeys(map(factor, (min(ratios), max(ratios)) if ratios else (None,)))
+            count = len({c.run.key for c in changes})
+            what = kind if kind == "time" else f"{kind} ({name})"
+            said = f"{who}: {what} {' to '.join(ends)} in {count} of {self.judged[who]} runs"
+            if not all(c.comparable for c in changes):
+                said += ", not comparable"
+            lines.append((list(LEAST).index(kind), -max(ratios, default=1.0), said))
+        return [*map(str, self.endings), *(said for *_, said in sorted(lines))]
+
+
+def factor(ratio: float | None) -> str:
+    """A ratio in words."""
+    if ratio is None:
+        return "counted in one of the two"
+    return f"x{ratio:.4g}" if math.isfinite(ratio) else "without bound"
+
+
+def shown(value: float | None) -> str:
+    """A count as it is, another number with four digits."""
+    if value is None:
+        return "no number"
+    return str(value) if isinstance(value, int) else f"{value:.4g}"

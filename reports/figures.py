@@ -1,0 +1,209 @@
+"""Single figures for a paper: one panel, as wide as a column, readable in black and white.
+
+From Python they are Altair charts:
+
+>>> from reports.figures import work_precision
+>>> work_precision("stepbench-results", scene="pendulum", error="a:max", cost="residuals")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.records import Rows
+from problems.spec import SpecError, suggest
+from reports.marks import Data, Spec, View
+from reports.panels import component as component_name
+from reports.panels import (
+    error_data,
+    error_panel,
+    floor_rule,
+    reference_line,
+    run_lines,
+    slope_guides,
+    wide_rows,
+)
+from reports.paper import FORMATS, looks_on_paper, on_paper
+from reports.selection import Selection, group_and_norm, group_and_place
+from reports.series import Series, words
+
+COSTS = {
+    "seconds": "median seconds per run",
+    "residuals": "residual evaluations",
+    "jacobians": "Jacobian evaluations",
+    "newton": "Newton iterations",
+    "factorisations": "factorisations",
+    "solves": "linear solves",
+    "steps": "steps",
+    "rejected": "rejected steps",
+}
+
+
+def work_precision(
+    folder: str | Path,
+    *,
+    scene: str | None = None,
+    error: str = "q:end",
+    cost: str = "residuals",
+    integrators: Sequence[str] = (),
+    t_end: float | None = None,
+) -> Any:
+    """Error against cost as an Altair chart, a line per integrator.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    scene
+        The scene; may be left out if the folder has one.
+    error
+        Group and norm, such as "a:max".
+    cost
+        "seconds", or a count such as "residuals" or "steps".
+    integrators
+        Names or full specs of those to show; all if empty.
+    t_end
+        The end of the interval in s, if the folder has the scene over several.
+
+    Raises
+    ------
+    SpecError
+        If a name is not known, or there is nothing to draw.
+    bench.store.StoreError
+        If the folder holds no readable store.
+    ImportError
+        If Altair is not installed.
+    """
+    return _altair(_work_precision(Selection(folder, scene, integrators, t_end), error, cost))
+
+
+def convergence(
+    folder: str | Path,
+    *,
+    scene: str | None = None,
+    error: str = "q:end",
+    integrators: Sequence[str] = (),
+    t_end: float | None = None,
+) -> Any:
+    """Error against step size as an Altair chart; see ``work_precision``."""
+    return _altair(_convergence(Selection(folder, scene, integrators, t_end), error))
+
+
+def trajectory(
+    folder: str | Path,
+    *,
+    scene: str | None = None,
+    component: str = "q:1",
+    integrators: Sequence[str] = (),
+    t_end: float | None = None,
+) -> Any:
+    """A component over time as an Altair chart: the finest run of each; see ``work_precision``.
+
+    ``component`` is a group and a number or the name of a coordinate, such as "a:Y" or "lam:1".
+    """
+    return _altair(_trajectory(Selection(folder, scene, integrators, t_end), component))
+
+
+def write(
+    kind: str,
+    folder: Path,
+    path: Path,
+    *,
+    scene: str | None = None,
+    integrators: Sequence[str] = (),
+    t_end: float | None = None,
+    **more: str,
+) -> Path:
+    """Write a figure; the suffix of ``path`` says SVG, PNG, PDF or JSON (Vega-Lite).
+
+    Raises
+    ------
+    SpecError
+        As ``work_precision``, or if the kind, the suffix, or an option of ``more`` is another.
+    """
+    if kind not in _KINDS:
+        raise SpecError(f"There is no figure {kind!r}; {suggest(kind, _KINDS)}.")
+    save = FORMATS.get(path.suffix)
+    if save is None:
+        raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
+    make, takes = _KINDS[kind]
+    for name in more:
+        if name not in takes:
+            raise SpecError(f"The figure {kind} has no --{name}; it takes {words(takes)}.")
+    save(path, make(Selection(folder, scene, integrators, t_end), **more))
+    return path
+
+
+# ---- kinds -------------------------------------------------------------------------------
+def _work_precision(chosen: Selection, error: str = "q:end", cost: str = "residuals") -> Spec:
+    counted = {name for s in chosen.series for r in s.ok for name in r.work}
+    if cost not in (known := {"seconds", *counted}):
+        raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
+    return _errors(chosen, chosen.series, error, cost, COSTS.get(cost, cost))
+
+
+def _convergence(chosen: Selection, error: str = "q:end") -> Spec:
+    stepped = [s for s in chosen.series if s.controls == "step"]
+    return _errors(chosen, stepped, error, "h", "step size h in s", slope_guides)
+
+
+def _errors(
+    chosen: Selection,
+    series: Sequence[Series],
+    error: str,
+    field: str,
+    title: str,
+    guides: Callable[[Sequence[Series], Data, View], list[Spec]] | None = None,
+) -> Spec:
+    group, norm = group_and_norm(error, {g for s in chosen.series for r in s.ok for g in r.errors})
+    view = View(looks_on_paper(series), norm)
+    counts = dict.fromkeys(["residuals", field]) if field not in ("h", "seconds") else ["residuals"]
+    data = error_data(series, group, view, list(counts))
+    behind = floor_rule(series, data, view) + (guides(series, data, view) if guides else [])
+    panel = error_panel(data, (field, title), view, True, behind) if data.rows else None
+    if panel is None:
+        raise SpecError(
+            f"No chosen run on {chosen.name} has both an error of {group} ({norm}) and "
+            f"{title}: nothing to draw."
+        )
+    return on_paper(panel, [data])
+
+
+def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
+    names = chosen.scene.coordinates if chosen.scene else []
+    runs = [chosen.rows(s.ok[-1]) for s in chosen.series]
+    group, place = group_and_place(component, runs[0].values, names)
+    field, title = f"{group}0", component_name(group, place, names)
+    labels = [s.label for s in chosen.series]
+    drawn = Data("runs", [row for k, r in enumerate(runs) for row in _rows(r, group, place, k)])
+    reference = chosen.scene.reference if chosen.scene else None
+    behind = Data("reference", _rows(reference, group, place, -1) if reference else [])
+    known = [reference_line(behind, field, title)] if field in behind.columns else []
+    lines = run_lines(drawn, field, title, labels, View(looks_on_paper(chosen.series)), first=True)
+    return on_paper({"layer": [*known, lines]}, [drawn, behind])
+
+
+def _rows(rows: Rows, group: str, place: int, number: int) -> list[dict[str, Any]]:
+    # A reference with fewer components has none of these.
+    values = [row[place : place + 1] for row in rows.values.get(group, [])]
+    return wide_rows(Rows(t=rows.t, values={group: values}), [group], number)
+
+
+_KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {
+    "work_precision": (_work_precision, ("error", "cost")),
+    "convergence": (_convergence, ("error",)),
+    "trajectory": (_trajectory, ("component",)),
+}
+
+
+def _altair(figure: Spec) -> Any:
+    try:
+        import altair
+    except ImportError:
+        raise ImportError(
+            "Altair is not installed; install stepbench[figures], or write the figure with "
+            "'stepbench figure'."
+        ) from None
+    return altair.Chart.from_dict(figure)

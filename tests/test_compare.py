@@ -1,0 +1,471 @@
+"""Comparing two folders, putting several into one, and opening the page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+from planted import ATTACK, STEPS, Document, everything, plant, planted
+
+from bench.compare import compare, read_limits, regressions
+from bench.merge import merge
+from bench.records import Record, median
+from bench.store import FILE, Store
+
+FREE = {"q": (1.0, 2), "a": (3.0, 2)}
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    return plant(tmp_path / "old", everything())
+
+
+def records(folder: Path) -> dict[str, Record]:
+    with Store(folder) as store:
+        return store.records()
+
+
+def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
+    """A copy of a folder whose records were edited; their samples are ``run_s``."""
+    copy = folder.parent / name
+    shutil.copytree(folder, copy)
+    with Store(copy, create=True) as store:
+        for key, record in store.records().items():
+            rows = store.rows(key)
+            edit(record)
+            samples, record.run_s = record.run_s, []
+            store.save(record, rows)
+            for k, seconds in enumerate(samples):
+                store.add_sample(key, k, seconds)
+    return copy
+
+
+def elsewhere(folder: Path, **changes: object) -> Path:
+    """The same results from another machine or other versions."""
+    with Store(folder, create=True) as store:
+        there = store.environments()[1]
+        number = store.save_environment(msgspec.structs.replace(there, **changes))
+    return edited(folder, f"{folder.name}-there", lambda r: setattr(r, "environment", number))
+
+
+def double_newton(record: Record) -> None:
+    if record.integrator == "good[rho_inf=0.8]" and record.problem == "pendulum":
+        record.work["residuals"] *= 2
+
+
+def slower(by: float) -> Callable[[Record], None]:
+    return lambda record: setattr(record, "run_s", [by * s for s in record.run_s])
+
+
+# ---- nothing and something ---------------------------------------------------------------
+def test_equal_results_differ_in_nothing(old, stepbench):
+    copy = edited(old, "copy", lambda record: None)
+    found = compare(old, copy)
+    assert found.same
+    assert (found.shared, found.summary(), found.differences) == (len(everything()), [], [])
+    result = stepbench("compare", old, copy, "--fail-on", "error:1.001,work:1,time:1.1,vanished")
+    assert result.exit_code == 0, result.output
+    assert "Nothing changed." in result.output
+
+
+def test_a_method_that_takes_twice_the_work_is_named(old, stepbench):
+    new = edited(old, "new", double_newton)
+    found = compare(old, new)
+    before, after = records(old), records(new)
+    assert {c.run.key for c in found.changes} == {k for k in before if before[k] != after[k]}
+    for change in found.changes:
+        assert (change.kind, change.name, change.ratio) == ("work", "residuals", 2.0)
+        assert change.old == before[change.run.key].work["residuals"]
+        assert change.new == after[change.run.key].work["residuals"]
+    who = "good[rho_inf=0.8] on pendulum"
+    assert found.summary() == [f"{who}: work (residuals) x2 in 6 of 6 runs"]
+    result = stepbench("compare", old, new, "--fail-on", "work:1.05")
+    assert result.exit_code == 1
+    assert "6 beyond the limits" in result.output
+    first = before[f"pendulum | good[rho_inf=0.8] | h={STEPS[0]!r}"].work["residuals"]
+    said = f"{who}, h=0.1: work residuals {first} -> {2 * first} (x2), limit x1.05"
+    assert said in result.output
+    for allowed in ("work:2", "error:1.1,time:1.5"):
+        assert stepbench("compare", old, new, "--fail-on", allowed).exit_code == 0
+    assert stepbench("compare", old, new).exit_code == 0
+    assert stepbench("compare", new, old, "--fail-on", "work:1").exit_code == 0
+
+
+@pytest.mark.parametrize(("by", "changed"), [(1.0005, 0), (1.01, 1), (1 / 1.01, 1), (30.0, 1)])
+def test_errors_are_compared_beyond_rounding(tmp_path, by, changed):
+    one = planted("pendulum", "m", FREE, h=0.1)
+    two = msgspec.convert(msgspec.to_builtins(one), Record)
+    two.errors["a"]["rms"] *= by
+    found = compare(plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])).changes
+    assert [(c.name, c.norm) for c in found] == [("a", "rms")] * changed
+    for change in found:
+        assert change.ratio == pytest.approx(by)
+
+
+def test_errors_within_the_trust_in_the_reference_are_no_change(tmp_path):
+    def run(name, error):
+        record = planted("pendulum", "m", FREE, h=0.1)
+        record.errors["q"]["max"] = error
+        record.reference_error["q"]["max"] = 1e-8
+        return plant(tmp_path / name, [record])
+
+    low, below, above = run("low", 1e-9), run("below", 0.9e-6), run("above", 3e-6)
+    assert compare(low, below).same
+    (change,) = compare(low, above).changes
+    assert change.ratio == pytest.approx(3.0)
+    (change,) = compare(above, below).changes
+    assert change.ratio == pytest.approx(1 / 3)
+
+
+def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
+    one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
+    two.errors["q"]["end"] = None
+    old, new = plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])
+    found = regressions(compare(old, new), {"error": 1e9})
+    assert found == [
+        "m on pendulum, h=0.1: error q end 0.01 -> no number (without bound), limit x1e+09"
+    ]
+    assert regressions(compare(new, old), {"error": 1.01}) == []
+    answer = json.loads(stepbench("compare", old, new, "--json").stdout)
+    assert answer["changes"][0]["ratio"] is None
+    assert answer["changes"][0]["new"] is None
+
+
+def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
+    one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
+    two.work["residuals"] = None
+    found = compare(plant(tmp_path / "1", [one], 0), plant(tmp_path / "2", [two], 0))
+    line = "m on pendulum: work (residuals) counted in one of the two in 1 of 1 runs"
+    assert found.summary() == [line]
+    assert regressions(found, {"work": 1.0}) == []
+
+
+# ---- times -------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("samples", "ratio"),
+    [
+        ([1.9, 2.0, 2.2], 2.0),
+        ([0.4, 0.5, 0.6], 0.5),
+        ([1.05, 2.0, 2.2], None),  # overlaps
+        ([1.11, 1.12, 1.13], 1.12),
+        ([1.1001, 1.1001, 1.1001], 1.1001),
+        ([1.091, 1.092, 1.093], None),  # overlaps
+        ([5.0], None),  # one sample has no spread
+    ],
+)
+def test_times_differ_beyond_the_samples_of_both(tmp_path, samples, ratio):
+    folders = []
+    for name, seconds in (("1", [0.9, 1.0, 1.1]), ("2", samples)):
+        folders.append(plant(tmp_path / name, [planted("pendulum", "m", FREE, h=0.1)], samples=0))
+        with Store(folders[-1], create=True) as store:
+            for k, s in enumerate(seconds):
+                store.add_sample("pendulum | m | h=0.1", k, s)
+    found = compare(*folders)
+    assert [c.ratio for c in found.changes] == ([] if ratio is None else [pytest.approx(ratio)])
+    assert found.untold == (len(samples) < 2)
+
+
+def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
+    slow = edited(old, "slow", slower(3.0))
+    timed = [r for r in records(old).values() if r.run_s]
+    here = compare(old, slow)
+    assert len(here.changes) == len(timed)
+    for change in here.changes:
+        assert change.kind == "time"
+        assert change.comparable
+        assert change.old == median(records(old)[change.run.key].run_s)
+        assert change.ratio == pytest.approx(3.0)
+    assert len(regressions(here, read_limits("time:1.5"))) == len(timed)
+    assert regressions(here, read_limits("time:3.1")) == []
+    far = edited(elsewhere(old, cpu="Model 2"), "far", slower(3.0))
+    result = stepbench("compare", old, far, "--fail-on", "time:1.5")
+    assert result.exit_code == 0, result.output
+    assert "(cpu: Model 1 -> Model 2): times are not comparable" in result.output
+    assert "time x3 in 6 of 6 runs, not comparable" in result.output
+
+
+def test_other_versions_are_named(old):
+    new = elsewhere(old, versions={"python": "3.13.0", "jax": "0.7"})
+    found = compare(old, new)
+    names = ["python: 3.12.1 -> 3.13.0", "numpy: 2.1.0 -> none", "jax: none -> 0.7"]
+    assert found.differences == names
+    assert found.same
+
+
+# ---- endings and cells that come and go ----------------------------------------------------
+def test_a_run_that_no_longer_reaches_the_end_is_a_regression(old, stepbench):
+    key = f"pendulum | good[rho_inf=0.5] | h={STEPS[2]!r}"
+
+    def fail(record):
+        if record.key == key:
+            record.status, record.message, record.run_s = "newton_failed", ATTACK, []
+
+    new = edited(old, "new", fail)
+    (ending,) = compare(old, new).endings
+    assert (ending.run.key, ending.before, ending.run.status) == (key, "ok", "newton_failed")
+    assert compare(old, new).changes == []
+    result = stepbench("compare", old, new, "--fail-on", "time:9", "--out", old.parent / "pages")
+    assert result.exit_code == 1
+    assert "h=0.025: ok -> newton_failed: Newton stopped" in result.output
+    assert stepbench("compare", new, old, "--fail-on", "time:9").exit_code == 0
+    page = (old.parent / "pages" / "comparison.html").read_text()
+    assert "<script>alert" not in page
+    assert Document(page).rows("Runs that end in another way")[0]["message"] == ATTACK
+
+
+def test_runs_that_come_and_go_are_told(tmp_path, stepbench):
+    runs = [planted("pendulum", name, FREE, h=0.1) for name in ("stays", "goes", "comes")]
+    old, new = plant(tmp_path / "old", runs[:2]), plant(tmp_path / "new", [runs[0], runs[2]])
+    found = compare(old, new)
+    assert [run.integrator for run in found.vanished] == ["goes"]
+    assert [run.integrator for run in found.appeared] == ["comes"]
+    assert not found.same
+    assert stepbench("compare", old, new, "--fail-on", "error:1.1").exit_code == 0
+    result = stepbench("compare", old, new, "--fail-on", "vanished")
+    assert result.exit_code == 1
+    assert f"goes on pendulum, h=0.1: not in {new}" in result.output
+
+
+def test_with_limits_something_must_be_shared(tmp_path, stepbench):
+    old, new = (
+        plant(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)]) for name in ("1", "2")
+    )
+    assert stepbench("compare", old, new).exit_code == 0
+    result = stepbench("compare", old, new, "--fail-on", "error:1.1")
+    assert result.exit_code == 1
+    assert "nothing can be judged" in result.output
+
+
+def test_edited_source_is_counted(old):
+    def edit(record):
+        if record.integrator == "poor":
+            record.fingerprint = "another"
+
+    found = compare(old, edited(old, "new", edit))
+    assert found.edited == len(STEPS)
+    assert f"Of {len(STEPS)} of them the source was edited" in " ".join(found.state())
+
+
+def test_scenes_over_several_intervals_are_told_apart(tmp_path):
+    def run(by):
+        return [
+            planted("pendulum", "m", FREE, h=0.1, t_end=t, key=f"{t}", work={"steps": by * 10})
+            for t in (1.0, 5.0)
+        ]
+
+    found = compare(plant(tmp_path / "1", run(1)), plant(tmp_path / "2", run(3)))
+    names = ["pendulum to t=1 s", "pendulum to t=5 s"]
+    assert found.summary() == [f"m on {name}: work (steps) x3 in 1 of 1 runs" for name in names]
+
+
+# ---- pages and refusals --------------------------------------------------------------------
+def test_the_pages_hold_every_change_and_the_answer_does(old, stepbench, tmp_path):
+    def edit(record):
+        double_newton(record)
+        if record.integrator == "poor":
+            record.errors["a"]["max"] *= 5
+            record.run_s = [4 * s for s in record.run_s]
+
+    new, out = edited(old, "new", edit), tmp_path / "pages"
+    result = stepbench("compare", old, new, "--out", out, "--fail-on", "error:2", "--json")
+    assert result.exit_code == 1
+    answer = json.loads(result.stdout)
+    assert len(answer["regressions"]) == len(STEPS)
+    before, after = records(old), records(new)
+    for change in answer["changes"]:
+        one, two = before[change["run"]["key"]], after[change["run"]["key"]]
+        if change["kind"] == "error":
+            values = [r.errors[change["name"]][change["norm"]] for r in (one, two)]
+        elif change["kind"] == "work":
+            values = [r.work[change["name"]] for r in (one, two)]
+        else:
+            values = [median(r.run_s) for r in (one, two)]
+        assert [change["old"], change["new"]] == values
+        assert change["ratio"] == pytest.approx(values[1] / values[0])
+    page = Document((out / "comparison.html").read_text())
+    paper = (out / "comparison.md").read_text()
+    captions = [caption for caption, _ in page.tables]
+    assert [caption.split()[0] for caption in captions] == ["Relative", "Counted", "Times"]
+    for caption in captions:
+        assert len(page.rows(caption)) == len(STEPS)
+        assert f"**{caption}**" in paper
+    for row in page.rows("Counted work that changed"):
+        steps = round(1 / float(row["run"].removeprefix("h=")))
+        told = (row["integrator"], row["count"], row["before"], row["now"], row["ratio"])
+        assert told == ("good[rho_inf=0.8]", "residuals", str(3 * steps), str(6 * steps), "x2")
+    assert page.words.count("Regression: ") == len(STEPS)
+    assert not [place for tag, place in page.places if place and not place.startswith("data:")]
+    shown = [row["now"] for row in page.rows("Relative errors that changed")]
+    poor = [r.errors["a"]["max"] for r in after.values() if r.integrator == "poor"]
+    assert shown == [f"{error:.4g}" for error in poor]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("eror:2", "did you mean 'error'"),
+        ("", "known: error, time, vanished, work"),
+        ("error", "not of the form error:ratio"),
+        ("error:much", "not of the form error:ratio"),
+        ("error:1.0001", "a ratio from 1.001 up"),
+        ("time:1.05", "a ratio from 1.1 up"),
+        ("work:nan", "a ratio from 1 up"),
+        ("work:inf", "a ratio from 1 up"),
+        ("work:2,work:3", "given twice"),
+        ("vanished:2", "takes no limit"),
+    ],
+)
+def test_limits_are_refused_in_one_sentence(old, stepbench, text, words):
+    result = stepbench("compare", old, old, "--fail-on", text)
+    assert result.exit_code != 0
+    assert words in result.output
+    assert "Traceback" not in result.output
+
+
+def test_a_folder_without_results_is_refused(old, stepbench, tmp_path):
+    for arguments in ((old, tmp_path), (tmp_path, old)):
+        result = stepbench("compare", *arguments)
+        assert result.exit_code == 1
+        assert "holds no stepbench results" in result.output
+    assert not (tmp_path / FILE).exists()
+
+
+# ---- merge -------------------------------------------------------------------------------
+def machine(folder: Path, runs: list[Record], cpu: str, date: str, **more: object) -> Path:
+    """Results whose environment is the second of its store."""
+    for record in runs:
+        record.environment = 2
+    plant(folder, runs, **more)
+    with Store(folder, create=True) as store:
+        there = store.environments()[1]
+        store.save_environment(msgspec.structs.replace(there, cpu=cpu, date=date))
+    return folder
+
+
+def test_merged_results_keep_their_machine_samples_rows_and_scenes(tmp_path, stepbench):
+    spring = [planted("spring_mass", "m", FREE, h=h) for h in STEPS]
+    swing = [planted("pendulum", "m", FREE, h=h) for h in STEPS]
+    first = machine(tmp_path / "a", spring, "A", "2025-03-02T00:00:00+00:00")
+    second = machine(tmp_path / "b", swing, "B", "2025-03-03T00:00:00+00:00")
+    out = tmp_path / "deep" / "both"
+    result = stepbench("merge", first, second, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert [file.name for file in out.iterdir()] == [FILE]
+    with Store(out) as store:
+        environments, merged = store.environments(), store.records()
+        assert set(store.scenes()) == {("spring_mass", 1.0), ("pendulum", 1.0)}
+        assert [s.problem for s in store.plan().studies] == ["spring_mass", "pendulum"]
+        for folder, cpu in ((first, "A"), (second, "B")):
+            with Store(folder) as origin:
+                for key, record in origin.records().items():
+                    assert environments[merged[key].environment].cpu == cpu
+                    number = merged[key].environment
+                    assert merged[key] == msgspec.structs.replace(record, environment=number)
+                    assert store.rows(key) == origin.rows(key)
+    assert len(merged) == 2 * len(STEPS)
+    # The invocation that both stores begin with is one; those of the machines are apart.
+    assert [e.cpu for e in environments.values()] == ["Model 1", "A", "B"]
+    assert stepbench("report", out).exit_code == 0
+
+
+@pytest.mark.parametrize("later_first", [False, True])
+def test_of_a_run_in_two_folders_the_one_measured_last_is_kept(tmp_path, stepbench, later_first):
+    def run(steps):
+        return [planted("pendulum", "m", FREE, h=0.1, work={"residuals": steps})]
+
+    # Later in the day, though the clock of its zone shows less.
+    later = machine(tmp_path / "later", run(7), "L", "2025-03-02T06:00:00-05:00")
+    sooner = machine(tmp_path / "sooner", run(8), "S", "2025-03-02T09:00:00+00:00", samples=5)
+    folders = [later, sooner] if later_first else [sooner, later]
+    result = stepbench("merge", *folders, "--out", tmp_path / "out")
+    assert f"1 of them were there several times; kept is what {later} measured" in result.output
+    (record,) = records(tmp_path / "out").values()
+    assert record.work == {"residuals": 7}
+    assert len(record.run_s) == 3
+
+
+def test_of_runs_measured_at_one_time_the_last_named_is_kept(tmp_path):
+    folders = [
+        plant(tmp_path / str(n), [planted("pendulum", "m", FREE, h=0.1, work={"steps": n})])
+        for n in range(3)
+    ]
+    merged = merge(folders, tmp_path / "out")
+    (record,) = records(tmp_path / "out").values()
+    assert record.work == {"steps": 2}
+    assert (merged.records, merged.environments, merged.twice) == (1, 1, {folders[2]: 1})
+
+
+def test_a_study_that_was_shared_out_is_one_again(tmp_path):
+    runs = [planted("pendulum", name, FREE, h=0.1) for name in ("one", "two", "three")]
+    first, second = plant(tmp_path / "1", runs[:2]), plant(tmp_path / "2", runs[1:])
+    merge([first, second], tmp_path / "out")
+    with Store(tmp_path / "out") as store:
+        (study,) = store.plan().studies
+    assert study.cells == [r.key for r in runs]
+
+
+def test_merging_with_oneself_changes_nothing(old, tmp_path):
+    merge([old, old], tmp_path / "out")
+    assert compare(old, tmp_path / "out").same
+    with Store(old) as one, Store(tmp_path / "out") as two:
+        assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
+        assert one.records() == two.records()
+        assert one.environments() == two.environments()
+
+
+def test_a_store_without_a_plan_is_merged(tmp_path):
+    folders = [
+        plant(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], plan=False)
+        for name in ("1", "2")
+    ]
+    merge(folders, tmp_path / "out")
+    with Store(tmp_path / "out") as store:
+        assert store.plan() is None
+        assert len(store.records()) == 2
+
+
+def test_merge_refuses_and_leaves_everything_as_it_is(old, tmp_path, stepbench):
+    before = (old / FILE).read_bytes()
+    for arguments, words in (
+        ([old, "--out", tmp_path / "x"], "two folders or more"),
+        ([old, old, "--out", old], f"{old} holds results already"),
+        ([old, tmp_path / "none", "--out", tmp_path / "x"], "holds no stepbench results"),
+    ):
+        result = stepbench("merge", *arguments)
+        assert result.exit_code != 0
+        assert words in result.output
+    assert (old / FILE).read_bytes() == before
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_damaged_row_leaves_no_half_a_store(old, tmp_path, stepbench):
+    bad = edited(old, "bad", lambda record: None)
+    with Store(bad, create=True) as store:
+        store._db.execute("UPDATE records SET rows = 'x' WHERE status = 'ok'")
+    result = stepbench("merge", old, bad, "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "cannot be read" in result.output
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+# ---- open --------------------------------------------------------------------------------
+def test_open_shows_the_page_or_says_where_none_is(tmp_path, stepbench, monkeypatch):
+    shown = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: shown.append(url) or True)
+    result = stepbench("open", tmp_path)
+    assert result.exit_code == 1
+    assert "There is no page" in result.output
+    assert "stepbench run" in result.output
+    for name, folder in (("report.html", tmp_path), ("other.html", tmp_path / "other.html")):
+        (tmp_path / name).write_text("x")
+        assert stepbench("open", folder).exit_code == 0
+        assert shown.pop() == (tmp_path / name).as_uri()
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    result = stepbench("open", tmp_path)
+    assert result.exit_code == 1
+    assert f"the page is {tmp_path / 'report.html'}" in result.output

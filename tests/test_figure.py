@@ -1,0 +1,219 @@
+"""Single figures: their numbers are those of the store, their look is fit for paper."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import struct
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+from xml.etree import ElementTree
+
+import altair
+import pytest
+from planted import everything, plant, planted
+
+from bench.records import Record, Rows, median
+from bench.store import Store
+from problems.spec import SpecError
+from reports.figures import COSTS, convergence, trajectory, work_precision
+from reports.paper import looks_on_paper
+from reports.series import series_of
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return plant(tmp_path_factory.mktemp("planted"), everything())
+
+
+def stored(folder: Path, problem: str) -> list[Record]:
+    with Store(folder) as store:
+        return [r for r in store.records().values() if r.problem == problem and r.status == "ok"]
+
+
+def rows(figure: dict, name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(figure["datasets"][name])))
+
+
+@pytest.mark.parametrize(("error", "group", "norm"), [("a:max", "a", "max"), ("lam", "lam", "end")])
+@pytest.mark.parametrize("cost", ["residuals", "seconds", "steps"])
+def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, group, norm, cost):
+    chart = work_precision(folder, scene="pendulum", error=error, cost=cost)
+    assert isinstance(chart, altair.LayerChart)
+    figure = chart.to_dict()
+    shown = {(r["series"], r["run"], float(r["error"]), r[cost]) for r in rows(figure, group)}
+    expected = set()
+    for record in stored(folder, "pendulum"):
+        value = median(record.run_s) if cost == "seconds" else record.work.get(cost)
+        number = float(f"{record.errors[group][norm]:.5g}")
+        text = "" if value is None else str(float(f"{value:.5g}") if cost == "seconds" else value)
+        expected.add((record.integrator, record.resolution, number, text))
+    assert shown == expected
+    points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
+    assert points["encoding"]["x"]["field"] == cost
+    assert points["encoding"]["x"]["title"] == COSTS[cost]
+    assert figure["encoding"]["y"]["field"] == "error"
+
+
+def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
+    figure = convergence(folder, scene="pendulum", error="a:settled").to_dict()
+    shown = {(r["series"], float(r["h"]), float(r["error"])) for r in rows(figure, "a")}
+    assert shown == {
+        (r.integrator, float(f"{r.h:.5g}"), float(f"{r.errors['a']['settled']:.5g}"))
+        for r in stored(folder, "pendulum")
+        if r.controls == "step"
+    }
+    names = [v["name"] for x in figure["layer"] for v in x.get("data", {}).get("values", [])]
+    assert names == ["order 2", "order 2"]  # a line and its text
+
+
+@pytest.mark.parametrize(
+    ("component", "group", "place", "title"),
+    [("a:Y", "a", 1, "a[Y]"), ("a:2", "a", 1, "a[Y]"), ("lam", "lam", 0, "lam[1]")],
+)
+def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
+    folder, component, group, place, title
+):
+    figure = trajectory(folder, scene="pendulum", component=component).to_dict()
+    finest = [s.ok[-1] for s in series_of(stored(folder, "pendulum"))]
+    shown = [(float(r["t"]), int(r["s"]), float(r[f"{group}0"])) for r in rows(figure, "runs")]
+    with Store(folder) as store:
+        known = [store.rows(record.key) for record in finest]
+        reference = store.scenes()["pendulum", 1.0].reference
+    assert shown == [
+        (float(f"{t:.5g}"), k, float(f"{values[place]:.5g}"))
+        for k, run in enumerate(known)
+        for t, values in zip(run.t, run.values[group], strict=True)
+    ]
+    behind = [float(r[f"{group}0"]) for r in rows(figure, "reference")]
+    assert behind == [float(f"{values[place]:.5g}") for values in reference.values[group]]
+    assert figure["layer"][-1]["encoding"]["y"]["title"] == title
+
+
+def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
+    plant(tmp_path, [planted("pendulum", "m", {"q": (1.0, 2)}, h=0.1)])
+    with Store(tmp_path, create=True) as store:
+        (record,) = store.records().values()
+        run = store.rows(record.key)
+        run.values["q"] = [[0.0] * 8 + [t] for t in run.t]
+        record.run_s = []
+        store.save(record, run)
+    figure = trajectory(tmp_path, component="q:9").to_dict()
+    assert all(float(row["t"]) == float(row["q0"]) for row in rows(figure, "runs"))
+    with pytest.raises(SpecError, match="no component '10'"):
+        trajectory(tmp_path, component="q:10")
+
+
+def test_integrators_are_chosen_by_name_or_spec_in_the_order_given(folder):
+    def names(*integrators):
+        chart = work_precision(folder, scene="pendulum", integrators=integrators).to_dict()
+        return list(dict.fromkeys(row["series"] for row in rows(chart, "q")))
+
+    assert names("adaptive", "good[rho_inf=0.5]") == ["adaptive", "good[rho_inf=0.5]"]
+    assert names("good") == ["good[rho_inf=0.8]", "good[rho_inf=0.5]"]
+    assert len(names()) == 4
+
+
+def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
+    runs = [
+        planted("pendulum[l=2]", "m", {"q": (t, 2)}, h=0.1, t_end=t, key=str(t)) for t in (1.0, 5.0)
+    ]
+    with Store(tmp_path, create=True) as store:
+        for run in runs:
+            store.save(run, Rows(t=[], values={}))
+    with pytest.raises(SpecError, match=r"to t=1, 5 s; choose one with --t-end"):
+        work_precision(tmp_path)
+    for scene in (None, "pendulum", "pendulum[l=2]"):
+        figure = work_precision(tmp_path, scene=scene, t_end=5.0).to_dict()
+        assert float(rows(figure, "q")[0]["error"]) == pytest.approx(0.05)
+
+
+# ---- paper -------------------------------------------------------------------------------
+def test_no_two_of_24_lines_look_alike_without_colour():
+    many = series_of(planted("p", f"m{i}", {"q": (1.0, 2)}, h=0.1) for i in range(24))
+    looks = looks_on_paper(many).values()
+    for one, two in combinations(looks, 2):
+        assert (one.dash, one.shape) != (two.dash, two.shape)
+    for look in looks:
+        red, green, blue = (int(look.color[k : k + 2], 16) for k in (1, 3, 5))
+        assert 0.2126 * red + 0.7152 * green + 0.0722 * blue < 150  # reads as dark in print
+
+
+@pytest.mark.parametrize("kind", ["work_precision", "convergence", "trajectory"])
+def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench, kind):
+    files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
+    for file in files.values():
+        result = stepbench("figure", folder, kind, "--scene", "pendulum", "-o", file)
+        assert result.exit_code == 0, result.output
+        assert f"Figure: {file}" in result.output
+    drawing = ElementTree.parse(files["svg"]).getroot()
+    assert drawing.get("width") == "250pt"
+    words = " ".join(text for text in drawing.itertext())
+    assert "good[rho_inf=0.8]" in words
+    assert "undefined" not in words
+    assert "NaN" not in files["svg"].read_text()
+    image = files["png"].read_bytes()
+    wide, _ = struct.unpack(">II", image[16:24])
+    place = image.index(b"pHYs")
+    per_metre, _ = struct.unpack(">II", image[place + 4 : place + 12])
+    assert wide / per_metre == pytest.approx(0.0882, rel=0.01)  # 250 points in m
+    box = re.search(rb"/MediaBox \[0 0 (\S+) ", files["pdf"].read_bytes())
+    assert float(box.group(1)) == pytest.approx(250, abs=0.5)
+    figure = json.loads(files["json"].read_text())
+    assert "vega-lite" in figure["$schema"]
+    altair.Chart.from_dict(figure)  # checks it against the schema
+    assert figure["config"]["background"] == "white"
+    assert figure["config"]["axis"]["tickWidth"] <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["work_precison", "--scene", "pendulum"], "did you mean 'work_precision'"),
+        (["convergence"], "choose one with --scene: spring_mass, pendulum"),
+        (["convergence", "--scene", "pendulm"], "did you mean 'pendulum'"),
+        (["convergence", "--scene", "pendulum", "--error", "x"], "no error of 'x'; known: a, lam"),
+        (["convergence", "--scene", "pendulum", "--error", "q:maxi"], "did you mean 'max'"),
+        (["convergence", "--scene", "pendulum", "--cost", "steps"], "has no --cost; it takes"),
+        (["convergence", "--scene", "pendulum", "-i", "adaptive"], "nothing to draw"),
+        (["convergence", "--scene", "pendulum", "-i", "fragile"], "reached the end"),
+        (["convergence", "--scene", "pendulum", "-i", "god"], "There is no integrator 'god'"),
+        (["convergence", "--scene", "pendulum", "--t-end", "3"], "stored to t=1 s"),
+        (["work_precision", "--scene", "pendulum", "--cost", "step"], "did you mean 'steps'"),
+        (["trajectory", "--scene", "pendulum", "--error", "a:max"], "has no --error; it takes"),
+        (["trajectory", "--scene", "pendulum", "--component", "x:1"], "no component 'x'"),
+        (["trajectory", "--scene", "pendulum", "--component", "q:Z"], "known: 1, 2, X, Y"),
+        (["trajectory", "--scene", "pendulum", "-o", "a.gif"], "ends in .svg, .png, .pdf, .json"),
+        (["trajectory", "--scene", "pendulum", "-o", "no/such/a.svg"], "The system refused"),
+    ],
+)
+def test_figures_are_refused_in_one_sentence(folder, stepbench, arguments, words):
+    result = stepbench("figure", folder, *arguments)
+    assert result.exit_code != 0
+    assert words in result.output
+    assert "Traceback" not in result.output
+
+
+def test_an_empty_store_is_told(tmp_path, stepbench):
+    Store(tmp_path, create=True).close()
+    result = stepbench("figure", tmp_path, "convergence")
+    assert "The store holds no finished run" in result.output
+
+
+def test_files_need_no_altair_and_charts_say_what_to_install(folder, tmp_path):
+    code = (
+        "import sys; sys.modules['altair'] = None\n"
+        "from pathlib import Path\n"
+        "from reports.figures import convergence, write\n"
+        f"folder, file = Path({str(folder)!r}), Path({str(tmp_path / 'a.json')!r})\n"
+        "write('convergence', folder, file, scene='pendulum')\n"
+        "print('jax' in sys.modules)\n"
+        "try:\n    convergence(folder, scene='pendulum')\n"
+        "except ImportError as error:\n    print(error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("False\nAltair is not installed; install stepbench[figures]")
