@@ -54,6 +54,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
         looks = looks_of((label_of(r), r.family) for r in records.values())
         keys = _scene_keys(plan, scenes, records.values())
         names = _names(keys)
+        ids = {key: f"run-{i}" for i, key in enumerate(records, 1)}
         parts, series = [], {}
         for i, key in enumerate(keys, 1):
             own = [r for r in records.values() if (r.problem, r.t_end) == key]
@@ -66,6 +67,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
                 records=own,
                 looks=looks,
                 rows=store.rows,
+                ids=ids,
                 interactive=interactive,
                 described=names[twins[0]] if twins else "",
             )
@@ -76,7 +78,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
         title=(plan.title or plan.name) if plan else "Results",
         state=_state(plan, everything),
         missing=_missing(plan, scenes, records, keys, environments),
-        verdict=tables.verdict(verdicts(found)),
+        verdict=tables.verdict(verdicts(found), ids),
         overall=overall(found),
         overview=_overview(found, looks, interactive),
         scenes=parts,

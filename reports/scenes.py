@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from bench.records import GROUPS, Record, Rows, SceneRecord, Study
 from bench.store import StoreError
@@ -51,6 +51,7 @@ class StudyPart:
     tables: list[Table]
     more: list[Table]
     runs: Table | None = None
+    links: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -68,15 +69,17 @@ class ScenePart:
     summary: Table | None
     studies: list[StudyPart]
     drift: Table | None
+    runs: Table | None
 
 
 @dataclass
 class SceneReader:
     """Makes one scene's part of the page from its records.
 
-    ``rows`` reads the sampled values of a record by key; ``interactive`` asks for charts that
-    answer to a pointer instead of pictures. ``described`` names the part of the page that
-    describes the same scene already, over another interval.
+    ``rows`` reads the sampled values of a record by key, ``ids`` are the anchors of records by
+    key; ``interactive`` asks for charts that answer to a pointer instead of pictures.
+    ``described`` names the part of the page that describes the same scene already, over another
+    interval.
     """
 
     anchor: str
@@ -85,6 +88,7 @@ class SceneReader:
     records: list[Record]
     looks: dict[str, Look]
     rows: Callable[[str], Rows]
+    ids: Mapping[str, str]
     interactive: bool
     described: str = ""
 
@@ -114,6 +118,7 @@ class SceneReader:
             summary=tables.summary(series) if series else None,
             studies=parts,
             drift=tables.drift(series),
+            runs=tables.runs(series, self.ids),
         )
 
     def _about(self) -> list[str]:
@@ -156,6 +161,7 @@ class SceneReader:
             tables=[first] if first and fitted else [],
             more=[every] if every and fitted else [],
             runs=tables.runs(series) if "runs" in study.figures else None,
+            links={s.label: self.ids[s.records[0].key] for s in series},
         )
 
     def _convergence(self, series: Sequence[Series], name: str) -> Figure | None:

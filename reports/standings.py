@@ -87,11 +87,11 @@ def _ranked(
 
 @dataclass(frozen=True)
 class Verdict:
-    """Who wins on one scene by each cost, in words, with the keys of the records behind them."""
+    """Who wins on one scene by each cost, in words, and the keys of the records behind them."""
 
     scene: str
     by: dict[str, str]
-    keys: tuple[str, ...]
+    keys: dict[str, list[str]]
 
 
 def verdicts(found: Iterable[Standing], group: str = "a", target: float = 1e-4) -> list[Verdict]:
@@ -108,14 +108,14 @@ def verdicts(found: Iterable[Standing], group: str = "a", target: float = 1e-4) 
     for scene, costs in by_scene.items():
         if max(len(all_of) for all_of in costs.values()) < 2:
             continue
-        by, keys = {}, []
+        by, keys = {}, {}
         for cost, all_of in costs.items():
             ranked = sorted((s for s in all_of if s.run), key=lambda s: s.value)
             by[cost], used = _winner(ranked, cost)
             if not ranked and any(s.reached for s in all_of):
                 by[cost] = "not measured"
-            keys += [s.run.key for s in used]
-        said.append(Verdict(scene, by, tuple(dict.fromkeys(keys))))
+            keys[cost] = [s.run.key for s in used]
+        said.append(Verdict(scene, by, keys))
     return said
 
 

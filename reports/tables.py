@@ -26,7 +26,11 @@ from reports.standings import JUDGED, LEAST, TARGETS, Standing, Verdict, reaches
 
 @dataclass
 class Table:
-    """Cells as plain text; ``best`` are (row, column) to stress, ``code`` columns hold names."""
+    """Cells as plain text; ``best`` are (row, column) to stress, ``code`` columns hold names.
+
+    ``ids`` are the anchors of the rows; ``links`` are the anchors of the records behind the cell
+    (row, column).
+    """
 
     caption: str
     head: list[str]
@@ -34,6 +38,8 @@ class Table:
     best: set[tuple[int, int]] = field(default_factory=set)
     code: tuple[int, ...] = (0,)
     note: str = ""
+    ids: list[str] = field(default_factory=list)
+    links: dict[tuple[int, int], list[str]] = field(default_factory=dict)
 
 
 def targets(series: Sequence[Series]) -> Table | None:
@@ -59,8 +65,8 @@ def targets(series: Sequence[Series]) -> Table | None:
     )
 
 
-def verdict(found: Sequence[Verdict]) -> Table | None:
-    """Who wins on which scene."""
+def verdict(found: Sequence[Verdict], ids: Mapping[str, str]) -> Table | None:
+    """Who wins on which scene; ``ids`` are the anchors of records by key."""
     if not found:
         return None
     rows = [[v.scene, *(v.by.get(cost, "not known") for cost in LEAST)] for v in found]
@@ -69,7 +75,13 @@ def verdict(found: Sequence[Verdict]) -> Table | None:
         ["scene", *LEAST.values()],
         rows,
         note="Largest relative error over all times. Who cannot be told apart from the winner by "
-        "timing samples, or has the same count, ties. Other accuracies and costs: below.",
+        "timing samples, or has the same count, ties. Other accuracies and costs: below. The "
+        "numbers in brackets lead to the runs.",
+        links={
+            (i, j): [ids[key] for key in v.keys.get(cost, ()) if key in ids]
+            for i, v in enumerate(found)
+            for j, cost in enumerate(LEAST, 1)
+        },
     )
 
 
@@ -221,8 +233,8 @@ def _fit(fit: Fit) -> str:
     return f"{prefix}{order_text(fit.order)} ({window})"
 
 
-def runs(series: Sequence[Series]) -> Table | None:
-    """Every run with its errors, work and ending."""
+def runs(series: Sequence[Series], ids: Mapping[str, str] | None = None) -> Table | None:
+    """Every run with its errors, work and ending; ``ids`` are the anchors of the rows by key."""
     records = [(s, r) for s in series for r in s.records]
     groups = groups_of(r for _, r in records)
     if not records:
@@ -241,7 +253,8 @@ def runs(series: Sequence[Series]) -> Table | None:
     errors = [f"error in {g}" for g in groups]
     head = ["integrator", "run", "ending", *errors, "steps", "rejected", "residual evaluations"]
     note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
-    return Table("All runs", [*head, "time in ms"], rows, note=note)
+    anchors = [ids[r.key] for _, r in records] if ids else []
+    return Table("All runs", [*head, "time in ms"], rows, note=note, ids=anchors)
 
 
 def integrators(

@@ -187,7 +187,7 @@ def test_the_page_asks_nothing_of_any_network(folder: Path, page: Document) -> N
         assert place.startswith(("#", "data:")), (tag, place)
     text = (folder / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"@import|url\(\s*['\"]?http", text)
-    anchors = set(re.findall(r'<section id="([^"]+)"', text))
+    anchors = set(re.findall(r'<(?:section|tr) id="([^"]+)"', text))
     assert {place[1:] for tag, place in page.places if tag == "a"} <= anchors
 
     def keys(node: object) -> set[str]:
@@ -347,6 +347,9 @@ def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
 
 def test_a_table_of_all_runs_shows_each_with_its_ending(folder: Path, page: Document) -> None:
     tables = [rows for name, rows in page.tables if name == "All runs"]
+    assert len(re.findall(r'<tr id="run-', (folder / "report.html").read_text())) == len(
+        stored(folder)
+    )
     records = stored(folder)
     assert sum(len(rows) - 1 for rows in tables) == len(records)
     shown = {(row[1], row[2]) for rows in tables for row in rows[1:]}

@@ -57,8 +57,11 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
         "residuals": "lean (300; next: quick, 3 times)",
     }
     records = {r.key for r in scenes()["won"]}
-    assert set(said["won"].keys) <= records
-    assert len(said["won"].keys) == 2
+    assert {cost: len(keys) for cost, keys in said["won"].keys.items()} == {
+        "seconds": 2,
+        "residuals": 2,
+    }
+    assert {key for keys in said["won"].keys.values() for key in keys} <= records
     assert said["tied"].by == {
         "seconds": "quick and lean tie (1 ms)",
         "residuals": "quick and lean tie (500)",
@@ -68,8 +71,11 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     assert said["untimed"].by["residuals"] == "lean (90; next: quick, 10 times)"
     assert "vague" not in said  # the reference is no better than the target
     assert "alone" not in said
-    table = verdict(list(said.values()))
+    ids = {key: f"at {key}" for key in records}
+    table = verdict(list(said.values()), ids)
     assert [row[0] for row in table.rows] == list(said)
+    assert table.links[0, 1] == [ids[key] for key in said["won"].keys["seconds"]]
+    assert table.links[1, 1] == []
 
 
 def test_standings_equal_a_direct_query(found):
