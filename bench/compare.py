@@ -101,9 +101,9 @@ def read_limits(text: str) -> dict[str, float]:
 
 
 def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str]:
-    """What is worse than the limits allow, a sentence each; nothing without limits.
+    """What is worse than the limits allow, a sentence each, the worst first.
 
-    With limits, a run that no longer reaches the end is always one.
+    Without limits nothing is; with any, a run that no longer reaches the end always is.
 
     Raises
     ------
@@ -117,11 +117,13 @@ def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str
             f"{comparison.old} and {comparison.new} have no run in common: nothing can be judged."
         )
     found = [str(ending) for ending in comparison.endings if ending.before == "ok"]
-    found += [
-        f"{change}, limit {factor(limits[change.kind])}"
+    beyond = [
+        ((change.ratio or 0.0) / limits[change.kind], change)
         for change in comparison.changes
-        if change.comparable and (change.ratio or 0.0) > limits.get(change.kind, math.inf)
+        if change.comparable and change.kind in limits
     ]
+    beyond = sorted((pair for pair in beyond if pair[0] > 1.0), key=lambda pair: -pair[0])
+    found += [f"{change}, limit {factor(limits[change.kind])}" for _, change in beyond]
     if VANISHED in limits:
         found += [f"{run}: not in {comparison.new}" for run in comparison.vanished]
     return found

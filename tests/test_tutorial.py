@@ -1,0 +1,91 @@
+"""The tutorial does what it says: its files and commands run, in order, in an empty folder."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from bench.compare import compare
+from bench.store import Store
+
+TEXT = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
+
+
+def flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder after the last command; what the text shows was seen on the way."""
+    path, said = tmp_path_factory.mktemp("tutorial"), ""
+    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for kind, block in BLOCKS:
+        if kind == "sh":
+            run = subprocess.run(
+                ["bash", "-euo", "pipefail", "-c", block],
+                cwd=path,
+                env=os.environ | {"PATH": programs, "COLUMNS": "200"},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=120,
+            )
+            said = flat(run.stdout)
+            assert run.returncode == 0, f"{block}\n{run.stdout}"
+        elif kind == "text":
+            for line in block.splitlines():
+                assert flat(line) in said, f"{line}\nis not in\n{said}"
+        else:
+            name = block.split("\n", 1)[0].removeprefix("# ")
+            assert name.endswith({"python": ".py", "toml": ".toml"}[kind])
+            (path / name).write_text(block, encoding="utf-8")
+    return path
+
+
+def test_the_tutorial_leaves_what_it_promises(folder):
+    for page in ("first/report.html", "changes/comparison.md"):
+        assert (folder / page).stat().st_size > 0
+    assert (folder / "cost.pdf").read_bytes().startswith(b"%PDF")
+    assert (folder / "acceleration.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("orders.svg", "steps.svg"):
+        words = " ".join(ElementTree.parse(folder / name).getroot().itertext())
+        assert "my_method" in words
+    assert "Pendulum" in words
+
+
+def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
+    found = compare(folder / "first", folder / "second")
+    assert {change.run.integrator for change in found.changes} == {"my_method"}
+    kinds = {change.kind for change in found.changes}
+    assert {"error", "work"} <= kinds
+    for change in found.changes:
+        if change.kind == "work":
+            assert change.ratio == 0.5
+        elif change.name in "qva":
+            assert change.ratio < 1  # as the text says
+
+
+def test_the_later_of_two_runs_is_kept(folder):
+    with Store(folder / "second") as store:
+        second = store.records()
+    with Store(folder / "both") as store:
+        both = store.records()
+    assert len(both) == 12
+    for key, record in second.items():
+        assert both[key].work == record.work
+        assert both[key].errors == record.errors
+
+
+def test_every_command_of_the_tutorial_is_one_of_the_tool(stepbench):
+    names = set(re.findall(r"stepbench (\w+)", TEXT))
+    assert {"run", "new", "check", "export", "figure", "compare", "merge", "open"} <= names
+    for name in names - {"is"}:
+        assert stepbench(name, "--help").exit_code == 0, name
