@@ -66,7 +66,8 @@ class AlphaState(NamedTuple):
     """Everything that a step hands to the next; ``shift`` and ``shift_x`` are the times by which
     the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
     is the last step and ``gamma``, ``theta`` were its weights, ``seen`` is the acceleration that is
-    reported, ``inverse`` the inverted tangent that modified Newton keeps (empty in full Newton)."""
+    reported, ``inverse`` the inverted tangent that modified Newton keeps (empty in full Newton),
+    ``slopes`` are the first and second divided differences of the unknowns, for the next guess."""
 
     q: Any
     v: Any
@@ -84,6 +85,7 @@ class AlphaState(NamedTuple):
     theta: Any
     seen: Any
     inverse: Any
+    slopes: Any
 
 
 def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
@@ -188,7 +190,7 @@ def _begin(
     inverse = jnp.full((n, n) if modified else (0, 0), jnp.nan)  # none yet
     return AlphaState(
         z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma, s.theta,
-        z.a, inverse,
+        z.a, inverse, jnp.full((2, sizes.nq + sizes.nl + sizes.nx + sizes.ny), jnp.nan),
     )  # fmt: skip
 
 
@@ -248,17 +250,32 @@ def _step(
     )
     of_a = (of_v if nmu else of_q) if sizes.nl else 0.0
     floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, 0.0, 0.0)
-    guess = jnp.concatenate([state.a, state.lam, jnp.zeros(nmu), state.xdot, state.y])
+    old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
+    guess = jnp.insert(extrapolated(old, state.slopes, h, state.h), cuts[1], jnp.zeros(nmu))
     u, inverse, report = newton(
         residual, guess, cuts, s.newton_tol, s.newton_max, floors, state.inverse
     )
     z, xdot = at(u)
     aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
     seen = jnp.where(s.classical, aux_end, z.a)
+    new = jnp.concatenate([z.a, z.lam, xdot, z.y])
     return AlphaState(
         z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-        gamma, theta, seen, inverse,
+        gamma, theta, seen, inverse, differences(new, old, state.slopes, h, state.h),
     ), report  # fmt: skip
+
+
+def extrapolated(u: Any, slopes: Any, h: Any, h_last: Any) -> Any:
+    """The unknowns at the end of a step, from the parabola through the last three; NaN slopes are
+    not known yet."""
+    first, second = jnp.nan_to_num(slopes)
+    return u + h * (first + (h + h_last) * second)
+
+
+def differences(new: Any, old: Any, slopes: Any, h: Any, h_last: Any) -> Any:
+    """First and second divided differences after a step."""
+    first = (new - old) / h
+    return jnp.stack([first, (first - slopes[0]) / (h + h_last)])
 
 
 #: begin, step and read per formulation and kind of Newton's method; one object each, so
