@@ -122,6 +122,41 @@ def test_errors_within_the_trust_in_the_reference_are_no_change(tmp_path):
     assert change.ratio == pytest.approx(1 / 3)
 
 
+def test_of_two_references_the_poorer_one_is_trusted_no_further(tmp_path):
+    folders = []
+    for error, floor in ((1e-5, 1e-12), (3e-5, 1e-6)):
+        record = planted("pendulum", "m", FREE, h=0.1)
+        record.errors["q"]["max"] = error
+        record.reference_error["q"]["max"] = floor
+        folders.append(plant(tmp_path / str(error), [record]))
+    assert compare(*folders).same
+    assert compare(*folders[::-1]).same
+
+
+def test_the_worst_is_told_first(old, tmp_path, stepbench):
+    order = [2, 5, 3, 7, 1, 4]  # by the refinement, coarse to fine
+
+    def edit(record):
+        if record.problem == "spring_mass":
+            by = 10.0 if record.integrator == "poor" else 1.0
+            record.errors["a"]["max"] *= by * order[STEPS.index(record.h)]
+
+    found = compare(old, edited(old, "new", edit))
+    assert found.summary() == [
+        "poor on spring_mass: error (a) x10 to x70 in 6 of 6 runs",
+        "good[rho_inf=0.8] on spring_mass: error (a) x2 to x7 in 5 of 6 runs",
+    ]
+    worst = [f"x{by}," for by in (70, 50, 40, 30, 20, 10, 7, 5, 4, 3, 2)]
+    said = regressions(found, {"error": 1.5})
+    assert [line.rpartition(" limit")[0].rpartition("(")[2].replace(")", "") for line in said] == (
+        worst
+    )
+    stepbench("compare", old, old.parent / "new", "--out", tmp_path / "pages")
+    page = Document((tmp_path / "pages" / "comparison.html").read_text())
+    ratios = [row["ratio"] + "," for row in page.rows("Relative errors that changed")]
+    assert ratios == worst
+
+
 def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.errors["q"]["end"] = None
@@ -387,6 +422,21 @@ def test_of_a_run_in_two_folders_the_one_measured_last_is_kept(tmp_path, stepben
     (record,) = records(tmp_path / "out").values()
     assert record.work == {"residuals": 7}
     assert len(record.run_s) == 3
+
+
+def test_a_scene_in_two_folders_is_taken_from_the_one_measured_last(tmp_path):
+    runs = {"late": "2025-03-05T00:00:00+00:00", "soon": "2025-03-02T00:00:00+00:00"}
+    folders = []
+    for name, date in runs.items():
+        folder = machine(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], name, date)
+        with Store(folder, create=True) as store:
+            (scene,) = store.scenes().values()
+            store.save_scene(msgspec.structs.replace(scene, title=name))
+        folders.append(folder)
+    merge(folders, tmp_path / "out")
+    with Store(tmp_path / "out") as store:
+        (scene,) = store.scenes().values()
+    assert scene.title == "late"
 
 
 def test_of_runs_measured_at_one_time_the_last_named_is_kept(tmp_path):
