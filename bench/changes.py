@@ -61,8 +61,9 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
     """Everything that differs between two run folders.
 
     ``differences`` name machines and versions, ``edited`` counts the shared cells whose source
-    differs, ``untold`` those whose times cannot be compared for want of two samples each.
-    ``judged`` counts the shared cells that reached the end in both, by scene and integrator.
+    differs, ``untold`` those whose times cannot be compared for want of two samples each. Ratios
+    of times up to ``noise`` are no change. ``judged`` counts the shared cells that reached the
+    end in both, by scene and integrator.
     """
 
     old: str
@@ -70,6 +71,7 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
     shared: int
     edited: int
     untold: int
+    noise: float
     judged: dict[str, int]
     differences: list[str]
     endings: list[Ending]
@@ -97,6 +99,11 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
             )
         if self.untold:
             said.append(f"Times of {self.untold} runs are not compared: they need two samples.")
+        if self.noise > LEAST["time"]:
+            said.append(
+                f"The machine was noisy: times that differ by less than {factor(self.noise)} are "
+                "not told apart."
+            )
         if self.same:
             said.append("Nothing changed.")
         return said

@@ -47,8 +47,9 @@ def compare(
 ) -> None:
     """Say what changed from the results in OLD to those in NEW, run by run.
 
-    Errors and counts are compared as they are, times where the samples of both do not overlap.
-    Times from different machines or versions are shown, but are no regression.
+    Errors and counts are compared as they are, times where the samples of both do not overlap
+    and the ratio is beyond the noise. Times from different machines or versions are shown, but
+    are no regression.
 
     \b
     Examples:

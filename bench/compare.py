@@ -5,15 +5,15 @@ A cell is the same if its key is. Where it reached the end in both, three kinds 
 - ``error``: per group and norm. Below a hundred times the reference's own error an error says
   nothing, so that both are taken as at least that.
 - ``work``: counts, exactly.
-- ``time``: medians, where the samples of the two runs do not overlap; on other machines or versions
-  a ratio of times is shown, but is no regression.
+- ``time``: medians, where the samples of the two runs do not overlap and the ratio is beyond the
+  noise of both folders; on other machines or versions it is shown, but is no regression.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from bench.changes import LEAST, Change, Comparison, Ending, Run, factor
@@ -38,6 +38,7 @@ def compare(old: Path, new: Path) -> Comparison:
     (before, machines), (after, others) = _read(old), _read(new)
     shared = [key for key in after if key in before]
     names = _names([*before.values(), *after.values()])
+    noise = max(LEAST["time"], _noise(before.values()) * _noise(after.values()))
     judged: Counter[str] = Counter()
     differences: dict[str, None] = {}
     endings, changes, untold = [], [], 0
@@ -51,7 +52,7 @@ def compare(old: Path, new: Path) -> Comparison:
         elif one.status == "ok":
             judged[f"{run.integrator} on {run.scene}"] += 1
             changes += [*_errors(run, one, two), *_work(run, one, two)]
-            changes += _time(run, one, two, comparable=not pair)
+            changes += _time(run, one, two, noise, comparable=not pair)
             untold += min(len(one.run_s), len(two.run_s)) < 2
     return Comparison(
         old=str(old),
@@ -59,6 +60,7 @@ def compare(old: Path, new: Path) -> Comparison:
         shared=len(shared),
         edited=sum(before[key].fingerprint != after[key].fingerprint for key in shared),
         untold=untold,
+        noise=noise,
         judged=dict(judged),
         differences=list(differences),
         endings=endings,
@@ -178,7 +180,7 @@ def _errors(run: Run, old: Record, new: Record) -> Iterator[Change]:
                 ratio = 1.0 if one is two else (math.inf if two is None else 0.0)
             else:
                 ratio = _ratio(max(one, floor), max(two, floor))
-            if _changed(ratio, "error"):
+            if _changed(ratio, LEAST["error"]):
                 yield Change(
                     run=run, kind="error", name=group, norm=norm, old=one, new=two, ratio=ratio
                 )
@@ -192,13 +194,22 @@ def _work(run: Run, old: Record, new: Record) -> Iterator[Change]:
             yield Change(run=run, kind="work", name=name, old=one, new=two, ratio=ratio)
 
 
-def _time(run: Run, old: Record, new: Record, comparable: bool) -> Iterator[Change]:
+def _noise(records: Iterable[Record]) -> float:
+    """The ratio of slowest to fastest sample that a quarter of the timed runs reach; 1 of none.
+
+    A busy machine slows all samples of a short run alike, which only the others tell.
+    """
+    spreads = sorted(max(r.run_s) / min(r.run_s) for r in records if len(r.run_s) > 1)
+    return spreads[3 * len(spreads) // 4] if spreads else 1.0
+
+
+def _time(run: Run, old: Record, new: Record, noise: float, comparable: bool) -> Iterator[Change]:
     if min(len(old.run_s), len(new.run_s)) < 2:
         return
     apart = min(new.run_s) > max(old.run_s) or min(old.run_s) > max(new.run_s)
     one, two = median(old.run_s), median(new.run_s)
     ratio = _ratio(one, two)
-    if apart and _changed(ratio, "time"):
+    if apart and _changed(ratio, noise):
         yield Change(
             run=run,
             kind="time",
@@ -216,5 +227,5 @@ def _ratio(old: float, new: float) -> float:
     return new / old if old else math.inf
 
 
-def _changed(ratio: float, kind: str) -> bool:
-    return ratio > LEAST[kind] or ratio < 1 / LEAST[kind]
+def _changed(ratio: float, least: float) -> bool:
+    return ratio > least or ratio < 1 / least
