@@ -1,0 +1,231 @@
+"""The amplification matrix of a step or of a pattern of steps, found by taking the step.
+
+On a linear system a step is linear in what it hands on. Its matrix is therefore known exactly from
+finitely many evaluations: the columns are step(rest + e_i) - step(rest), with unit vectors e_i over
+all numbers of the method's state. Nothing is differentiated: a derivative through the loop of
+Newton's method would be that of its last iterates, and a difference quotient would lose half of
+the digits, while these columns have the rounding of a step. Rest is zero, where no digits cancel.
+
+A state also holds numbers that know the grid alone (the last step, a shift), a tangent that is
+kept, and values that the next step only starts its iteration from. At rest the former do not act on
+the solution, and the latter never do: only numbers that a deviation of the start reaches and that
+act on the next state take part in the matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.stability.systems import LinearSystem
+from integrators.contract import Integrator, Steps
+from integrators.march import StepMethod
+from problems.formulations import Start, with_rates
+from problems.runtime import jax, jnp
+from problems.spec import SpecError
+from problems.system import MechatronicSystem, Sizes
+
+#: Entries of a matrix below this size are rounding, at steps of about one time unit.
+_NOISE = 1e-9
+#: Steps at which it is found out which numbers of a state carry memory.
+_SAMPLES = (0.31, 1.07, 2.9)
+#: Patterns after which the numbers that know the grid have to repeat themselves.
+_MOST_PATTERNS = 5000
+#: Most steps in a pattern, and macro steps that are taken side by side.
+_SLOTS, _BLOCK = 16, 64
+#: How well two runs of one step each have to give a run of two, relative to the largest entry and
+#: to the start: solvers of algebraic equations may have tolerances of about 1e-9 of that.
+_MEMORYLESS, _TOLERATED = 1e-6, 1e-7
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """What a pattern of steps does to deviations, for k macro steps.
+
+    ``a`` ``(k, n, n)`` maps what is handed on from pattern to pattern, ``b`` ``(k, n, m)`` gives
+    it at the start for the m unit deviations of the system, and ``c`` ``(k, r, n)`` reads [q, v, x]
+    after the next pattern. NaN where Newton's method failed, infinite where a run overflowed.
+    """
+
+    steps: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+def steppable(method: Integrator) -> Integrator:
+    """The method at constant steps.
+
+    Raises
+    ------
+    SpecError
+        If it has none.
+    """
+    constant = method.at_constant_steps()
+    if constant is None:
+        raise SpecError(
+            f"{method.spec} chooses its own steps: an amplification matrix is defined for methods "
+            f"with constant steps or patterns of them."
+        )
+    return constant
+
+
+def matrices(
+    method: Integrator,
+    system: LinearSystem,
+    steps: Sequence[float],
+    pattern: Sequence[float] = (1.0,),
+) -> Matrices:
+    """The amplification matrices of one pattern of steps for each macro step.
+
+    Raises
+    ------
+    SpecError
+        If the method has no constant steps, refuses the system, or hides its memory.
+    """
+    method, steps = steppable(method), np.asarray(steps, dtype=float)
+    pattern = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
+    reason = method.supports(system)
+    if reason:
+        raise SpecError(f"{method.spec} does not take {system.name}: {reason}")
+    if isinstance(method, StepMethod):
+        return _by_stepping(method, system, steps, pattern)
+    return _by_running(method, system, steps, pattern)
+
+
+# ---- methods whose step is a function ----------------------------------------------------
+def _by_stepping(
+    method: StepMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
+) -> Matrices:
+    begin, step, read = method.functions()
+    program = _program(begin, step, read, system.template(), system.sizes)
+    slots = np.zeros(_SLOTS)
+    slots[: len(pattern)] = pattern
+    fixed = system.parameters(), method.numbers(), system.deviations(), slots, len(pattern)
+    fixed = jax.tree.map(jnp.asarray, fixed)
+    count = len(_SAMPLES)
+    # Whole blocks, so that other numbers of steps compile nothing.
+    every = np.concatenate([_SAMPLES, steps, np.ones(-(count + len(steps)) % _BLOCK)])
+    blocks = [program(*fixed, jnp.asarray(block)) for block in every.reshape(-1, _BLOCK)]
+    parts = [np.concatenate([np.asarray(block[k]) for block in blocks]) for k in range(4)]
+    kept = _carriers(*(part[:count] for part in parts[:2]))
+    a, b, c, converged = (part[count : count + len(steps)] for part in parts)
+    a, b, c = a[:, kept][:, :, kept], b[:, kept], c[:, :, kept]
+    a[~converged[:, kept].all(axis=1)] = np.nan
+    return Matrices(steps, a, b, c)
+
+
+def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Numbers of a state that a deviation reaches and that act on such numbers later on."""
+    acts = (np.abs(np.nan_to_num(a)) > _NOISE).any(axis=0)
+    reached = (np.abs(np.nan_to_num(b)) > _NOISE).any(axis=(0, 2))
+    for _ in range(len(acts)):
+        reached = reached | acts[:, reached].any(axis=1)
+    kept = reached
+    for _ in range(len(acts)):
+        kept = kept & acts[kept].any(axis=0)
+    return np.flatnonzero(kept)
+
+
+@cache
+def _program(
+    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
+) -> Callable:
+    """Program of (parameters, numbers, deviations, pattern, its length, macro steps); one
+    compilation serves all members of a family, all parameters, steps and patterns."""
+    from jax.flatten_util import ravel_pytree
+
+    def one(p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macro: Any) -> tuple:
+        scene, hs = template.with_parameters(p), macro * pattern
+        ends = jnp.cumsum(hs)
+
+        def started(s: Any) -> Any:
+            q, v, x = jnp.split(s, [sizes.nq, 2 * sizes.nq])
+            start = Start(*with_rates(scene, sizes, q, v, x, jnp.asarray(0.0)))
+            return begin(scene, sizes, numbers, start, hs[0])
+
+        first = jax.tree.map(jnp.asarray, started(jnp.zeros(deviations.shape[1])))
+        rest, unravel = ravel_pytree(first)
+
+        def advance(flat: Any) -> tuple:
+            def single(k: Any, carry: tuple) -> tuple:
+                state, report = step(scene, sizes, numbers, carry[0], ends[k], hs[k])
+                return state, carry[1] & report.converged
+
+            state, converged = jax.lax.fori_loop(0, slots, single, (unravel(flat), True))
+            shown = read(state)
+            return ravel_pytree(state)[0], jnp.concatenate([shown.q, shown.v, shown.x]), converged
+
+        # One loop does two things, so that the step is compiled once: it takes patterns from rest
+        # until all numbers repeat themselves, and then one more from rest and all deviations.
+        units = jnp.concatenate([jnp.zeros((1, rest.size)), jnp.eye(rest.size)])
+
+        def again(carry: tuple) -> tuple:
+            rest, settled, k, _ = carry
+            after, shown, converged = jax.vmap(lambda e: advance(rest + settled * e))(units)
+            moved = jnp.abs(after[0] - rest) > 1e-14 * jnp.abs(after[0])  # false for what is NaN
+            still = ~jnp.any(moved) | (k >= _MOST_PATTERNS)
+            columns = after[1:] - after[0], shown[1:] - shown[0], converged[1:]
+            return after[0], jnp.where(settled > 0, 2.0, 1.0 * still), k + 1, columns
+
+        nothing = jax.eval_shape(again, (rest, 0.0, 0, None))[3]
+        nothing = jax.tree.map(lambda like: jnp.zeros(like.shape, like.dtype), nothing)
+        a, c, converged = jax.lax.while_loop(
+            lambda carry: carry[1] < 2, again, (rest, 0.0, 0, nothing)
+        )[3]
+        b = jax.vmap(lambda s: ravel_pytree(started(s))[0])(deviations) - ravel_pytree(first)[0]
+        return a.T, b.T, c.T, converged
+
+    return jax.jit(jax.vmap(one, in_axes=(*5 * (None,), 0)))
+
+
+# ---- all other methods at constant steps -------------------------------------------------
+def _by_running(
+    method: Integrator, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
+) -> Matrices:
+    """From runs over two patterns, for methods that hand on nothing but q, v and x."""
+    if system.has("constraint"):
+        raise SpecError(
+            f"The matrix of {method.spec} on {system.name} cannot be found by running it: its "
+            f"starts have to satisfy the constraints. It can for a StepMethod."
+        )
+    units = system.deviations()
+    a = np.empty((len(steps), len(units), len(units)))
+    excited = np.flatnonzero(units.any(axis=0))
+    for k, length in enumerate(steps):
+        twice = np.empty_like(a[k])
+        for j, unit in enumerate(units):
+            a[k, :, j], twice[:, j] = _two_patterns(method, system, unit, length, pattern, excited)
+        if not np.isfinite(twice).all():
+            continue
+        size = max(np.abs(a[k]).max() ** 2, np.abs(twice).max())
+        if np.abs(twice - a[k] @ a[k]).max() > _MEMORYLESS * size + _TOLERATED:
+            raise SpecError(
+                f"{method.spec} hands on more than q, v and x from step to step: its "
+                f"amplification matrix can be found only if it is written as a StepMethod."
+            )
+    unit = np.broadcast_to(np.eye(len(units)), a.shape)
+    return Matrices(steps, a, unit, a)
+
+
+def _two_patterns(
+    method: Integrator, system: LinearSystem, start: np.ndarray, length: float,
+    pattern: tuple[float, ...], excited: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """[q, v, x] of the excited entries after one and after two patterns."""
+    scene = system.from_deviation(start)
+    run = method.prepare(scene, 2 * length, Steps(length, pattern)).measure()
+    blank = np.nan if run.status == "newton_failed" else np.inf
+    found = []
+    for end in (length, 2 * length):
+        rows = np.flatnonzero(np.abs(run.t - end) < 1e-9 * length)
+        if len(rows):
+            at = rows[-1]
+            found.append(np.concatenate([run.q[at], run.v[at], run.x[at]])[excited])
+        else:
+            found.append(np.full(len(excited), blank))
+    return found[0], found[1]

@@ -1,0 +1,150 @@
+"""Varying steps: growth over one period of a pattern, and the largest ratio of steps that is safe.
+
+A method that is stable at every constant step need not be stable when steps of different size take
+turns: a product of matrices with radius below 1 can have one above. Patterns are written as words
+of exponents, one letter a step: with ratio r, (1, -1) is a step r times the one before and then one
+1/r times it. The exponents of a word sum to zero, so that the pattern repeats itself.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from bench.stability.matrices import matrices
+from bench.stability.spectra import INFINITY, eigenvalues, multiple, radii
+from bench.stability.systems import LinearSystem, Oscillator
+from integrators.contract import Integrator
+
+Word = tuple[int, ...]
+
+#: omega H at which patterns are looked at: with 1e6 for infinity they fill two blocks.
+OMEGA_H = np.geomspace(1e-2, 1e4, 120)
+#: Growth in a period that is more than rounding.
+_GROWTH = 1e-10
+#: Letters in the longest words that are tried.
+LONGEST = 6
+#: Ratios beyond this are not looked for; ratios are found to this relative accuracy.
+LARGEST_RATIO, _ACCURACY = 10.0, 1e-3
+_SCAN = np.geomspace(1.0, LARGEST_RATIO, 49)[1:]
+#: How a resonance is narrowed down: so many of each kind, by so many points at a time, so often.
+_MOST_PEAKS, _POINTS, _REFINEMENTS = 6, 5, 8
+_REAL = 1e-9
+ALTERNATING: Word = (1, -1)
+
+
+@dataclass(frozen=True)
+class Safe:
+    """The largest ratio up to which no pattern grows (None: none found up to LARGEST_RATIO), and
+    what grows just beyond it: the word, omega H, and the radius over its period."""
+
+    ratio: float | None
+    word: Word | None = None
+    omega_h: float | None = None
+    radius: float | None = None
+
+
+def fractions(word: Sequence[float], ratio: float) -> tuple[float, ...]:
+    """The pattern of a word: fractions of the macro step, which sum to 1."""
+    sizes = float(ratio) ** np.cumsum([0.0, *word[:-1]])
+    return tuple(sizes / sizes.sum())
+
+
+@cache
+def words(longest: int = LONGEST) -> tuple[Word, ...]:
+    """All cyclic words of the letters -1, 0, 1 that sum to zero, each once, the shortest first."""
+    found: dict[Word, None] = {}
+    for length in range(2, longest + 1):
+        for word in itertools.product((1, 0, -1), repeat=length):
+            turns = [word[k:] + word[:k] for k in range(length)]
+            if sum(word) == 0 and any(word) and word == max(turns) and turns.count(word) == 1:
+                found[word] = None
+    return tuple(found)
+
+
+def worst(
+    method: Integrator, pattern: Sequence[float], system: LinearSystem | None = None
+) -> tuple[float, float]:
+    """The largest radius over a period, and the omega H at which it is met.
+
+    Growth is often a resonance: a pair of eigenvalues meets on the real axis, and one of the two
+    leaves the unit circle, in a range of omega H that may be a thousandth wide. Such ranges lie
+    where the largest eigenvalue comes next to the real axis, and are looked for there.
+    """
+    system = system or Oscillator()
+    at = np.append(OMEGA_H, INFINITY)
+    sizes, turned, last = _looks(method, system, at, pattern)
+    if np.isfinite(last).all():  # multiple roots at infinity have lost digits
+        sizes[-1] = max(abs(root) for root, _ in multiple(last))
+    best = int(sizes.argmax())
+    radius, omega_h = float(sizes[best]), float(at[best])
+    brackets = [
+        (at[k - 1], at[k + 1], resonance)
+        for values, resonance in ((-turned[:-1], True), (sizes[:-1], False))
+        for k in _peaks(values, sizes)
+    ]
+    for _ in range(_REFINEMENTS if brackets else 0):
+        points = np.array([np.linspace(a, b, _POINTS + 2)[1:-1] for a, b, _ in brackets])
+        sizes, turned, _ = _looks(method, system, points.ravel(), pattern)
+        sizes, turned = sizes.reshape(points.shape), turned.reshape(points.shape)
+        narrower = []
+        for (a, b, resonance), row, size, turn in zip(brackets, points, sizes, turned, strict=True):
+            real = turn < _REAL
+            goal = np.where(real, size, -turn) if resonance else size
+            k = int(goal.argmax())
+            ends = np.concatenate([[a], row, [b]])
+            narrower.append((ends[k], ends[k + 2], resonance))
+            if size[k] > radius:
+                radius, omega_h = float(size[k]), float(row[k])
+        brackets = narrower
+    return radius, omega_h
+
+
+def _looks(
+    method: Integrator, system: LinearSystem, at: np.ndarray, pattern: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Radii, how far the largest eigenvalue is turned from the real axis (0 to 1), last roots."""
+    roots = eigenvalues(matrices(method, system, at, pattern).a)
+    sizes = radii(roots)
+    largest = roots[np.arange(len(at)), np.abs(roots).argmax(axis=1)]
+    with np.errstate(all="ignore"):
+        turned = np.nan_to_num(np.abs(largest.imag) / np.abs(largest))
+    return np.where(np.isnan(sizes), np.inf, sizes), turned, roots[-1]
+
+
+def _peaks(values: np.ndarray, sizes: np.ndarray) -> list[int]:
+    """Inner maxima, a few of the largest radii: the others have farthest to go to grow."""
+    inner = values[1:-1]
+    peaks = np.flatnonzero((inner >= values[:-2]) & (inner > values[2:])) + 1
+    return sorted(peaks, key=lambda k: -sizes[k])[:_MOST_PEAKS]
+
+
+def safe_ratio(
+    method: Integrator, tried: Sequence[Word] = (ALTERNATING,), system: LinearSystem | None = None
+) -> Safe:
+    """The largest ratio up to which none of the patterns grows."""
+
+    def grows(ratio: float) -> Safe | None:
+        for word in tried:
+            radius, omega_h = worst(method, fractions(word, ratio), system)
+            if radius > 1 + _GROWTH:
+                return Safe(ratio, word, omega_h, radius)
+        return None
+
+    low = 1.0
+    for high in _SCAN:
+        found = grows(high)
+        if found:
+            break
+        low = high
+    else:
+        return Safe(None)
+    while high - low > _ACCURACY * low:
+        middle = (low * high) ** 0.5
+        again = grows(middle)
+        low, high, found = (low, middle, again) if again else (middle, high, found)
+    return Safe(float(low), found.word, found.omega_h, found.radius)

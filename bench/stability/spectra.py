@@ -1,0 +1,283 @@
+"""What the eigenvalues of amplification matrices say of a method on the test oscillator.
+
+Conventions of Hughes (1987), The Finite Element Method, ch. 9: an eigenvalue r exp(i phi) of the
+principal pair is a numerical oscillation of damping ratio -ln(r)/phi and of period 2 pi h/phi.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.stability.matrices import Matrices, matrices, steppable
+from bench.stability.systems import LinearSystem, Oscillator
+from integrators.contract import Integrator
+
+#: omega h of the charts, 30 to a decade.
+OMEGA_H = np.geomspace(1e-2, 1e4, 181)
+#: Taken for infinite: what is left of finite frequency is below rounding in a mean of roots.
+INFINITY = 1e6
+#: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
+GROWTH = 1e-9
+#: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
+#: the k-th root of rounding, and like 1/INFINITY.
+_ONE_ROOT = 1e-3
+#: A pair whose imaginary part is below this is real.
+_REAL = 1e-7
+#: Steps among the first of which the overshoot is the largest value.
+FIRST_STEPS = 10
+_ORDER_STEPS = 2.0 ** -np.arange(8.0)
+_SECTIONS = 16
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """What is known of a method on a test system; arrays are over ``omega_h`` ``(k,)``.
+
+    ``damping`` and ``period_error`` (relative, beyond those of the exact solution) are NaN where
+    there is no oscillation; they belong to the pattern's macro step. ``growing`` holds the ranges
+    of omega h in which the radius is above 1, ``bifurcation`` is where the principal pair turns
+    real (None: nowhere). ``overshoot`` is the largest |q| and |v| of the first steps relative to a
+    start of amplitude 1; ``overshoot_orders`` are the powers of omega h by which it grows.
+    ``roots_at_infinity`` are (root, multiplicity).
+    """
+
+    integrator: str
+    system: str
+    pattern: tuple[float, ...]
+    omega_h: np.ndarray
+    radius: np.ndarray
+    damping: np.ndarray
+    period_error: np.ndarray
+    overshoot_q: np.ndarray
+    overshoot_v: np.ndarray
+    growing: list[tuple[float, float]]
+    bifurcation: float | None
+    order: int | None
+    overshoot_orders: tuple[int, int] | None
+    radius_at_infinity: float
+    roots_at_infinity: list[tuple[complex, int]]
+
+    @property
+    def limit(self) -> float:
+        """Smallest omega h at which deviations grow; infinite if there is none."""
+        return self.growing[0][0] if self.growing else math.inf
+
+
+def spectrum(
+    method: Integrator,
+    system: LinearSystem | None = None,
+    pattern: Sequence[float] = (1.0,),
+    omega_h: Sequence[float] = (),
+) -> Spectrum:
+    """Analyse a method; ``omega_h`` are values of omega h to be looked at beside OMEGA_H.
+
+    Raises
+    ------
+    SpecError
+        As `matrices` does.
+    """
+    method, system = steppable(method), system or Oscillator()
+    at = np.union1d(OMEGA_H, np.asarray(omega_h, dtype=float))
+    every = np.concatenate([at, _ORDER_STEPS, [INFINITY]])
+    found = matrices(method, system, every, pattern)
+    roots, count = eigenvalues(found.a), len(at)
+    sizes = radii(roots)
+    nothing, oscillates = np.full(count, np.nan), isinstance(system, Oscillator)
+    damping = period = nothing
+    bifurcation = order = None
+    if oscillates:
+        damping, period = oscillation(roots[:count], at, system.zeta)
+        order = order_of(roots[count:-1], system.zeta)
+        bifurcation = _bifurcation(method, system, pattern, at, roots[:count])
+    q, v = overshoot(found, system) if oscillates else (nothing, nothing)
+    at_infinity = multiple(roots[-1])
+    return Spectrum(
+        integrator=method.spec,
+        system=system.spec,
+        pattern=tuple(pattern),
+        omega_h=at,
+        radius=sizes[:count],
+        damping=damping,
+        period_error=period,
+        overshoot_q=q[:count],
+        overshoot_v=v[:count],
+        growing=growing(method, system, pattern, at, sizes[:count]),
+        bifurcation=bifurcation,
+        order=order,
+        overshoot_orders=_powers(at, q, v) if oscillates else None,
+        radius_at_infinity=max((abs(root) for root, _ in at_infinity), default=math.inf),
+        roots_at_infinity=at_infinity,
+    )
+
+
+# ---- roots -------------------------------------------------------------------------------
+def eigenvalues(a: np.ndarray) -> np.ndarray:
+    """Eigenvalues ``(k, n)`` of matrices ``(k, n, n)``: as they are where those are not finite."""
+    good = np.isfinite(a).all(axis=(1, 2))
+    roots = np.full(a.shape[:2], np.nan, dtype=complex)
+    roots[np.isinf(a).any(axis=(1, 2))] = np.inf
+    roots[good] = np.linalg.eigvals(a[good])
+    return roots
+
+
+def radii(roots: np.ndarray) -> np.ndarray:
+    """Spectral radii ``(k,)``."""
+    return np.abs(roots).max(axis=1)
+
+
+def multiple(roots: np.ndarray, within: float = _ONE_ROOT) -> list[tuple[complex, int]]:
+    """Roots with their multiplicities, the largest first.
+
+    Rounding eps moves a k-fold root by eps^(1/k), but the mean of what becomes of it only by eps.
+    """
+    groups: list[list[complex]] = []
+    for root in sorted(roots[np.isfinite(roots)], key=abs, reverse=True):
+        near = [g for g in groups if abs(np.mean(g) - root) < within]
+        if near:
+            near[0].append(root)
+        else:
+            groups.append([root])
+    return [(complex(np.mean(g)), len(g)) for g in groups]
+
+
+def principal(roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0) -> np.ndarray:
+    """The eigenvalue of the principal pair with positive imaginary part ``(k,)``, NaN if none.
+
+    It is the complex one next to the exact solution's where omega h < 1, beyond that the largest.
+    """
+    exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * omega_h)
+    found = np.full(len(roots), complex(np.nan, np.nan))
+    for k, (row, goal) in enumerate(zip(roots, exact, strict=True)):
+        upper = row[row.imag > _REAL] if np.isfinite(row).all() else row[:0]
+        if len(upper):
+            found[k] = min(upper, key=lambda z, goal=goal, far=omega_h[k] >= 1:
+                           -abs(z) if far else abs(z - goal))  # fmt: skip
+    return found
+
+
+def oscillation(
+    roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numerical damping ratio and relative period error ``(k,)``, beyond the exact solution's."""
+    if zeta >= 1:
+        return np.full(len(roots), np.nan), np.full(len(roots), np.nan)
+    z, swing = principal(roots, omega_h, zeta), math.sqrt(1 - zeta**2)
+    angle = np.angle(z)
+    return -np.log(np.abs(z)) / angle - zeta / swing, swing * omega_h / angle - 1
+
+
+def order_of(roots: np.ndarray, zeta: float = 0.0) -> int | None:
+    """Order of the principal root at steps 1, 1/2, 1/4 ...: |z - exact| = O((omega h)^(p+1))."""
+    exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * _ORDER_STEPS)
+    errors = np.abs(principal(roots, _ORDER_STEPS, zeta) - exact)
+    seen = errors[np.isfinite(errors) & (errors > 1e-11)]
+    return round(math.log2(seen[-2] / seen[-1])) - 1 if len(seen) > 1 else None
+
+
+# ---- where something happens -------------------------------------------------------------
+def growing(
+    method: Integrator,
+    system: LinearSystem,
+    pattern: Sequence[float],
+    at: np.ndarray,
+    sizes: np.ndarray,
+) -> list[tuple[float, float]]:
+    """Ranges of omega h where the radius is above 1; a NaN counts as growth."""
+
+    def grows(sizes: np.ndarray) -> np.ndarray:
+        return ~(sizes <= 1 + GROWTH)
+
+    def again(steps: np.ndarray) -> np.ndarray:
+        return grows(radii(eigenvalues(matrices(method, system, steps, pattern).a)))
+
+    ranges, begin, flags = [], None, grows(sizes)
+    for k, flag in enumerate(flags):
+        edge = _edge(again, at[k - 1], at[k]) if k and flag != flags[k - 1] else at[k]
+        if flag and begin is None:
+            begin = edge if k else 0.0
+        elif not flag and begin is not None:
+            ranges.append((begin, edge))
+            begin = None
+    return ranges if begin is None else [*ranges, (begin, math.inf)]
+
+
+def _bifurcation(
+    method: Integrator,
+    system: Oscillator,
+    pattern: Sequence[float],
+    at: np.ndarray,
+    roots: np.ndarray,
+) -> float | None:
+    def real(roots: np.ndarray) -> np.ndarray:
+        return ~(roots.imag > _REAL).any(axis=1)
+
+    def again(steps: np.ndarray) -> np.ndarray:
+        return real(eigenvalues(matrices(method, system, steps, pattern).a))
+
+    flags = real(roots) & np.isfinite(roots).all(axis=1)
+    first = int(flags.argmax())
+    return _edge(again, at[first - 1], at[first]) if first and not flags[0] else None
+
+
+def _edge(again: Callable, low: float, high: float) -> float:
+    """Where a property that differs at two steps changes, by sections of many points at once."""
+    was = again(np.array([low]))[0]
+    while high - low > 1e-11 * high:
+        points = np.linspace(low, high, _SECTIONS + 2)
+        changed = again(points[1:-1]) != was
+        k = int(changed.argmax()) if changed.any() else _SECTIONS
+        low, high = points[k], points[k + 1]
+    return float((low + high) / 2)
+
+
+# ---- the first steps ---------------------------------------------------------------------
+def overshoot(found: Matrices, system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
+    """Largest |q| and |v| in the first steps, over starts q = 1 and v = 1 (Hilber & Hughes 1978,
+    doi:10.1002/eqe.4290060111: overshoot is what exceeds the exact amplitude of 1)."""
+    nq, states, largest = system.size[0], found.b, []
+    with np.errstate(all="ignore"):
+        for _ in range(FIRST_STEPS):
+            shown = np.abs(found.c @ states)
+            largest.append([shown[:, :nq].max(axis=(1, 2)), shown[:, nq : 2 * nq].max(axis=(1, 2))])
+            states = found.a @ states
+    q, v = np.max(largest, axis=0)
+    return q, v
+
+
+def _powers(at: np.ndarray, *values: np.ndarray) -> tuple[int, ...] | None:
+    """Powers of omega h by which values grow over the last decade; None where they overflow."""
+    last = len(at) - 1
+    before = int(np.abs(at - at[last] / 10).argmin())
+    span = math.log10(at[last] / at[before])
+    with np.errstate(all="ignore"):
+        powers = [math.nan if not v[last] > 0 else np.log10(v[last] / v[before]) / span
+                  for v in values]  # fmt: skip
+    return tuple(max(0, round(p)) for p in powers) if np.isfinite(powers).all() else None
+
+
+def summary(found: Spectrum) -> dict[str, Any]:
+    """The spectrum as plain values for JSON: None for what is not a number or infinite."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray | list | tuple):
+            return [plain(v) for v in value]
+        if isinstance(value, complex):
+            return {"re": plain(value.real), "im": plain(value.imag)}
+        if isinstance(value, float | np.floating):
+            return float(value) if math.isfinite(value) else None
+        return value
+
+    return {name: plain(value) for name, value in vars(found).items()} | {
+        "stability_limit": plain(found.limit)
+    }
+
+
+def nearest(found: Spectrum, omega_h: Sequence[float]) -> list[int]:
+    """Where values of omega h stand in a spectrum."""
+    return [int(np.abs(found.omega_h - w).argmin()) for w in itertools.chain(omega_h)]

@@ -1,0 +1,124 @@
+"""`stepbench stability`: numbers, pages, plugins, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from planted import Document
+from test_contributing import EXAMPLES
+
+RADII = {1.0: 0.999474614014, 10.0: 0.929791767153}
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("examples")
+    for name, code in EXAMPLES.items():
+        (folder / name).write_text(code)
+    return folder
+
+
+def found_by(stepbench, *arguments):
+    result = stepbench("stability", *arguments, "--ratios", "none", "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def test_numbers_at_the_steps_that_are_asked_for(stepbench):
+    (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.8]", "--at", "1,10")
+    assert found["at"]["omega_h"] == [1.0, 10.0]
+    assert found["at"]["radius"] == pytest.approx(list(RADII.values()), abs=1e-11)
+    assert found["radius_at_infinity"] == pytest.approx(0.8, abs=1e-9)
+    assert (found["stability_limit"], found["order"]) == (None, 2)
+    assert found["theory"]["formulas"]["q"]["infinity_roots"] == [
+        {"re": pytest.approx(-0.8), "im": pytest.approx(0.0, abs=1e-9), "times": 3}
+    ]
+    over = {m["over"]: m for m in found["maps"]}
+    assert set(over) == {"rho_inf", "step ratio"}
+    last = [row["radii"][-1] for row in over["rho_inf"]["rows"]]
+    assert last == pytest.approx([row["value"] for row in over["rho_inf"]["rows"]], abs=5e-3)
+
+
+def test_a_pattern_is_looked_at_as_a_whole(stepbench):
+    method = "newmark[beta=0.3,gamma=0.6]"
+    (found,) = found_by(stepbench, method, "--pattern", "0.5,0.5", "--at", "2", "--zeta", "0.1")
+    (half,) = found_by(stepbench, method, "--at", "1", "--zeta", "0.1")
+    assert found["at"]["radius"][0] == pytest.approx(half["at"]["radius"][0] ** 2, rel=1e-12)
+    assert found["pattern"] == [0.5, 0.5]
+    assert found["theory"] is None
+
+
+def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
+    euler, bathe = found_by(stepbench, "euler", "bathe", "--plugins", plugins, "--at", "0.1,1000")
+    assert bathe["order"] == 2
+    assert bathe["growing"] == []
+    assert bathe["radius_at_infinity"] < 1e-4
+    assert bathe["at"]["radius"][0] == pytest.approx(1.0, abs=1e-5)
+    assert bathe["at"]["radius"][1] < 0.01
+    # Bathe's closed form: trapezoidal rule over h/2, then backward differences of second order.
+    z = 0.1j
+    middle = (1 + z / 4) / (1 - z / 4)
+    exact = (4 * middle - 1) / (3 - z)
+    assert bathe["at"]["radius"][0] == pytest.approx(abs(exact), abs=1e-12)
+    # Any other Python code is run for one step and for two.
+    at = np.array(euler["omega_h"])
+    assert euler["radius"] == pytest.approx(np.sqrt(1 + at**2), rel=1e-9)
+    assert euler["stability_limit"] == 0.0
+    assert euler["maps"] == []
+
+
+def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
+    names = "generalized_alpha[gamma=updated]", "newmark[beta=1/6]"
+    result = stepbench("stability", *names, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "grows for omega h in: 3.46410162 to infinity" in result.output
+    assert "largest safe ratio, two steps in turns: 1.18" in result.output
+    text = (tmp_path / "stability.html").read_text()
+    page = Document(text)
+    for words in (
+        "generalized_alpha[rho_inf=0.8,gamma=updated]",
+        "-0.8 (×3)",  # noqa: RUF001
+        "Ratios of neighbouring steps",
+        "spectral radius over omega h and rho_inf",
+        "spectral radius over omega H and step ratio",
+        "The same methods as linear multistep formulas",
+    ):
+        assert words in page.words, words
+    assert text.count("<svg") == 5
+    assert text.count("data:image/png") == 4
+    assert "nan" not in page.words.lower().split()
+
+
+@pytest.mark.parametrize("system", ["relaxation", "loop", "coupled", "joined"])
+def test_other_systems_have_radii(stepbench, system):
+    (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.5]", "--system", system)
+    assert found["system"].startswith(system)
+    assert found["growing"] == []
+    assert found["order"] is None
+    assert 0.45 < found["radius_at_infinity"] < 0.55
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["ida"], "chooses its own steps: an amplification matrix is defined for methods with "
+         "constant steps"),
+        (["generalized_alpha_adaptive"], "chooses its own steps"),
+        (["newmrk"], "did you mean 'newmark'"),
+        (["newmark", "--pattern", "0.3,0.3"], "give positive fractions of the macro step"),
+        (["newmark", "--at", "1,-2"], "omega h = -2 is not allowed"),
+        (["newmark", "--zeta", "-1"], "zeta=-1"),
+        (["newmark", "--zeta", "0.1", "--system", "loop"], "--zeta damps the oscillator"),
+        (["newmark", "newmark[beta=0.25]"], "is named twice"),
+        (["newmark[beta=0]", "--system", "joined"], "does not take joined"),
+        (["kvaerno5", "--system", "joined"], "cannot be found by running it"),
+        ([], "Missing argument"),
+    ],
+)  # fmt: skip
+def test_it_refuses_in_one_sentence(stepbench, arguments, words):
+    result = stepbench("stability", *arguments)
+    assert result.exit_code != 0
+    assert words in " ".join(result.output.split())
+    assert "Traceback" not in result.output

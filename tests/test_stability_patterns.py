@@ -1,0 +1,126 @@
+"""Varying steps: where patterns grow, the safe ratios, and runs that confirm them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.stability.matrices import matrices
+from bench.stability.patterns import (
+    ALTERNATING,
+    LARGEST_RATIO,
+    fractions,
+    safe_ratio,
+    words,
+    worst,
+)
+from bench.stability.spectra import eigenvalues, radii
+from bench.stability.systems import Oscillator
+from integrators import Steps
+from integrators.alpha_family import GeneralizedAlpha, Newmark
+
+#: Largest ratios of two steps in turns that do not grow: rho_inf, gamma fixed, gamma updated.
+SAFE = [
+    (0.0, 5.825, 4.252),
+    (0.2, 6.373, 4.151),
+    (0.5, 5.344, 2.602),
+    (0.8, 2.265, 1.189),
+    (0.9, 1.510, 1.044),
+]
+
+
+def method_of(rho_inf, gamma):
+    return GeneralizedAlpha(rho_inf=rho_inf, gamma=gamma)
+
+
+def growth_of_a_run(method, macro, pattern, patterns):
+    """Growth per pattern over the second half of a run, from its largest values."""
+    scene = Oscillator().from_deviation([1.0, 0.3])
+    run = method.prepare(scene, patterns * macro, Steps(macro, pattern)).measure()
+    size = np.abs(run.q[:, 0]) + np.abs(run.v[:, 0]) * macro
+    half, last = run.t[-1] / 2, run.t[-1]
+    early = size[(run.t > half - 60 * macro) & (run.t <= half)].max()
+    late = size[run.t > last - 60 * macro].max()
+    return (late / early) ** (macro / (last - half))
+
+
+def test_words_are_cyclic_and_sum_to_zero():
+    found = words(4)
+    assert found == ((1, -1), (1, 0, -1), (1, -1, 0), (1, 1, -1, -1), (1, 0, 0, -1), (1, 0, -1, 0),
+                     (1, -1, 0, 0))  # fmt: skip
+    assert len(words(6)) == 39
+
+
+def test_fractions_follow_the_word():
+    parts = np.array(fractions((1, 1, -1, -1), 2.0))
+    assert parts.sum() == pytest.approx(1.0)
+    assert parts / parts[0] == pytest.approx([1, 2, 4, 2])
+
+
+@pytest.mark.parametrize("gamma", ["fixed", "updated"])
+@pytest.mark.parametrize(("rho_inf", "fixed", "updated"), SAFE)
+def test_growth_begins_at_the_safe_ratio(rho_inf, fixed, updated, gamma):
+    method, limit = method_of(rho_inf, gamma), fixed if gamma == "fixed" else updated
+    below, above = (
+        worst(method, fractions(ALTERNATING, 1 + part * (limit - 1)))[0] for part in (0.98, 1.02)
+    )
+    assert below <= 1 + 1e-10
+    assert above > 1 + 1e-10
+
+
+def test_the_safe_ratio_is_searched_for():
+    found = safe_ratio(method_of(0.8, "updated"))
+    assert found.ratio == pytest.approx(1.189, rel=2e-3)
+    assert (found.word, found.omega_h) == (ALTERNATING, pytest.approx(4.09, rel=0.01))
+    assert found.radius > 1
+    # Longer patterns with the same ratio grow earlier if there is more damping to lose.
+    assert worst(method_of(0.0, "updated"), fractions((1, 1, 1, -1, -1, -1), 2.8))[0] > 1 + 1e-3
+    assert worst(method_of(0.0, "updated"), fractions(ALTERNATING, 2.8))[0] <= 1 + 1e-10
+
+
+def test_without_damping_any_ratio_is_neutral():
+    for method in (Newmark(), method_of(1.0, "updated"), method_of(1.0, "fixed")):
+        radius, _ = worst(method, fractions(ALTERNATING, LARGEST_RATIO))
+        assert radius == pytest.approx(1.0, abs=1e-11)
+
+
+@pytest.mark.parametrize("gamma", ["fixed", "updated"])
+@pytest.mark.parametrize(("rho_inf", "fixed", "updated"), SAFE)
+def test_runs_confirm_a_stable_and_an_unstable_point(rho_inf, fixed, updated, gamma):
+    method = method_of(rho_inf, gamma)
+    limit = fixed if gamma == "fixed" else updated
+    grows = fractions(ALTERNATING, 1.05 * limit)
+    radius, macro = worst(method, grows)
+    assert radius > 1 + 1e-5
+    patterns = int(min(200_000, 400 + 8 / np.log(radius)))
+    assert growth_of_a_run(method, macro, grows, patterns) == pytest.approx(radius, rel=2e-2)
+    assert growth_of_a_run(method, macro, grows, patterns) > 1
+    # A tenth below the limit nothing grows, there or anywhere.
+    stays = fractions(ALTERNATING, 1 + 0.9 * (limit - 1))
+    assert worst(method, stays)[0] <= 1 + 1e-10
+    scene = Oscillator().from_deviation([1.0, 0.3])
+    run = method.prepare(scene, 2000 * macro, Steps(macro, stays)).measure()
+    size = np.abs(run.q[:, 0])
+    assert size[len(size) // 2 :].max() <= size[: len(size) // 2].max() * (1 + 1e-9)
+
+
+def test_updating_gamma_costs_stability():
+    # The same pattern and step: damped with fixed gamma, growing with updated gamma.
+    pattern, at = fractions(ALTERNATING, 1.5), np.array([1.6])
+    fixed, updated = (
+        radii(eigenvalues(matrices(method_of(0.8, gamma), Oscillator(), at, pattern).a))[0]
+        for gamma in ("fixed", "updated")
+    )
+    assert fixed < 1 - 1e-4
+    assert updated > 1 + 1e-4
+
+
+def test_the_period_of_a_pattern_is_the_product_of_its_steps():
+    # Newmark's method hands on nothing of the grid: the matrix of a pattern is the product.
+    h, pattern = 1.7, (0.2, 0.5, 0.3)
+    method = Newmark(beta=0.3, gamma=0.6)
+    product = np.eye(3)
+    for part in pattern:
+        product = matrices(method, Oscillator(zeta=0.1), [h * part]).a[0] @ product
+    found = matrices(method, Oscillator(zeta=0.1), [h], pattern).a[0]
+    np.testing.assert_allclose(found, product, atol=1e-12)

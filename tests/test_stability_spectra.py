@@ -1,0 +1,264 @@
+"""Spectra found by taking steps, against closed forms and what is known of each method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from bench.stability.matrices import matrices
+from bench.stability.spectra import eigenvalues, nearest, radii, spectrum
+from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
+from integrators.alpha_family import (
+    HHT,
+    WBZ,
+    GeneralizedAlpha,
+    GeneralizedAlphaClassical,
+    HHTClassical,
+    Newmark,
+    WBZClassical,
+)
+from integrators.diffrax_solvers import Dopri8, ImplicitEuler, Kvaerno5
+
+OMEGA_H = np.geomspace(1e-2, 1e4, 40)
+POINTS = 1.2 * np.exp(1j * np.arange(1, 6))
+
+
+def radius_of(method, at, system=None, pattern=(1.0,)):
+    return radii(eigenvalues(matrices(method, system or Oscillator(), at, pattern).a))
+
+
+def polynomial_at(points, a):
+    """det(z - A) at points z: well-conditioned where multiple eigenvalues are not."""
+    return np.array([np.linalg.det(z * np.eye(len(a)) - a) for z in points])
+
+
+def same_spectrum(one, other, points=POINTS):
+    """Whether two lists of matrices have one characteristic polynomial up to factors of z."""
+    for a, b in zip(one, other, strict=True):
+        pa, pb = (polynomial_at(points, m) / points ** len(m) for m in (a, b))
+        assert np.abs(pa - pb).max() < 1e-10 * np.abs(pa).max()
+
+
+@pytest.mark.parametrize(
+    ("rho_inf", "at_1", "at_10"),
+    [
+        (0.0, 0.906563333305, 0.242535625036),
+        (0.5, 0.989312786016, 0.682528421486),
+        (0.8, 0.999474614014, 0.929791767153),
+    ],
+)
+def test_the_spectral_radius_of_generalized_alpha(rho_inf, at_1, at_10):
+    # Digits of an independent program.
+    found = radius_of(GeneralizedAlpha(rho_inf=rho_inf), [1.0, 10.0])
+    assert found == pytest.approx([at_1, at_10], abs=1e-11)
+
+
+def test_damping_and_period_of_generalized_alpha():
+    found = spectrum(GeneralizedAlpha(rho_inf=0.8), omega_h=[0.2 * math.pi])
+    (k,) = nearest(found, [0.2 * math.pi])
+    assert found.damping[k] == pytest.approx(1.572715e-4, rel=1e-6)
+    assert found.period_error[k] == pytest.approx(0.0338284060, rel=1e-8)
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.3, 0.8, 1.0])
+@pytest.mark.parametrize("member", [GeneralizedAlpha, WBZ])
+def test_the_radius_at_infinity_is_rho_inf(member, rho_inf):
+    found = spectrum(member(rho_inf=rho_inf))
+    assert found.radius_at_infinity == pytest.approx(rho_inf, abs=1e-9)
+    assert found.limit == math.inf
+    assert found.order == 2
+    if member is GeneralizedAlpha and 0 < rho_inf < 1:
+        (root, times) = found.roots_at_infinity[0]
+        assert (times, root) == (3, pytest.approx(-rho_inf, abs=1e-9))
+
+
+def test_average_acceleration_keeps_amplitudes_and_lengthens_periods():
+    found = spectrum(Newmark())
+    assert np.abs(found.radius - 1).max() < 1e-11
+    assert np.nanmax(np.abs(found.damping)) < 1e-9
+    small = (found.omega_h > 0.02) & (found.omega_h < 0.05)
+    # T'/T - 1 = (omega h)^2/12 - ..., exactly (omega h/2)/atan(omega h/2) - 1.
+    half = found.omega_h / 2
+    assert found.period_error[small] == pytest.approx(half[small] ** 2 / 3, rel=2e-3)
+    assert found.period_error == pytest.approx(half / np.arctan(half) - 1, rel=1e-6)
+
+
+@pytest.mark.parametrize(("beta", "gamma"), [(0.25, 0.5), (1 / 6, 0.5), (0.0, 0.5), (0.3, 0.6)])
+@pytest.mark.parametrize("zeta", [0.0, 0.1])
+def test_newmark_has_the_invariants_of_the_books(beta, gamma, zeta):
+    at = np.array([0.1, 0.9, 1.7, 30.0])
+    d = 1 + 2 * gamma * zeta * at + beta * at**2
+    # Hughes (1987), sec. 9.1: half the trace and the determinant.
+    a1 = 1 - (zeta * at + at**2 / 2 * (gamma + 0.5)) / d
+    a2 = 1 - (2 * zeta * at + at**2 * (gamma - 0.5)) / d
+    found = matrices(Newmark(beta=beta, gamma=gamma), Oscillator(zeta=zeta), at).a
+    z = 1.3 * np.exp(2j)
+    book = (z**2 - 2 * a1 * z + a2) / z**2
+    for a, wanted in zip(found, book, strict=True):
+        assert polynomial_at([z], a)[0] / z ** len(a) == pytest.approx(wanted, rel=1e-11)
+
+
+@pytest.mark.parametrize("beta", [1 / 6, 1 / 12, 0.0])
+def test_the_stability_limit_of_newmark_is_found(beta):
+    method = Newmark(beta=beta)
+    found = spectrum(method)
+    assert found.limit == pytest.approx(method.stability_limit(), rel=1e-9)
+    assert found.bifurcation == pytest.approx(method.stability_limit(), rel=1e-9)
+    assert found.growing[0][1] == math.inf
+    assert found.order == (4 if beta == 1 / 12 else 2)
+
+
+def test_a_newmark_member_that_is_never_stable_has_limit_zero():
+    method = Newmark(beta=0.25, gamma=0.4)
+    assert spectrum(method).limit == method.stability_limit() == 0.0
+
+
+def test_newmark_bifurcates_where_the_books_say():
+    # Hughes (1987), sec. 9.1: omega_bif h = (gamma/2 + 1/4)^2 - beta to the power of -1/2, xi = 0
+    method = Newmark(beta=0.3, gamma=0.6)
+    wanted = ((0.6 + 0.5) ** 2 / 4 - 0.3) ** -0.5
+    assert spectrum(method).bifurcation == pytest.approx(wanted, rel=1e-9)
+
+
+def test_members_of_the_family_coincide():
+    for one, other in (
+        (HHT(alpha=1 / 3), GeneralizedAlpha(rho_inf=0.5)),
+        (WBZ(rho_inf=0.0), GeneralizedAlpha(rho_inf=0.0)),
+    ):
+        same_spectrum(*(matrices(m, Oscillator(zeta=0.05), OMEGA_H).a for m in (one, other)))
+    # The generalized-alpha member of rho_inf = 1 is the trapezoidal rule beside a root of its own.
+    newmark, member = (
+        matrices(m, Oscillator(), [0.3]).a[0] for m in (Newmark(), GeneralizedAlpha(rho_inf=1.0))
+    )
+    z = 1.2j
+    wanted = polynomial_at([z], newmark)[0] / z ** len(newmark) * (z + 1) / z
+    assert polynomial_at([z], member)[0] / z ** len(member) == pytest.approx(wanted, rel=1e-12)
+    near = [matrices(m, Oscillator(), OMEGA_H).a for m in (HHT(alpha=0.3), HHT(alpha=1 / 3))]
+    with pytest.raises(AssertionError):
+        same_spectrum(*near)
+
+
+@pytest.mark.parametrize(
+    ("true", "classical"),
+    [
+        (GeneralizedAlpha(), GeneralizedAlphaClassical()),
+        (HHT(), HHTClassical()),
+        (WBZ(), WBZClassical()),
+    ],
+)
+def test_classical_forms_move_alike_and_react_to_feedback_otherwise(true, classical):
+    same_spectrum(*(matrices(m, Oscillator(zeta=0.1), OMEGA_H).a for m in (true, classical)))
+    loops = [radius_of(m, [0.5, 2.0], Loop()) for m in (true, classical)]
+    assert np.abs(loops[0] - loops[1]).max() > 1e-3
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8])
+def test_damping_at_low_frequency_is_of_third_order(rho_inf):
+    found = spectrum(GeneralizedAlpha(rho_inf=rho_inf), omega_h=[0.02, 0.04])
+    low, high = (found.damping[k] for k in nearest(found, [0.02, 0.04]))
+    assert math.log2(high / low) == pytest.approx(3.0, abs=0.02)
+
+
+def test_the_other_newton_and_the_corrected_start_change_no_spectrum():
+    plain = matrices(GeneralizedAlpha(), Loop(), OMEGA_H).a
+    for other in (GeneralizedAlpha(newton="modified"), GeneralizedAlpha(start="corrected")):
+        same_spectrum(plain, matrices(other, Loop(), OMEGA_H).a)
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8])
+def test_a_constraint_acts_like_infinite_frequency(rho_inf):
+    method = GeneralizedAlpha(rho_inf=rho_inf)
+    at = np.array([0.1, 1.0, 10.0])
+    joined = matrices(method, Joined(), at).a
+    alone = matrices(method, Oscillator(), at).a
+    for z in 1.2 * np.exp(1j * np.arange(1, 6)):
+        for a, b in zip(joined, alone, strict=True):
+            found = polynomial_at([z], a)[0] / z ** len(a)
+            wanted = polynomial_at([z], b)[0] / z ** len(b) * ((z + rho_inf) / z) ** 3
+            assert found == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize(("formulation", "power"), [("index3", 1), ("stabilised_index2", 0)])
+def test_a_multiple_root_on_the_unit_circle_grows_unless_the_constraint_is_stabilised(
+    formulation, power
+):
+    method = GeneralizedAlpha(rho_inf=1.0, formulation=formulation)
+    a = matrices(method, Joined(), [0.3]).a[0]
+    early, late = (np.abs(np.linalg.matrix_power(a, n)).max() for n in (500, 1000))
+    assert math.log2(late / early) == pytest.approx(power, abs=0.2)
+
+
+def test_stiff_modes_beside_slow_ones():
+    roots = eigenvalues(matrices(GeneralizedAlpha(rho_inf=0.5), Coupled(), [0.05]).a)[0]
+    slow, fast = (
+        eigenvalues(matrices(GeneralizedAlpha(rho_inf=0.5), Oscillator(), [w]).a)[0]
+        for w in (0.05, 0.05 * math.sqrt(1 + 1e4))
+    )
+    for root in (*slow, *fast):
+        assert np.abs(roots - root).min() < 1e-7
+
+
+def test_the_relaxation_of_the_controller():
+    at = np.array([0.1, 1.0, 50.0])
+    trapezoidal = radius_of(Newmark(), at, Relaxation())
+    assert trapezoidal == pytest.approx(np.abs((1 - at / 2) / (1 + at / 2)), rel=1e-10)
+    limit = radius_of(GeneralizedAlpha(rho_inf=0.7), [1e6], Relaxation())[0]
+    assert limit == pytest.approx(0.7, abs=5e-3)
+
+
+def test_runge_kutta_methods_by_running_them():
+    found = spectrum(Kvaerno5())
+    assert found.integrator == "kvaerno5[steps=constant]"
+    assert found.order == 5
+    assert found.limit == math.inf
+    assert found.radius_at_infinity < 1e-4
+    assert found.overshoot_orders == (0, 0)
+    euler = spectrum(ImplicitEuler(steps="constant"))
+    assert euler.radius == pytest.approx((1 + euler.omega_h**2) ** -0.5, rel=1e-7)
+    assert (euler.order, euler.limit) == (1, math.inf)
+
+
+def test_an_explicit_method_grows_beyond_its_limit_and_overflows_far_beyond():
+    found = matrices(Dopri8(), Oscillator(), [0.1, 1e4])
+    sizes = radii(eigenvalues(found.a))
+    assert sizes[0] == pytest.approx(1.0, abs=1e-9)
+    assert sizes[1] == math.inf
+
+
+def test_overshoot_grows_as_known():
+    # The trapezoidal rule conserves energy; damped members exceed the velocity like omega h
+    # (Hilber & Hughes 1978), while displacements stay below the start.
+    assert spectrum(Newmark()).overshoot_orders == (0, 0)
+    assert spectrum(GeneralizedAlpha(rho_inf=0.8)).overshoot_orders == (0, 1)
+    assert spectrum(HHT(alpha=0.3)).overshoot_orders == (0, 1)
+    assert spectrum(Newmark()).overshoot_q.max() < 1 + 1e-9
+
+
+# ---- mutants -----------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Shifted(GeneralizedAlpha):
+    """beta a little off: the radius at infinity is another."""
+
+    def parameters(self):
+        alpha_m, alpha_f, beta, *rest = super().parameters()
+        return alpha_m, alpha_f, 0.9 * beta, *rest
+
+
+@dataclass(frozen=True)
+class Leaning(GeneralizedAlpha):
+    """gamma a little too small: negative damping at low frequency."""
+
+    def parameters(self):
+        alpha_m, alpha_f, beta, gamma, *rest = super().parameters()
+        return alpha_m, alpha_f, beta, gamma - 0.01, *rest
+
+
+def test_mutants_are_told_apart():
+    off = spectrum(Shifted(rho_inf=0.8))
+    assert abs(off.radius_at_infinity - 0.8) > 1e-2
+    leaning = spectrum(Leaning(rho_inf=0.8))
+    assert leaning.limit == 0.0
+    assert leaning.order == 1
