@@ -90,7 +90,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
     that was measured last is kept; of those measured at one time, that of the folder named last.
 
     \b
-    Example:
+    Examples:
       stepbench merge laptop-results cluster-results --out all-results
     """
     from bench.merge import merge as merge_stores
