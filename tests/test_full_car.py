@@ -1,0 +1,313 @@
+"""The car in a lane change: balances, published frequencies, its physics, orders."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from helpers import slope
+from scipy.integrate import solve_ivp
+from test_scenes_identities import flipped, options, solved
+
+from bench.measure import relative_errors
+from integrators import Steps
+from integrators.alpha_family import GeneralizedAlpha
+from problems import Variables, jax, jnp
+from problems.formulations import compiled, consistent_start
+from problems.full_car import FullCar, FullCarPassive
+from problems.reference import Reference
+
+METHOD = GeneralizedAlpha(rho_inf=0.9)
+#: The lane change early and quick, so that a short run meets it.
+EARLY = {"t_left": 0.5, "t_right": 1.0, "pulse": 0.2}
+
+
+# ---- balances, and what a sign error does to them --------------------------------------
+def sides(scene):
+    """x and y of the wheels, written down again."""
+    front, rear = scene.track_front / 2, scene.track_rear / 2
+    x = np.array([scene.a, scene.a, -scene.b, -scene.b])
+    offsets = np.repeat([scene.offset_front, scene.offset_rear], 2)
+    return x, np.array([front, -front, rear, -rear]) - offsets
+
+
+def tie_rods(scene, q, t):
+    """Excess of the squared length of both tie rods from the points that they join."""
+    (x, y), excess = sides(scene), []
+    for k, sign in enumerate((1, -1)):
+        turn = np.array([[np.cos(q[10 + k]), -np.sin(q[10 + k])],
+                         [np.sin(q[10 + k]), np.cos(q[10 + k])]])  # fmt: skip
+        outer = [x[k], y[k]] + turn @ [scene.arm, sign * scene.arm_out]
+        middle = -scene.offset_front + float(scene.rack_displacement(t))
+        inner = np.array([x[k] + scene.arm, middle + sign * scene.rack_width / 2])
+        travel = q[6 + k] - (q[2] + y[k] * q[3] - x[k] * q[4])
+        length = (scene.track_front - scene.rack_width) / 2 + scene.arm_out
+        excess.append((travel**2 + (outer - inner) @ (outer - inner) - length**2) / (2 * length))
+    return excess
+
+
+def energies_and_momenta(scene, q, v):
+    """Energy of masses and springs but the tyres', and momenta in x, y and about the origin."""
+    c, s = jnp.cos(q[5]), jnp.sin(q[5])
+
+    def place(h):  # a point above the reference point, tilted with the body
+        ahead, aside = h * q[4], -h * q[3]
+        return jnp.stack([q[0] + c * ahead - s * aside, q[1] + s * ahead + c * aside])
+
+    def move(h):
+        def at(eps):
+            moved = q + eps * v
+            turned = jnp.exp(1j * moved[5]) * h * (moved[4] - 1j * moved[3])
+            return jnp.stack([moved[0] + turned.real, moved[1] + turned.imag])
+
+        return jax.jvp(at, (0.0,), (1.0,))[1]
+
+    wheels = np.array([scene.m_front] * 2 + [scene.m_rear] * 2)
+    masses, places, moves = [scene.m, wheels.sum()], [scene.h, 0.0], []
+    kinetic, plane, spin = 0.5 * scene.m * v[2] ** 2 + 0.5 * wheels @ v[6:10] ** 2, 0.0, 0.0
+    for m, h in zip(masses, places, strict=True):
+        at, moves = place(h), move(h)
+        kinetic, plane = kinetic + 0.5 * m * moves @ moves, plane + m * moves
+        spin = spin + m * (at[0] * moves[1] - at[1] * moves[0])
+    own = scene.i_z * v[5] + scene.i_steer * jnp.sum(v[5] + v[10:])
+    kinetic = kinetic + 0.5 * scene.i_x * v[3] ** 2 + 0.5 * scene.i_y * v[4] ** 2
+    kinetic = kinetic + 0.5 * scene.i_z * v[5] ** 2
+    kinetic = kinetic + 0.5 * scene.i_steer * jnp.sum((v[5] + v[10:]) ** 2)
+    x, y = sides(scene)
+    lengths = q[2] + y * q[3] - x * q[4] - q[6:10]
+    springs = np.array([scene.k_front] * 2 + [scene.k_rear] * 2)
+    twist = q[3] - (q[6] - q[7]) / scene.track_front
+    stored = 0.5 * springs @ lengths**2 + 0.5 * scene.anti_roll * twist**2
+    stored = stored - 0.5 * scene.m * scene.gravity * scene.h * (q[3] ** 2 + q[4] ** 2)
+    return jnp.stack([kinetic + stored, *plane, spin + own])
+
+
+def check_balances(scene):
+    random = np.random.default_rng(5)
+    size = np.array([9, 3, 0.02, 0.05, 0.03, 0.4, *[0.02] * 4, 0.1, 0.1])
+    q, v, t = size * random.normal(size=12), 5 * size * random.normal(size=12), 2.3
+    v[:2] = 9 * np.cos(q[5]) + 0.5, 9 * np.sin(q[5])
+    x = np.concatenate([random.uniform(0, 3, 8), 0.1 * random.normal(size=3)])
+    assert np.asarray(scene.constraint(q, t)) == pytest.approx(tie_rods(scene, q, t), abs=1e-13)
+
+    y = np.zeros(8)
+    y[:] = scene.output(Variables(q, v, np.zeros(12), np.zeros(2), x, y, t))
+    with_dampers = type(
+        "WithDampers",
+        (type(scene),),
+        {"force": lambda self, q, v, t: type(scene).force(self, q, v, t) + self.actuation() @ y},
+    )(**options(scene))
+    a, lam = solved(with_dampers, q, v, t)
+    z = Variables(q, v, a, lam, x, y, t)
+    xdot = np.asarray(scene.state_rate(z))
+
+    # Tyres, by the published formula at the velocities of their contacts.
+    (px, py), steer = sides(scene), np.array([*q[10:], 0.0, 0.0])
+    heading = np.exp(1j * (q[5] + steer))
+    arms = (px + 1j * py) * np.exp(1j * q[5]) - scene.trail * heading
+    turning = 1j * v[5] * (px + 1j * py) * np.exp(1j * q[5])
+    turning -= 1j * (v[5] + np.array([*v[10:], 0.0, 0.0])) * scene.trail * heading
+    contact = (v[0] + 1j * v[1] + turning) / heading
+    weight = 9.81 * np.array([scene.m * scene.b, scene.m * scene.b, scene.m * scene.a,
+                              scene.m * scene.a]) / (2 * (scene.a + scene.b))  # fmt: skip
+    weight += 9.81 * np.array([scene.m_front] * 2 + [scene.m_rear] * 2)
+    heights = np.asarray(scene.road(t))
+    pressed = 158294.0 * (heights - q[6:10])
+    slip = -np.arctan(contact.imag / contact.real)
+    stiff = 21.92 / 1.3507 / 1.0489 * slip
+    bent = stiff + 0.0074722 * (stiff - np.arctan(stiff))
+    side = 1.0489 * (weight + pressed) * np.sin(1.3507 * np.arctan(bent))
+    force = 1j * heading * side
+    moment = np.imag((q[0] + 1j * q[1] + arms).conj() * force).sum()
+
+    # Energy of masses, springs and oil, and the momenta: what acts from outside changes them.
+    _, (energy, *momenta) = jax.jvp(lambda q, v: energies_and_momenta(scene, q, v), (q, v), (v, a))
+    wanted = [force.real.sum(), force.imag.sum(), moment]
+    scale = np.abs(force) @ (1 + np.abs(arms) + abs(q[0]) + abs(q[1]))
+    assert np.array(momenta) == pytest.approx(np.array(wanted), abs=1e-10 * scale)
+    wheels = np.array([scene.m_front] * 2 + [scene.m_rear] * 2)
+    vertical = scene.m * a[2] + wheels @ a[6:10]
+    assert vertical == pytest.approx(pressed.sum(), abs=1e-10 * np.abs(pressed).sum())
+
+    p, rates = x[:8].reshape(2, 4), xdot[:8].reshape(2, 4)
+    volumes = np.array([scene.v_reb, scene.v_comp])
+    stored = 1e6 / scene.bulk * volumes @ (p * rates).sum(axis=1)
+    flows = np.array(scene.flows(p[0], p[1], y[:4]))
+    lost = 1e6 * np.array([p[0], p[1] - p[0], -p[1]]) * flows
+    assert (lost >= 0).all()
+    moved = np.asarray(jax.jvp(lambda q: scene.constraint(q, t), (q,), (v,))[1])
+    terms = [*(side * contact.imag), *(pressed * v[6:10]), *(-lam * moved), *(-lost.ravel())]
+    assert float(energy) + stored == pytest.approx(sum(terms), abs=1e-9 * np.abs(terms).sum())
+
+    # Controller: the corners' accelerations in, modal forces out.
+    assert xdot[8:] == pytest.approx(a[2:5] - 0.2 * x[8:], rel=1e-9)
+    demanded = y[:4] > 0.5
+    gains = np.array([60e3, 30e3, 60e3])
+    corners = np.array([np.ones(4), py, -px])
+    forces = np.linalg.pinv(corners) @ (gains * x[8:])
+    speeds = corners.T @ v[2:5] - v[6:10]
+    assert not (demanded & (forces * speeds < -10.0)).any()
+    assert (forces * speeds > 0).any()
+    by_hand = scene.limited_current(scene.demanded_current(forces, speeds))
+    assert y[:4] == pytest.approx(np.asarray(by_hand), abs=1e-9)
+
+
+MUTANTS = {
+    "_kinetic": ["h", "q3", "v4", "v10"],
+    "_potential": ["k_rear", "k_tyre", "gravity", "anti_roll", "q7", "q4"],
+    "contact_velocities": ["trail", "q5", "q11", "b"],
+    "tyre_forces": ["slope"],
+    "tyre_loads": ["k_tyre"],
+    "constraint": ["arm", "arm_out", "rack", "q2", "q10"],
+    "actuation": ["a"],
+    "pressure_rates": ["a_piston"],
+    "damper_force": ["a_rod"],
+    "state_rate": ["leak"],
+    "output": ["gain_roll"],
+}
+
+
+def test_momenta_energy_and_controller_are_balanced():
+    check_balances(FullCar(anti_roll=1e4))
+
+
+@pytest.mark.parametrize(
+    ("block", "what"), [(block, what) for block, names in MUTANTS.items() for what in names]
+)
+def test_a_flipped_sign_is_caught(block, what):
+    with pytest.raises(AssertionError):
+        check_balances(flipped(FullCar(anti_roll=1e4), block, what))
+
+
+def test_the_ride_model_has_the_published_frequencies():
+    # Jazar, Vehicle Dynamics, example 508: undamped, without steering and tyre forces. There the
+    # wheels that are closer to the middle (0.7 m; the others 0.75 m) are front left, rear right.
+    scene = FullCarPassive(
+        m=840.0, m_front=53.0, m_rear=76.0, i_x=820.0, i_y=1100.0, h=0.0, a=1.4, b=1.47,
+        track_front=1.45, track_rear=1.45, offset_front=0.025, offset_rear=-0.025,
+        k_front=1e4, k_rear=1.3e4, k_tyre=2e5, anti_roll=1e4, c_front=0.0, c_rear=0.0,
+    )  # fmt: skip
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    ride = np.r_[2:5, 6:10]
+    mass = np.asarray(scene.mass(q))[np.ix_(ride, ride)]
+    stiffness = -np.asarray(jax.jacfwd(scene.force)(q, v, 0.0))[np.ix_(ride, ride)]
+    frequencies = np.sort(np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real))
+    published = [6.19459, 6.99423, 9.19745, 52.94961, 52.98854, 62.96936, 64.37384]
+    assert frequencies == pytest.approx(published, abs=1e-5)
+
+
+@pytest.mark.parametrize("scene", [FullCar(), FullCarPassive()], ids=lambda s: s.name)
+def test_it_starts_calmly_on_its_weight(scene):
+    start = consistent_start(scene)
+    assert np.abs(start.z.a).max() < 1e-2
+    loads = np.asarray(scene.tyre_loads(start.z.q, 0.0))
+    assert loads.sum() == pytest.approx(9.81 * (965.711 + 4 * 31.896), rel=1e-12)
+    front = loads[:2].sum() - 2 * 9.81 * 31.896
+    rear = loads[2:].sum() - 2 * 9.81 * 31.896
+    assert front * scene.a == pytest.approx(rear * scene.b, rel=1e-12)
+
+
+# ---- stages of the controller ----------------------------------------------------------
+@pytest.mark.parametrize(("force", "speed"), [(800, 0.2), (1200, 0.15), (-700, -0.25)])
+def test_the_inverse_damper_finds_the_current_of_a_force(force, speed):
+    scene = FullCar()
+    i = scene.limited_current(scene.demanded_current(float(force), speed))
+    rates = jax.jit(lambda p: jnp.stack(scene.pressure_rates(*p, i, speed)))
+    p = solve_ivp(lambda t, p: rates(p), (0, 1), np.zeros(2), method="LSODA", rtol=1e-8).y[:, -1]
+    assert float(scene.damper_force(*p)) == pytest.approx(force, rel=0.25)
+
+
+# ---- the lane change -------------------------------------------------------------------
+@cache
+def lane_change(scene):
+    run = METHOD.prepare(scene, 12.0, Steps(0.01)).measure()
+    assert run.status == "ok", run.message
+    loads = np.array([scene.tyre_loads(q, t) for q, t in zip(run.q, run.t, strict=True)])
+    return run, loads
+
+
+def rms(run, values):
+    return np.sqrt(np.trapezoid(values**2, run.t, axis=0) / 12.0)
+
+
+def test_the_controlled_car_rolls_and_heaves_less_than_the_passive_one():
+    table = {}
+    for scene in (FullCar(), FullCarPassive()):
+        run, loads = lane_change(scene)
+        shaken = rms(run, run.a[:, 2])
+        varied = rms(run, loads - loads[0]).mean()
+        table[scene.name] = np.array(
+            [np.abs(run.q[:, 3]).max(), *rms(run, run.q[:, 2:5]), shaken, varied]
+        )
+    # Largest roll, RMS of heave, roll and pitch, of the heave acceleration, of tyre loads.
+    less = table["full_car"] / table["full_car_passive"]
+    assert (less < 1).all()
+    assert less[0] < 0.95
+    assert less[1] < 0.95
+    assert less[2] < 0.92
+
+
+@pytest.mark.parametrize("scene", [FullCar(), FullCarPassive()], ids=lambda s: s.name)
+def test_the_car_leans_outward_and_drifts_after_the_lane_change(scene):
+    run, loads = lane_change(scene)
+    left = np.argmax(run.v[:, 5])  # the sharpest part of the turn to the left
+    assert run.q[left, 10:].min() > 0.02
+    assert run.q[left, 3] > 0.03
+    assert (loads[left, [1, 3]] > loads[left, [0, 2]] + 500).all()
+    assert loads.min() > 500  # no wheel lifts off
+    assert 2.5 < run.q[-1, 1] < 8
+    late = run.t > 8
+    assert np.ptp(run.q[late, 1]) > 0.02  # still moving sideways, with the wheels straight
+    assert np.abs(run.q[late, 10:]).max() < 5e-3
+    assert 9 < np.hypot(*run.v[-1, :2]) < 9.95
+
+
+def test_currents_saturate_and_pressures_are_those_of_the_strokes():
+    scene = FullCar()
+    run, _ = lane_change(scene)
+    currents = run.y[:, :4]
+    near = (currents < 0.43) | (currents > 1.47)
+    assert near.mean() > 0.5
+    speeds = np.array([np.asarray(scene.stretch(v)) for v in run.v])
+    reb, comp = run.x[:, :4], run.x[:, 4:8]
+    assert comp[speeds > 0.03].max() < 0.05
+    assert comp[speeds > 0.03].min() > -0.3
+    assert np.abs(comp - reb)[speeds < -0.03].max() < 0.2
+    assert reb.max() > 0.8
+
+
+# ---- methods ---------------------------------------------------------------------------
+def test_generalized_alpha_is_second_order_in_constraints_and_controller():
+    scene, t_end = FullCar(**EARLY), 0.6
+    reference = Reference(scene, t_end)
+    steps = [2.5e-4 * 2.0 ** (-k / 2) for k in range(3)]
+    runs = [METHOD.prepare(scene, t_end, Steps(h)).measure() for h in steps]
+    assert [run.status for run in runs] == ["ok"] * 3
+    errors = [relative_errors(run, reference)[0] for run in runs]
+    for group in ("q", "v", "a", "lam", "x", "y"):
+        settled = [e[group]["settled"] for e in errors]
+        assert slope(steps, settled) == pytest.approx(2, abs=0.2), group
+
+
+def test_an_implicit_method_finds_the_reference():
+    scene, t_end = FullCar(**EARLY), 0.3
+    start, p = consistent_start(scene).z, scene.parameters()
+    rate = compiled(scene).ode
+    slopes = jax.jit(jax.jacfwd(rate, 2))
+    t = np.linspace(0, t_end, 10)
+    solution = solve_ivp(
+        lambda t, s: np.asarray(rate(p, t, s)),
+        (0, t_end),
+        np.concatenate([start.q, start.v, start.x]),
+        method="Radau",
+        jac=lambda t, s: np.asarray(slopes(p, t, s)),
+        rtol=1e-9,
+        atol=1e-11,
+        t_eval=t,
+    )
+    z = Reference(scene, t_end)(t)
+    known = np.hstack([z[g] for g in "qvx"])
+    for part in (slice(0, 12), slice(12, 24), slice(24, 32), slice(32, 35)):
+        difference = np.abs(solution.y.T - known)[:, part].max()
+        assert difference < 1e-9 * np.abs(known[:, part]).max()
