@@ -169,7 +169,7 @@ def oscillation(
         return np.full(len(roots), np.nan), np.full(len(roots), np.nan)
     z, swing = principal(roots, omega_h, zeta), math.sqrt(1 - zeta**2)
     angle = np.angle(z)
-    return -np.log(np.abs(z)) / angle - zeta / swing, swing * omega_h / angle - 1
+    return 0.0 - np.log(np.abs(z)) / angle - zeta / swing, swing * omega_h / angle - 1
 
 
 def order_of(roots: np.ndarray, zeta: float = 0.0) -> int | None:
