@@ -55,8 +55,7 @@ from problems.system import MechatronicSystem, Sizes
 _OK, _MOST_STEPS, _ERROR, _NEWTON, _NOT_FINITE, _DIVERGED = range(6)
 
 _SAFETY = 0.9
-#: Largest growth of an accepted step, and the factors of a rejected one.
-GROWTH = 2.0
+#: Factors of a rejected step.
 _SHARPEST, _AFTER_FAILURE = 0.1, 0.25
 #: The first step is at most this part of the interval.
 _FIRST_PART = 0.01
@@ -115,8 +114,9 @@ class AdaptiveMethod(StepMethod):
 
         ``estimate(sizes, numbers, before, after, h) -> Errors``
             of the step from one state to the next
-        ``smallest_ratio(numbers)``
-            smallest ratio of neighbouring steps that the controller chooses of its own accord
+        ``ratios(numbers)``
+            smallest and largest ratio of neighbouring steps that the controller chooses of its own
+            accord
         the order p
         """
 
@@ -194,7 +194,7 @@ def kernel(
     step: Callable,
     read: Callable,
     estimate: Callable,
-    smallest_ratio: Callable,
+    ratios: Callable,
     order: int,
     template: MechatronicSystem,
     sizes: Sizes,
@@ -265,7 +265,7 @@ def kernel(
         state = begin(scene, sizes, numbers, start, h0)
         first = read(state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
-        lowest = smallest_ratio(numbers)
+        lowest, highest = ratios(numbers)
         power = 1 / (order + 1)
 
         def going(m: _March) -> Any:
@@ -286,7 +286,7 @@ def kernel(
             error = jnp.maximum(error, 1e-4)
 
             ratio = _SAFETY * error ** (-0.7 * power) * m.error ** (0.4 * power)
-            growing = jnp.clip(ratio, jnp.maximum(lowest, _SHARPEST), GROWTH)
+            growing = jnp.clip(ratio, jnp.maximum(lowest, _SHARPEST), highest)
             shrinking = jnp.clip(_SAFETY * error**-power, _SHARPEST, _SAFETY)
             shrinking = jnp.where(solved, shrinking, _AFTER_FAILURE)
             h_next = h * jnp.where(accepted, growing, shrinking)

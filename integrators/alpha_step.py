@@ -41,6 +41,8 @@ from problems.system import MechatronicSystem, Sizes, Variables
 _EPS = float(np.finfo(float).eps)
 #: Newton updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-10
+#: Rounding of the accelerations is passed on to the controller's tolerances up to this part.
+_MOST_ROUNDING = 1e-6
 #: Modified Newton keeps a tangent while its updates shrink at least so fast.
 _CONTRACTION = 0.1
 
@@ -242,14 +244,15 @@ def _step(
         return jnp.concatenate(rows)
 
     # End positions and velocities are rounded to eps |q| and eps |v|; the scaled constraint rows
-    # turn that into accelerations, below which no Newton update can fall. What an old tangent
-    # leaves behind points the same way in every step and adds up: modified Newton goes closer.
-    closest = (2 if modified else 16) * _EPS
+    # turn that into accelerations, below which no Newton update can fall.
     of_q, of_v = (
-        closest * largest(base) / slope for base, slope in ((q_base, q_slope), (v_base, v_slope))
+        2 * _EPS * largest(base) / slope for base, slope in ((q_base, q_slope), (v_base, v_slope))
     )
     of_a = (of_v if nmu else of_q) if sizes.nl else 0.0
-    floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, 0.0, 0.0)
+    # What is rounding in a is rounding in what the controller makes of it.
+    part = jnp.minimum(of_a / (largest(state.a) + 1e-300), _MOST_ROUNDING)
+    of_control = [part * largest(now, 0.0) for now in (state.xdot, state.y)]
+    floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, *of_control)
     old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
     guess = jnp.insert(extrapolated(old, state.slopes, h, state.h), cuts[1], jnp.zeros(nmu))
     u, inverse, report = newton(
@@ -307,12 +310,16 @@ def newton(
     no longer shrink and are tiny: round-off then forbids more.
     """
 
-    def measure(du: Any, u: Any) -> Any:
+    def measure(du: Any, u: Any, exact: Any) -> Any:
+        # What an old tangent leaves behind points the same way in every step and adds up; a new
+        # one leaves far less than its last update.
+        factor = jnp.where(exact, 8.0, 1.0)
         split = [jnp.split(part, cuts) for part in (du, jnp.abs(u), jnp.abs(guess))]
         return jnp.max(
             jnp.stack(
                 [
-                    largest(d) / (tol * jnp.maximum(largest(a), largest(b)) + floor + 1e-300)
+                    largest(d)
+                    / (tol * jnp.maximum(largest(a), largest(b)) + factor * floor + 1e-300)
                     for d, a, b, floor in zip(*split, floors, strict=True)
                     if d.size
                 ]
@@ -336,14 +343,16 @@ def newton(
     def iterate(carry: tuple) -> tuple:
         u, k, size, before, exact, inverse, tangents = carry
         if inverse.size:
-            # Before the first update both sizes are infinite; a NaN never contracts.
-            exact = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
-            u = jnp.where(exact & ~(size <= before), guess, u)  # an old tangent led astray
+            # Before the first update both sizes are infinite; a NaN never contracts. Where an old
+            # tangent led astray, the new one starts over.
+            stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
+            u = jnp.where(stale & ~exact & ~(size <= before), guess, u)
+            exact = stale
             inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
             du = inverse @ residual(u)
         else:
             du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
-        return u - du, k + 1, measure(du, u - du), size, exact, inverse, tangents + exact
+        return u - du, k + 1, measure(du, u - du, exact), size, exact, inverse, tangents + exact
 
     carry = (guess, 0, jnp.inf, jnp.inf, not inverse.size, inverse, 0)
     u, k, *sizes, exact, inverse, tangents = jax.lax.while_loop(go_on, iterate, carry)

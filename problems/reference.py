@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from problems.formulations import compiled, consistent_start
-from problems.runtime import jax, jnp
+from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")
@@ -91,8 +91,7 @@ class Reference:
         t0 = self.scene.interval[0]
         start = consistent_start(self.scene).z
         s0 = np.concatenate([start.q, start.v, start.x])
-        # Parameters that already are arrays spare their conversion in every call.
-        rate, p = compiled(self.scene).ode, jax.tree.map(jnp.asarray, self.scene.parameters())
+        rate, p = compiled(self.scene).rate, jnp.asarray(list(self.scene.parameters().values()))
         # The continuous output is one order below the steps; steps well below the free choice
         # at this tolerance keep it at their accuracy.
         solution = solve_ivp(

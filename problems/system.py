@@ -106,7 +106,8 @@ class MechatronicSystem:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        cls.interval = tuple(map(float, cls.interval))
+        if "interval" in cls.__dict__:
+            cls.interval = tuple(map(float, cls.interval))
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
 
