@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from bench.registry import Registry, fingerprint
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
+from problems.system import MechatronicSystem
 
 #: What a scene is refined over where a profile does not say.
 DEFAULT_HALVINGS = 6
@@ -82,7 +84,8 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """A ``[[study]]`` of a profile.
 
     ``vary`` maps option names to values: every integrator is taken with every combination of
-    them. ``norm`` is the norm whose orders are tabled first.
+    them. ``norm`` is the norm whose orders are tabled first, ``components`` what is drawn over
+    time, such as "q4" or "x1"; the first few of every group if there are none.
     """
 
     problems: list[str]
@@ -97,6 +100,7 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     atol: float | None = None
     figures: tuple[str, ...] = FIGURES
     norm: str = "settled"
+    components: list[str] = []
 
 
 class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -314,9 +318,22 @@ def _expand(
         t_end=t_end,
         figures=list(file.figures),
         norm=file.norm,
+        components=_components(file, scene),
         cells=list(cells),
     )
     return study, cells
+
+
+def _components(file: StudyFile, scene: MechatronicSystem) -> list[str]:
+    sizes = scene.sizes
+    count = {**dict.fromkeys("qva", sizes.nq), "lam": sizes.nl, "x": sizes.nx, "y": sizes.ny}
+    for text in file.components:
+        match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", text)
+        if not match or int(match[2]) > count[match[1]]:
+            raise SpecError(
+                f"{scene.spec} has no component {text!r}; give a group and a number such as q1."
+            )
+    return list(file.components)
 
 
 def check_end(t0: float, t_end: float) -> float:

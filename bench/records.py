@@ -115,6 +115,7 @@ class Study(msgspec.Struct, kw_only=True):
     figures: list[str]
     cells: list[str]
     norm: str = "settled"
+    components: list[str] = []
 
 
 class IntegratorFacts(msgspec.Struct, kw_only=True):

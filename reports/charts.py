@@ -20,10 +20,10 @@ from reports.marks import (
     short,
 )
 from reports.panels import (
-    MOST_COMPONENTS,
     component,
     error_data,
     error_panel,
+    first_components,
     floor_rule,
     reference_line,
     run_lines,
@@ -95,6 +95,7 @@ def trajectory(
     looks: Mapping[str, Look],
     coordinates: Sequence[str] = (),
     interactive: bool = False,
+    components: Sequence[tuple[str, int]] = (),
 ) -> Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
 
@@ -104,18 +105,18 @@ def trajectory(
         Label and sampled values of each run.
     coordinates
         Names of the entries of q, which also name those of v and a.
+    components
+        What is drawn; the first few of every group if nothing is said.
     """
+    components = components or first_components(groups)
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
-    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, groups, i)]
+    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, components, i)]
     drawn = Data("runs", rows)
-    behind = Data("reference", wide_rows(reference, groups, -1) if reference else [])
+    behind = Data("reference", wide_rows(reference, components, -1) if reference else [])
     view = View(looks, interactive=interactive)
     panels: list[Spec] = []
-    # Motion side by side, a row per coordinate, then what holds and drives it.
-    motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
-    rest = [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
-    for group, i in motion + rest:
+    for group, i in components:
         name, title = f"{group}{i}", component(group, i, coordinates)
         layers = []
         if name in behind.columns:

@@ -188,7 +188,7 @@ def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
 def _rows(rows: Rows, group: str, place: int, number: int) -> list[dict[str, Any]]:
     # A reference with fewer components has none of these.
     values = [row[place : place + 1] for row in rows.values.get(group, [])]
-    return wide_rows(Rows(t=rows.t, values={group: values}), [group], number)
+    return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], number)
 
 
 _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {

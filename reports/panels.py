@@ -223,15 +223,26 @@ def component(group: str, i: int, coordinates: Sequence[str]) -> str:
     return f"{group}[{name}]"
 
 
-def wide_rows(rows: Rows, groups: Sequence[str], number_of_run: int) -> list[dict[str, Any]]:
-    """A row per time with the first components of every group."""
+def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
+    """The first components of every group: motion a row per coordinate, then the others."""
+    motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
+    return motion + [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
+
+
+def wide_rows(
+    rows: Rows, components: Sequence[tuple[str, int]], number_of_run: int
+) -> list[dict[str, Any]]:
+    """A row per time with these components, as far as they are there."""
     table = []
     for k, t in enumerate(rows.t):
         row: dict[str, Any] = {"t": short(t), "s": number_of_run}
-        for group in groups:
+        for group, i in components:
             values = rows.values.get(group) or []
-            for i, value in enumerate(values[k][:MOST_COMPONENTS] if k < len(values) else []):
-                if (shown := short(value)) is not None:
-                    row[f"{group}{i}"] = shown
+            if (
+                k < len(values)
+                and i < len(values[k])
+                and (shown := short(values[k][i])) is not None
+            ):
+                row[f"{group}{i}"] = shown
         table.append(row)
     return table

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from bench.records import GROUPS, Record, Rows, SceneRecord, Study
 from bench.store import StoreError
@@ -140,7 +142,7 @@ class SceneReader:
         records = [by_key[key] for key in study.cells if key in by_key]
         series = series_of(records)
         makers = {
-            "trajectory": self._trajectory,
+            "trajectory": partial(self._trajectory, components=_components(study)),
             "convergence": self._convergence,
             "work_precision": self._work_precision,
         }
@@ -228,7 +230,9 @@ class SceneReader:
             return ""
         return f"The reference's own error (dashed where near), relative to the peaks: {shown}."
 
-    def _trajectory(self, series: Sequence[Series], name: str) -> Figure | None:
+    def _trajectory(
+        self, series: Sequence[Series], name: str, components: Sequence[tuple[str, int]]
+    ) -> Figure | None:
         runs = [r for s in series for r in s.records]
         if len(runs) > ALL_RUNS:
             # The finest run that came to the end; of a method that never did, how far it came.
@@ -248,12 +252,14 @@ class SceneReader:
         groups = _sampled([rows for *_, rows in shown] or [reference])
         lines = [(label, rows) for _, label, rows in shown]
         names = self.scene.coordinates if self.scene else []
-        chart = charts.trajectory(lines, reference, groups, looks, names, self.interactive)
+        chart = charts.trajectory(
+            lines, reference, groups, looks, names, self.interactive, components
+        )
         caption = "Values over time" + (
             "; the reference is the broad grey line." if reference else "."
         )
         sizes = self.scene.sizes if self.scene else {}
-        if any(size > MOST_COMPONENTS for size in sizes.values()):
+        if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
             caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
         return _figure(caption, {name: chart})
 
@@ -266,6 +272,12 @@ class SceneReader:
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
         return _within(rows, self.scene.reference)
+
+
+def _components(study: Study) -> list[tuple[str, int]]:
+    """What a study wants drawn over time: "x5" is the fifth controller state."""
+    found = [re.fullmatch(r"([a-z]+)(\d+)", text) for text in study.components]
+    return [(match[1], int(match[2]) - 1) for match in found if match]
 
 
 def _figure(caption: str, made: dict[str, Spec | None]) -> Figure | None:

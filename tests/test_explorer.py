@@ -90,3 +90,16 @@ def test_only_what_varies_is_drawn_over_time(looks):
     assert values[0] == ""  # no step led to the start
     assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
     assert charts.histories([(label, curves(1.0, {"q": 1}))], looks) is None
+
+
+def test_a_study_chooses_what_is_drawn_over_time(looks):
+    label = next(iter(looks))
+    rows = curves(1.0, {"q": 5, "x": 2})
+    chart = charts.trajectory(
+        [(label, rows)], None, ["q", "x"], looks, components=[("q", 4), ("x", 0)]
+    )
+    fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
+    assert fields == ["q4", "x0"]
+    first = table(chart["datasets"]["runs"])[0]
+    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
+    assert "q0" not in first
