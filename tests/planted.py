@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -152,6 +154,21 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                 Plan(name="planted", title="Planted", samples=3, budget_s=1.0, studies=studies)
             )
     return folder
+
+
+def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
+    """A copy of a folder whose records were edited; their samples are ``run_s``."""
+    copy = folder.parent / name
+    shutil.copytree(folder, copy)
+    with Store(copy, create=True) as store:
+        for key, record in store.records().items():
+            rows = store.rows(key)
+            edit(record)
+            samples, record.run_s = record.run_s, []
+            store.save(record, rows)
+            for k, seconds in enumerate(samples):
+                store.add_sample(key, k, seconds)
+    return copy
 
 
 class Document(HTMLParser):

@@ -1,19 +1,16 @@
-"""Comparing two folders, putting several into one, and opening the page."""
+"""Comparing two folders of results."""
 
 from __future__ import annotations
 
 import json
-import shutil
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import pytest
-from planted import ATTACK, STEPS, Document, everything, plant, planted
+from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
 
 from bench.compare import compare, read_limits, regressions
-from bench.merge import merge
 from bench.records import Record, median
 from bench.store import FILE, Store
 
@@ -28,21 +25,6 @@ def old(tmp_path: Path) -> Path:
 def records(folder: Path) -> dict[str, Record]:
     with Store(folder) as store:
         return store.records()
-
-
-def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
-    """A copy of a folder whose records were edited; their samples are ``run_s``."""
-    copy = folder.parent / name
-    shutil.copytree(folder, copy)
-    with Store(copy, create=True) as store:
-        for key, record in store.records().items():
-            rows = store.rows(key)
-            edit(record)
-            samples, record.run_s = record.run_s, []
-            store.save(record, rows)
-            for k, seconds in enumerate(samples):
-                store.add_sample(key, k, seconds)
-    return copy
 
 
 def elsewhere(folder: Path, **changes: object) -> Path:
@@ -389,154 +371,3 @@ def test_a_folder_without_results_is_refused(old, stepbench, tmp_path):
         assert result.exit_code == 1
         assert "holds no stepbench results" in result.output
     assert not (tmp_path / FILE).exists()
-
-
-# ---- merge -------------------------------------------------------------------------------
-def machine(folder: Path, runs: list[Record], cpu: str, date: str, **more: object) -> Path:
-    """Results whose environment is the second of its store."""
-    for record in runs:
-        record.environment = 2
-    plant(folder, runs, **more)
-    with Store(folder, create=True) as store:
-        there = store.environments()[1]
-        store.save_environment(msgspec.structs.replace(there, cpu=cpu, date=date))
-    return folder
-
-
-def test_merged_results_keep_their_machine_samples_rows_and_scenes(tmp_path, stepbench):
-    spring = [planted("spring_mass", "m", FREE, h=h) for h in STEPS]
-    swing = [planted("pendulum", "m", FREE, h=h) for h in STEPS]
-    first = machine(tmp_path / "a", spring, "A", "2025-03-02T00:00:00+00:00")
-    second = machine(tmp_path / "b", swing, "B", "2025-03-03T00:00:00+00:00")
-    out = tmp_path / "deep" / "both"
-    result = stepbench("merge", first, second, "--out", out)
-    assert result.exit_code == 0, result.output
-    assert [file.name for file in out.iterdir()] == [FILE]
-    with Store(out) as store:
-        environments, merged = store.environments(), store.records()
-        assert set(store.scenes()) == {("spring_mass", 1.0), ("pendulum", 1.0)}
-        assert [s.problem for s in store.plan().studies] == ["spring_mass", "pendulum"]
-        for folder, cpu in ((first, "A"), (second, "B")):
-            with Store(folder) as origin:
-                for key, record in origin.records().items():
-                    assert environments[merged[key].environment].cpu == cpu
-                    number = merged[key].environment
-                    assert merged[key] == msgspec.structs.replace(record, environment=number)
-                    assert store.rows(key) == origin.rows(key)
-    assert len(merged) == 2 * len(STEPS)
-    # The invocation that both stores begin with is one; those of the machines are apart.
-    assert [e.cpu for e in environments.values()] == ["Model 1", "A", "B"]
-    assert stepbench("report", out).exit_code == 0
-
-
-@pytest.mark.parametrize("later_first", [False, True])
-def test_of_a_run_in_two_folders_the_one_measured_last_is_kept(tmp_path, stepbench, later_first):
-    def run(steps):
-        return [planted("pendulum", "m", FREE, h=0.1, work={"residuals": steps})]
-
-    # Later in the day, though the clock of its zone shows less.
-    later = machine(tmp_path / "later", run(7), "L", "2025-03-02T06:00:00-05:00")
-    sooner = machine(tmp_path / "sooner", run(8), "S", "2025-03-02T09:00:00+00:00", samples=5)
-    folders = [later, sooner] if later_first else [sooner, later]
-    result = stepbench("merge", *folders, "--out", tmp_path / "out")
-    assert f"1 of them were there several times; kept is what {later} measured" in result.output
-    (record,) = records(tmp_path / "out").values()
-    assert record.work == {"residuals": 7}
-    assert len(record.run_s) == 3
-
-
-def test_a_scene_in_two_folders_is_taken_from_the_one_measured_last(tmp_path):
-    runs = {"late": "2025-03-05T00:00:00+00:00", "soon": "2025-03-02T00:00:00+00:00"}
-    folders = []
-    for name, date in runs.items():
-        folder = machine(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], name, date)
-        with Store(folder, create=True) as store:
-            (scene,) = store.scenes().values()
-            store.save_scene(msgspec.structs.replace(scene, title=name))
-        folders.append(folder)
-    merge(folders, tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        (scene,) = store.scenes().values()
-    assert scene.title == "late"
-
-
-def test_of_runs_measured_at_one_time_the_last_named_is_kept(tmp_path):
-    folders = [
-        plant(tmp_path / str(n), [planted("pendulum", "m", FREE, h=0.1, work={"steps": n})])
-        for n in range(3)
-    ]
-    merged = merge(folders, tmp_path / "out")
-    (record,) = records(tmp_path / "out").values()
-    assert record.work == {"steps": 2}
-    assert (merged.records, merged.environments, merged.twice) == (1, 1, {folders[2]: 1})
-
-
-def test_a_study_that_was_shared_out_is_one_again(tmp_path):
-    runs = [planted("pendulum", name, FREE, h=0.1) for name in ("one", "two", "three")]
-    first, second = plant(tmp_path / "1", runs[:2]), plant(tmp_path / "2", runs[1:])
-    merge([first, second], tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        (study,) = store.plan().studies
-    assert study.cells == [r.key for r in runs]
-
-
-def test_merging_with_oneself_changes_nothing(old, tmp_path):
-    merge([old, old], tmp_path / "out")
-    assert compare(old, tmp_path / "out").same
-    with Store(old) as one, Store(tmp_path / "out") as two:
-        assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
-        assert one.records() == two.records()
-        assert one.environments() == two.environments()
-
-
-def test_a_store_without_a_plan_is_merged(tmp_path):
-    folders = [
-        plant(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], plan=False)
-        for name in ("1", "2")
-    ]
-    merge(folders, tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        assert store.plan() is None
-        assert len(store.records()) == 2
-
-
-def test_merge_refuses_and_leaves_everything_as_it_is(old, tmp_path, stepbench):
-    before = (old / FILE).read_bytes()
-    for arguments, words in (
-        ([old, "--out", tmp_path / "x"], "two folders or more"),
-        ([old, old, "--out", old], f"{old} holds results already"),
-        ([old, tmp_path / "none", "--out", tmp_path / "x"], "holds no stepbench results"),
-    ):
-        result = stepbench("merge", *arguments)
-        assert result.exit_code != 0
-        assert words in result.output
-    assert (old / FILE).read_bytes() == before
-    assert not (tmp_path / "x").exists()
-
-
-def test_a_damaged_row_leaves_no_half_a_store(old, tmp_path, stepbench):
-    bad = edited(old, "bad", lambda record: None)
-    with Store(bad, create=True) as store:
-        store._db.execute("UPDATE records SET rows = 'x' WHERE status = 'ok'")
-    result = stepbench("merge", old, bad, "--out", tmp_path / "out")
-    assert result.exit_code == 1
-    assert "cannot be read" in result.output
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-# ---- open --------------------------------------------------------------------------------
-def test_open_shows_the_page_or_says_where_none_is(tmp_path, stepbench, monkeypatch):
-    shown = []
-    monkeypatch.setattr(webbrowser, "open", lambda url: shown.append(url) or True)
-    result = stepbench("open", tmp_path)
-    assert result.exit_code == 1
-    assert "There is no page" in result.output
-    assert "stepbench run" in result.output
-    for name, folder in (("report.html", tmp_path), ("other.html", tmp_path / "other.html")):
-        (tmp_path / name).write_text("x")
-        assert stepbench("open", folder).exit_code == 0
-        assert shown.pop() == (tmp_path / name).as_uri()
-    monkeypatch.setattr(webbrowser, "open", lambda url: False)
-    result = stepbench("open", tmp_path)
-    assert result.exit_code == 1
-    assert f"the page is {tmp_path / 'report.html'}" in result.output
