@@ -12,7 +12,7 @@ from bench.store import StoreError
 from reports import charts, explorer, tables
 from reports.findings import Finding, findings
 from reports.marks import Spec
-from reports.panels import MOST_COMPONENTS
+from reports.panels import MOST_COMPONENTS, component
 from reports.series import (
     NORM_NAMES,
     Look,
@@ -67,6 +67,7 @@ class ScenePart:
     facts: list[tuple[str, str]]
     picture: Figure | None
     parameters: Table | None
+    motion: Table | None
     targets: Table | None
     summary: Table | None
     studies: list[StudyPart]
@@ -116,6 +117,7 @@ class SceneReader:
             facts=facts(self.scene) if self.scene else [],
             picture=None if self.described else self._picture(),
             parameters=parameters(self.scene) if self.scene and not self.described else None,
+            motion=_motion(self.scene) if self.scene and not self.described else None,
             targets=tables.targets(series) if series else None,
             summary=tables.summary(series) if series else None,
             studies=parts,
@@ -331,6 +333,23 @@ def parameters(scene: SceneRecord) -> Table | None:
     head = list(dict.fromkeys(key for row in scene.parameters for key in row))
     rows = [[_cell(row.get(key)) for key in head] for row in scene.parameters]
     return Table("Parameters", ["meaning" if h == "doc" else h for h in head], rows)
+
+
+def _motion(scene: SceneRecord) -> Table | None:
+    """How large the reference's components are: largest value and root mean square over time."""
+    rows = []
+    for group in GROUPS:
+        for i, values in enumerate(zip(*scene.reference.values.get(group, []), strict=True)):
+            mean_square = sum(value * value for value in values) / len(values)
+            name = component(group, i, scene.coordinates)
+            sizes = [number(f) for f in (max(map(abs, values)), mean_square**0.5)]
+            rows.append([name, *sizes])
+    if not rows:
+        return None
+    note = "Absolute values of the reference at 301 times, in SI units or those of the scene."
+    return Table(
+        "Size of the motion", ["component", "largest", "root mean square"], rows, note=note
+    )
 
 
 def _cell(value: object) -> str:

@@ -359,6 +359,14 @@ def test_a_table_of_all_runs_shows_each_with_its_ending(folder: Path, page: Docu
     assert {row[column] for rows in tables for row in rows[1:] if row[2] == "ok"} == worst
 
 
+def test_the_size_of_the_motion_is_that_of_the_reference(folder: Path, paper: str) -> None:
+    with Store(folder) as store:
+        rows = next(s for (p, _), s in store.scenes().items() if p == "pendulum").reference
+    values = [row[1] for row in rows.values["q"]]
+    rms = math.sqrt(sum(v * v for v in values) / len(values))
+    assert f"| `q[Y]` | {number(max(map(abs, values)))} | {number(rms)} |" in paper
+
+
 def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
     assert "quiet enough" in page.words
     assert "0 of 36 timed runs spread by more than 50%" in page.words
