@@ -238,6 +238,9 @@ class FullCarPassive(_Car):
     """
 
     tags = ("constrained", "index 3", "rheonomic", "vehicle", "multibody")
+    difficulties = (
+        "the rack moves the constraints: velocities need Phi_t, too",
+    )
 
     c_front: float = parameter(1786.24, "N s/m", "damper per front wheel", low=0.0)
     c_rear: float = parameter(1649.08, "N s/m", "damper per rear wheel", low=0.0)
@@ -274,6 +277,11 @@ class FullCar(SemiActiveDamper, _Car):
 
     tags = ("mechatronic", "constrained", "index 3", "rheonomic", "stiff controller states",
             "vehicle", "multibody")  # fmt: skip
+    difficulties = (
+        "index 3 and acceleration feedback in one step",
+        "stiff chamber pressures and currents that run from limit to limit",
+        "at the nominal step a and y are far from the asymptotic range",
+    )
 
     # Softer than for one wheel, as if with bushings: an explicit reference stays affordable.
     bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)

@@ -36,6 +36,11 @@ class QuarterCar(SemiActiveDamper):
     interval = (0.0, 4.0)
     nominal_step = 5e-3
     tags = ("mechatronic", "smooth", "stiff controller states", "vehicle")
+    difficulties = (
+        "the acceleration is fed back in the step",
+        "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
+        "currents run from limit to limit: the asymptotic range begins at small steps",
+    )
     coordinates = ("body", "wheel")
     source = (
         "Application of Bruels & Arnold (2008), section 7, reduced to one wheel; masses, spring "
