@@ -238,9 +238,7 @@ class FullCarPassive(_Car):
     """
 
     tags = ("constrained", "index 3", "rheonomic", "vehicle", "multibody")
-    difficulties = (
-        "the rack moves the constraints: velocities need Phi_t, too",
-    )
+    difficulties = ("the rack moves the constraints: velocities need Phi_t, too",)
 
     c_front: float = parameter(1786.24, "N s/m", "damper per front wheel", low=0.0)
     c_rear: float = parameter(1649.08, "N s/m", "damper per rear wheel", low=0.0)
