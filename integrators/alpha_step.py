@@ -40,7 +40,10 @@ from problems.system import MechatronicSystem, Sizes, Variables
 
 _EPS = float(np.finfo(float).eps)
 #: Newton updates that stop shrinking below this relative size have met round-off.
-_STAGNANT = 1e-10
+_STAGNANT = 1e-7
+#: Unknowns are guessed ahead where that was so much better than staying put the last time; in a
+#: vibration that the steps do not resolve it is worse, and leads Newton's method astray.
+_SMOOTH = 0.1
 #: Rounding of the accelerations is passed on to the controller's tolerances up to this part.
 _MOST_ROUNDING = 1e-6
 #: Modified Newton keeps a tangent while its updates shrink at least so fast.
@@ -69,7 +72,8 @@ class AlphaState(NamedTuple):
     the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
     is the last step and ``gamma``, ``theta`` were its weights, ``seen`` is the acceleration that is
     reported, ``inverse`` the inverted tangent that modified Newton keeps (empty in full Newton),
-    ``slopes`` are the first and second divided differences of the unknowns, for the next guess."""
+    ``slopes`` are the first and second divided differences of the unknowns, for the next guess,
+    and ``smooth`` says whether guessing by them would have been right the last time."""
 
     q: Any
     v: Any
@@ -88,6 +92,7 @@ class AlphaState(NamedTuple):
     seen: Any
     inverse: Any
     slopes: Any
+    smooth: Any
 
 
 def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
@@ -193,6 +198,7 @@ def _begin(
     return AlphaState(
         z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma, s.theta,
         z.a, inverse, jnp.full((2, sizes.nq + sizes.nl + sizes.nx + sizes.ny), jnp.nan),
+        jnp.asarray(False),
     )  # fmt: skip
 
 
@@ -245,8 +251,10 @@ def _step(
 
     # End positions and velocities are rounded to eps |q| and eps |v|; the scaled constraint rows
     # turn that into accelerations, below which no Newton update can fall.
+    # Constraints are made of lengths, too, which are there where q is zero: at least one unit.
     of_q, of_v = (
-        2 * _EPS * largest(base) / slope for base, slope in ((q_base, q_slope), (v_base, v_slope))
+        2 * _EPS * size / slope
+        for size, slope in ((largest(q_base, 1.0), q_slope), (largest(v_base), v_slope))
     )
     of_a = (of_v if nmu else of_q) if sizes.nl else 0.0
     # What is rounding in a is rounding in what the controller makes of it.
@@ -254,9 +262,11 @@ def _step(
     of_control = [part * largest(now, 0.0) for now in (state.xdot, state.y)]
     floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, *of_control)
     old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
-    guess = jnp.insert(extrapolated(old, state.slopes, h, state.h), cuts[1], jnp.zeros(nmu))
+    ahead = extrapolated(old, state.slopes, h, state.h)
+    guesses = [jnp.insert(u, cuts[1], jnp.zeros(nmu)) for u in (ahead, old)]
+    guess = jnp.where(state.smooth, *guesses)
     u, inverse, report = newton(
-        residual, guess, cuts, s.newton_tol, s.newton_max, floors, state.inverse
+        residual, guess, guesses[1], cuts, s.newton_tol, s.newton_max, floors, state.inverse
     )
     z, xdot = at(u)
     aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
@@ -265,6 +275,7 @@ def _step(
     return AlphaState(
         z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
         gamma, theta, seen, inverse, differences(new, old, state.slopes, h, state.h),
+        largest(new - ahead) < _SMOOTH * largest(new - old),
     ), report  # fmt: skip
 
 
@@ -295,7 +306,14 @@ FUNCTIONS = {
 
 
 def newton(
-    residual: Any, guess: Any, cuts: Any, tol: Any, most: Any, floors: Any, inverse: Any
+    residual: Any,
+    guess: Any,
+    old: Any,
+    cuts: Any,
+    tol: Any,
+    most: Any,
+    floors: Any,
+    inverse: Any,
 ) -> tuple[Any, Any, StepReport]:
     """Newton's method with the exact tangent, in the traced loop of a step.
 
@@ -306,15 +324,16 @@ def newton(
 
     With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
     d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
-    xdot, y), below ``tol`` times the group's size plus its entry of ``floors``; or when the updates
-    no longer shrink and are tiny: round-off then forbids more.
+    xdot, y), below ``tol`` times the group's size, now or at the start of the step (``old``), plus
+    its entry of ``floors``; or when updates by a new tangent no longer shrink and are tiny:
+    round-off then forbids more.
     """
 
     def measure(du: Any, u: Any, exact: Any) -> Any:
         # What an old tangent leaves behind points the same way in every step and adds up; a new
         # one leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
-        split = [jnp.split(part, cuts) for part in (du, jnp.abs(u), jnp.abs(guess))]
+        split = [jnp.split(part, cuts) for part in (du, u, old)]
         return jnp.max(
             jnp.stack(
                 [
@@ -340,21 +359,32 @@ def newton(
     def invert(u: Any) -> Any:
         return jnp.linalg.inv(jax.jacfwd(residual)(u))
 
-    def iterate(carry: tuple) -> tuple:
-        u, k, size, before, exact, inverse, tangents = carry
-        if inverse.size:
-            # Before the first update both sizes are infinite; a NaN never contracts. Where an old
-            # tangent led astray, the new one starts over.
-            stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
-            u = jnp.where(stale & ~exact & ~(size <= before), guess, u)
-            exact = stale
-            inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
-            du = inverse @ residual(u)
-        else:
-            du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
-        return u - du, k + 1, measure(du, u - du, exact), size, exact, inverse, tangents + exact
+    def with_new_tangent(carry: tuple) -> tuple:
+        u, k, size, _, _, inverse, tangents = carry
+        du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
+        return u - du, k + 1, measure(du, u - du, True), size, True, inverse, tangents + 1
 
-    carry = (guess, 0, jnp.inf, jnp.inf, not inverse.size, inverse, 0)
-    u, k, *sizes, exact, inverse, tangents = jax.lax.while_loop(go_on, iterate, carry)
-    report = StepReport(settled(*sizes, exact), k, k, tangents, tangents, k)
-    return u, inverse, report
+    def with_kept_tangent(carry: tuple) -> tuple:
+        u, k, size, before, exact, inverse, tangents = carry
+        # Before the first update both sizes are infinite; a NaN never contracts. Where an old
+        # tangent led astray, the new one starts over.
+        stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
+        u = jnp.where(stale & ~exact & ~(size <= before), guess, u)
+        inverse = jax.lax.cond(stale, invert, lambda u: inverse, u)
+        du = inverse @ residual(u)
+        return u - du, k + 1, measure(du, u - du, stale), size, stale, inverse, tangents + stale
+
+    kept = bool(inverse.size)
+    carry = (guess, 0, jnp.inf, jnp.inf, not kept, inverse, 0)
+    carry = jax.lax.while_loop(go_on, with_kept_tangent if kept else with_new_tangent, carry)
+    if kept:
+        # What modified Newton does not solve, full Newton tries from the start of the step.
+        _, done, size, before, exact, inverse, tangents = carry
+        solved = settled(size, before, exact)
+        again = (old, 0, jnp.inf, jnp.inf, True, inverse, 0)
+        start = jax.tree.map(lambda a, b: jnp.where(solved, a, b), carry, again)
+        u, k, *end, inverse, more = jax.lax.while_loop(go_on, with_new_tangent, start)
+        k, tangents = (jnp.where(solved, a, b) for a, b in ((k, done + k), (more, tangents + more)))
+    else:
+        u, k, *end, inverse, tangents = carry
+    return u, inverse, StepReport(settled(*end), k, k, tangents, tangents, k)
