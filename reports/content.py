@@ -8,9 +8,18 @@ from pathlib import Path
 
 from bench.records import Environment, Plan, Record, SceneRecord, Study
 from bench.store import Store
-from reports import overview, tables
+from reports import front, overview, tables
 from reports.scenes import Figure, ScenePart, SceneReader
-from reports.series import Look, error_of, label_of, looks_of, number, series_of
+from reports.series import (
+    TRUST,
+    Look,
+    Series,
+    error_of,
+    label_of,
+    looks_of,
+    number,
+    series_of,
+)
 from reports.standings import Standing, overall, standings, verdicts
 from reports.tables import Table
 
@@ -30,6 +39,7 @@ class Page:
     verdict: Table | None
     overall: list[str]
     overview: list[Figure]
+    front: Table | None
     scenes: list[ScenePart]
     integrators: Table | None
     failures: Table | None
@@ -80,7 +90,8 @@ def read_page(folder: Path, interactive: bool) -> Page:
         missing=_missing(plan, scenes, records, keys, environments),
         verdict=tables.verdict(verdicts(found), ids),
         overall=overall(found),
-        overview=_overview(found, looks, interactive),
+        overview=_overview(found, series, looks, interactive),
+        front=front.table(series, ids),
         scenes=parts,
         integrators=tables.integrators(series, found, plan.integrators if plan else {}),
         failures=tables.failures(everything),
@@ -92,7 +103,10 @@ def read_page(folder: Path, interactive: bool) -> Page:
 
 
 def _overview(
-    found: Sequence[Standing], looks: Mapping[str, Look], interactive: bool
+    found: Sequence[Standing],
+    scenes: Mapping[str, Sequence[Series]],
+    looks: Mapping[str, Look],
+    interactive: bool,
 ) -> list[Figure]:
     """The charts over all scenes, with more than one integrator to compare."""
     if len({s.label for s in found}) < 2:
@@ -109,6 +123,13 @@ def _overview(
             "most so many times the best (Dolan and More 2002). High on the left: often the "
             "cheapest; high on the right: reaches the accuracy almost everywhere.",
             {"overview-profile": overview.profile(found, looks, interactive)},
+        ),
+        (
+            "Largest relative error over all times (up) against cost (to the right) "
+            f"{which if interactive else '(acceleration, residual evaluations)'}. The broad line "
+            "joins the runs that no other run of the scene beats in both (Pareto front); errors "
+            f"below {TRUST:g} times the reference's own count as equal.",
+            {"overview-front": front.chart(scenes, looks, interactive)},
         ),
     ]
     return [Figure(text, charts) for text, charts in made if all(charts.values())]

@@ -18,6 +18,7 @@ from reports.marks import (
     dimmed,
     log_axis,
     log_scale,
+    menu,
     pick,
     quantity,
     short,
@@ -82,9 +83,9 @@ def explorer(
     costs = [cost for cost in COSTS if any(row.get(cost) for row in rows)]
     first = "a" if "a" in groups else groups[0]
     params = [
-        _menu("group", first, list(groups), [GROUP_NAMES[g] for g in groups], "error in "),
-        _menu("norm", "max", list(NORMS), [NORM_NAMES[n] for n in NORMS], " taken "),
-        _menu("cost", costs[0], costs, [COSTS[c] for c in costs], " against "),
+        menu("group", first, {g: GROUP_NAMES[g] for g in groups}, "error in "),
+        menu("norm", "max", NORM_NAMES, " taken "),
+        menu("cost", costs[0], {c: COSTS[c] for c in costs}, " against "),
     ]
     titles = json.dumps(COSTS), json.dumps(GROUP_NAMES)
     tips = [
@@ -242,11 +243,6 @@ def _floor_line(floors: Data) -> Spec:
             "tooltip": quantity("floor", title="reference's own error", format=".2g"),
         },
     }
-
-
-def _menu(name: str, value: str, options: list[str], labels: list[str], title: str) -> Spec:
-    bind = {"input": "select", "options": options, "labels": labels, "name": title}
-    return {"name": name, "value": value, "bind": bind}
 
 
 def _title(text: str, x: str, y: str, turn: int = 0) -> Spec:

@@ -154,6 +154,13 @@ def dimmed(full: float, view: View) -> Spec:
     return {"condition": {"param": "pick", "value": full}, "value": 0.07}
 
 
+def menu(name: str, value: str, choices: Mapping[str, str], title: str) -> Spec:
+    """A choice among names, each shown by what it stands for."""
+    options, labels = list(choices), list(choices.values())
+    bind = {"input": "select", "options": options, "labels": labels, "name": title}
+    return {"name": name, "value": value, "bind": bind}
+
+
 def zoom(name: str) -> Spec:
     """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
     drag = "[pointerdown[event.pointerType === 'mouse'], window:pointerup] > window:pointermove!"

@@ -14,6 +14,7 @@ from reports.marks import (
     config,
     dimmed,
     log_scale,
+    menu,
     pick,
     quantity,
     short,
@@ -159,14 +160,10 @@ def _is_start(s: Standing) -> bool:
 def _menus() -> list[Spec]:
     """Choices of what is to be reached, and of what it costs."""
 
-    def menu(name: str, title: str, options: list[str], labels: list[str]) -> Spec:
-        bind = {"input": "select", "options": options, "labels": labels, "name": title}
-        return {"name": name, "value": _START[name], "bind": bind}
-
     return [
-        menu("group", "error in ", list(JUDGED), [GROUP_NAMES[g] for g in JUDGED]),
-        menu("target", " of at most ", [str(t) for t in TARGETS], [f"{t:.0e}" for t in TARGETS]),
-        menu("cost", " at the cost of ", list(COSTS), list(COSTS.values())),
+        menu("group", _START["group"], {g: GROUP_NAMES[g] for g in JUDGED}, "error in "),
+        menu("target", _START["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
+        menu("cost", _START["cost"], COSTS, " at the cost of "),
     ]
 
 
