@@ -354,7 +354,8 @@ def newton(
 
     def go_on(carry: tuple) -> Any:
         _, k, size, before, exact, *_ = carry
-        return (k < most) & ~settled(size, before, exact)
+        lost = exact & jnp.isnan(size)  # an old tangent may lead there, but a new one leads back
+        return (k < most) & ~settled(size, before, exact) & ~lost
 
     def invert(u: Any) -> Any:
         return jnp.linalg.inv(jax.jacfwd(residual)(u))

@@ -21,12 +21,15 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from problems import spec
 from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from integrators.march import StepMethod
 
 #: How a run can end; only "ok" has a complete trajectory.
 STATUSES = (
@@ -251,6 +254,11 @@ class Integrator(ABC):
     def at_constant_steps(self) -> Integrator | None:
         """The same method at constant steps, where its order is measured; None if it has none."""
         return self if self.controls == "step" else None
+
+    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
+        """What runs in numbers as one program: itself on a scene as pure functions of a state (see
+        integrators.march); None if it is not written so or chooses its steps."""
+        return None
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         """None if it can take the scene, else the reason in one sentence."""

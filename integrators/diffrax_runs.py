@@ -245,6 +245,7 @@ class _Marched(StepMethod):
     """A diffrax method as the march takes it: its functions are all that is asked for."""
 
     formulation: ClassVar[str] = "ode"
+    states_only: ClassVar[bool] = True
 
     parameters: dict[str, float]
     begin: Callable | None = None
@@ -257,6 +258,14 @@ class _Marched(StepMethod):
 
     def functions(self) -> tuple[Callable, Callable, Callable]:
         return self.begin, self.step, self.read
+
+
+def marched(method: DiffraxSolver, scene: MechatronicSystem, counted: bool) -> StepMethod:
+    """The solver's steps as the march takes them; counted ones are for `run_counted`."""
+    functions = _step_functions(
+        type(method), method.root_finder, scene.template(), scene.sizes, counted
+    )
+    return _Marched(scene.parameters(), *functions)
 
 
 class ConstantRun(PreparedRun):
@@ -273,13 +282,8 @@ class ConstantRun(PreparedRun):
         self._timed = self._march(counted=False)
 
     def _march(self, counted: bool) -> PreparedRun:
-        method, scene = self._method, self._scene
-        functions = _step_functions(
-            type(method), method.root_finder, scene.template(), scene.sizes, counted
-        )
-        return _Marched(scene.parameters(), *functions).prepare(
-            scene, self._t_end, self._resolution
-        )
+        method = marched(self._method, self._scene, counted)
+        return method.prepare(self._scene, self._t_end, self._resolution)
 
     def execute(self) -> Any:
         return self._timed.execute()

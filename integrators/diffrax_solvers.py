@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
-from integrators.diffrax_runs import AdaptiveRun, ConstantRun
+from integrators.diffrax_runs import AdaptiveRun, ConstantRun, marched
+from integrators.march import StepMethod
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
@@ -58,6 +59,9 @@ class DiffraxSolver(Integrator):
 
     def at_constant_steps(self) -> Integrator | None:
         return replace(self, steps="constant")
+
+    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
+        return marched(self, scene, counted=False) if self.controls == "step" else None
 
     @staticmethod
     @abstractmethod

@@ -83,6 +83,8 @@ class StepMethod(Integrator):
     controls: ClassVar[str] = "step"
     #: Names of what ``read`` notes of the last step beside the variables.
     noted: ClassVar[tuple[str, ...]] = ()
+    #: Whether its steps give q, v and x alone and count nothing: the equations give the rest.
+    states_only: ClassVar[bool] = False
 
     @abstractmethod
     def numbers(self) -> Any:
@@ -113,29 +115,34 @@ class StepMethod(Integrator):
         """The compiled march on a scene; shared by all methods with the same functions."""
         return kernel(*self.functions(), scene.template(), scene.sizes)
 
+    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
+        return self if self.controls == "step" else None
+
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
         return _March(self, scene, t_end, resolution)
+
+
+def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, np.ndarray]:
+    """The clock of a run, and the numbers of the steps that are its rows, without the start."""
+    macro = resolution.count(t0, t_end)
+    slots = len(resolution.pattern)
+    fractions = np.zeros(_PATTERN_SLOTS)
+    fractions[:slots] = resolution.pattern
+    ends = np.cumsum(fractions)
+    ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
+    rows = np.union1d(np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots)
+    return Clock(t0, t_end - t0, macro, fractions, ends, slots), rows[rows > 0]
 
 
 class _March(PreparedRun):
     def __init__(
         self, method: StepMethod, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
-        t0 = scene.interval[0]
-        macro = resolution.count(t0, t_end)
-        slots = len(resolution.pattern)
-        fractions = np.zeros(_PATTERN_SLOTS)
-        fractions[:slots] = resolution.pattern
-        ends = np.cumsum(fractions)
-        ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
-        rows = np.union1d(np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots)
-        self._t0, self._t_end = t0, t_end
-        self._rows = rows[rows > 0]
+        clock, self._rows = grid(scene.interval[0], t_end, resolution)
         padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
         self._start, self._noted = start, method.noted
-        clock = Clock(t0, t_end - t0, macro, fractions, ends, slots)
         self._kernel = method.kernel(scene)
         self._arguments = self._kernel.pack(scene.parameters(), method.numbers(), start, clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
@@ -151,7 +158,7 @@ class _March(PreparedRun):
         kept = np.flatnonzero(rows[: len(self._rows), 0] == self._rows)
         status, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
-        name, message = _outcome(int(status), float(t))
+        name, message = outcome(int(status), float(t))
         values = with_start(self._start, rows[kept, 1:], self._noted)
         return Trajectory(**values, status=name, message=message, work=work)
 
@@ -173,7 +180,8 @@ def with_start(start: Start, rows: np.ndarray, noted: tuple[str, ...]) -> dict[s
     }
 
 
-def _outcome(status: int, t: float) -> tuple[str, str]:
+def outcome(status: int, t: float) -> tuple[str, str]:
+    """Name and message of the status that a kernel gave at t."""
     if status == _NEWTON_FAILED:
         return "newton_failed", (
             f"Newton's method did not converge in the step to t={t:.6g} s; take a smaller step "
@@ -199,7 +207,16 @@ class Kernel:
 
     def __init__(self, march: Callable) -> None:
         self._unpack: Callable | None = None
-        self._compiled = jax.jit(lambda packed, *rows: march(*self._unpack(packed), *rows))
+
+        def run(packed: Any, *rows: Any) -> Any:
+            return march(*self._unpack(packed), *rows)
+
+        def kept(packed: Any, rows: Any, row_count: Any) -> Any:
+            table, end = run(packed, rows, row_count)
+            return table[: len(rows)], end
+
+        self._compiled = jax.jit(run)
+        self._many = jax.jit(jax.vmap(kept))
 
     def pack(self, *arguments: Any) -> Any:
         """Pack parameters, numbers, start and clock (floats, and integers below 2^53)."""
@@ -222,6 +239,13 @@ class Kernel:
 
     def __call__(self, packed: Any, *rows: Any) -> Any:
         return self._compiled(packed, *rows)
+
+    def batched(self, packed: Any, rows: Any, row_count: Any) -> Any:
+        """Many runs in one program: every argument has one more axis in front.
+
+        As many rows are returned of each run as ``rows`` has columns.
+        """
+        return self._many(packed, rows, row_count)
 
     @property
     def compilations(self) -> int:
@@ -249,8 +273,11 @@ def kernel(
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
 
         def one_step(progress: tuple) -> tuple:
-            n, state, _, counts, _ = progress
+            n, state, status, counts, _ = progress
             t, h = step_times(clock, n)
+            # Among many runs a step is taken for those that have failed, too, and dropped. It is
+            # made one that Newton's method leaves at once.
+            h = jnp.where(status == _OK, h, jnp.nan)
             state, report = step(scene, sizes, numbers, state, t, h)
             now = read(state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
