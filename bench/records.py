@@ -104,6 +104,12 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     nominal_step: float | None = None
     rates: dict[str, float] | None = None
 
+    @property
+    def omega_h(self) -> float | None:
+        """The fastest oscillation times the nominal step; None where one of them is not known."""
+        fastest = (self.rates or {}).get("oscillation")
+        return fastest * self.nominal_step if fastest and self.nominal_step else None
+
 
 class Study(msgspec.Struct, kw_only=True):
     """A part of a plan: some cells of one scene that belong on one chart."""
@@ -118,13 +124,30 @@ class Study(msgspec.Struct, kw_only=True):
     components: list[str] = []
 
 
+class Damping(msgspec.Struct, kw_only=True):
+    """What a method at constant steps makes of the undamped oscillator at values of ``omega_h``.
+
+    Spectral radius, numerical damping ratio and relative period error, None where there is none;
+    ``message`` says why nothing is known.
+    """
+
+    omega_h: list[float]
+    radius: list[float | None] = []
+    ratio: list[float | None] = []
+    period_error: list[float | None] = []
+    message: str = ""
+    fingerprint: str = ""
+
+
 class IntegratorFacts(msgspec.Struct, kw_only=True):
-    """What an integrator says of itself: title, claimed order per group, formulation, source."""
+    """What an integrator says of itself: title, claimed order per group, formulation, source; and
+    its own damping at the frequencies of the scenes, where its steps are constant."""
 
     title: str
     orders: dict[str, int] = {}
     formulation: str = ""
     source: str = ""
+    damping: Damping | None = None
 
 
 class Plan(msgspec.Struct, kw_only=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from bench import damping
 from bench.environment import environment
 from bench.plan import Cell, Suite
 from bench.records import Record, Rows, SceneRecord
@@ -56,7 +57,7 @@ def run_suite(
         or stored[key].fingerprint != cell.fingerprint(registry)
         or (stored[key].status == "budget_exceeded" and _raised(plan.budget_s, stored[key]))
     ]
-    store.save_plan(plan)
+    store.save_plan(damping.kept(plan, store.plan(), registry))
     wanted = {(s.problem, s.t_end) for s in plan.studies}
     current = {
         key
@@ -80,6 +81,7 @@ def run_suite(
                     record.environment, record.budget_s = number, plan.budget_s
                     store.save(record, rows)
                 progress.advance()
+        _analyse(suite, store, runner, registry, progress)
         _time(suite, store, runner, progress)
     return Outcome(len(missing), len(suite.cells) - len(missing), store.records())
 
@@ -118,6 +120,19 @@ def describe_scenes(
                 records[task.arguments[0]] = answer
             progress.advance()
     return [records[scene.spec] for scene in scenes if scene.spec in records]
+
+
+def _analyse(
+    suite: Suite, store: Store, runner: Runner, registry: Registry, progress: Progress
+) -> None:
+    due = damping.tasks(suite, store.scenes(), store.records(), registry)
+    if not due:
+        return
+    progress.phase("damping of methods at constant steps", len(due))
+    for task, answer in runner.run([due], lambda t: progress.working(_words(t))):
+        damping.note(suite.plan, task, answer, registry)
+        progress.advance()
+    store.save_plan(suite.plan)
 
 
 def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> None:
@@ -160,6 +175,8 @@ def _groups(
 def _words(task: Task) -> str:
     if task.kind == "scene":
         return f"reference of {task.arguments[0]}"
+    if task.kind == "damping":
+        return f"damping of {task.arguments[0]}"
     return task.arguments[0].key
 
 

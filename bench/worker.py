@@ -21,7 +21,7 @@ import numpy as np
 
 from bench import measure
 from bench.plan import Cell
-from bench.records import Record, Rows, SceneRecord
+from bench.records import Damping, Record, Rows, SceneRecord
 from bench.registry import Registry, explain
 from bench.scenes import scene_record
 from integrators.contract import PreparedRun, Trajectory
@@ -121,6 +121,23 @@ class _Bench:
             if elapsed >= SAMPLE_SECONDS:
                 self.seconds[cell.key] = elapsed / repeats
                 return elapsed / repeats
+
+    def damping(self, integrator: str, omega_h: tuple[float, ...]) -> Damping:
+        """What a method at constant steps makes of the undamped oscillator."""
+        from bench.stability.matrices import matrices
+        from bench.stability.spectra import eigenvalues, oscillation, radii
+        from bench.stability.systems import Oscillator
+
+        at, method = np.array(omega_h), self.registry.integrator(integrator)
+        try:
+            roots = eigenvalues(matrices(method, Oscillator(), at).a)
+        except SpecError as error:
+            return Damping(omega_h=list(omega_h), message=str(error))
+        columns = [radii(roots), *oscillation(roots, at)]
+        radius, ratio, period_error = ([measure.finite(x) for x in column] for column in columns)
+        return Damping(
+            omega_h=list(omega_h), radius=radius, ratio=ratio, period_error=period_error
+        )
 
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Everything that a report shows of a scene."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.records import Environment, Plan, Record, SceneRecord, Study
 from bench.store import Store
-from reports import front, overview, tables
+from reports import damping, front, overview, tables
 from reports.scenes import Figure, ScenePart, SceneReader
 from reports.series import (
     TRUST,
@@ -42,6 +42,7 @@ class Page:
     front: Table | None
     scenes: list[ScenePart]
     integrators: Table | None
+    damping: Table | None
     failures: Table | None
     timing: Table | None
     noise: str
@@ -94,6 +95,9 @@ def read_page(folder: Path, interactive: bool) -> Page:
         front=front.table(series, ids),
         scenes=parts,
         integrators=tables.integrators(series, found, plan.integrators if plan else {}),
+        damping=damping.table(
+            plan.integrators if plan else {}, [(names[k], scenes[k]) for k in keys if k in scenes]
+        ),
         failures=tables.failures(everything),
         timing=tables.timing(series_of(everything)),
         noise=_noise(everything),

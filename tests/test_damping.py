@@ -1,0 +1,163 @@
+"""What a method at constant steps adds at the frequencies of the scenes, from run to page."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import msgspec
+import pytest
+from planted import Document, everything, plant
+
+from bench import damping as analysis
+from bench.plan import make_suite, read_profile
+from bench.records import Damping, IntegratorFacts, Plan, Rows, SceneRecord
+from bench.registry import Registry
+from bench.runner import Lost, Task
+from bench.store import Store
+from reports import damping, html, markdown
+
+PROFILE = """
+samples = 0
+[[study]]
+problems = ["duffing"]
+integrators = ["newmark", "generalized_alpha[rho_inf=0.5]", "ida"]
+steps = [0.05]
+rtol = [1e-3]
+[[study]]
+problems = ["pendulum"]
+t_end = 0.5
+integrators = ["newmark"]
+steps = [0.02]
+"""
+
+
+def scene(name="duffing", nominal_step=0.05, rates=None) -> SceneRecord:
+    return SceneRecord(
+        problem=name, t_end=1.0, title="", description="", source="", parameters=[],
+        coordinates=[], sizes={}, t0=0.0, reference_method="", reference_error={},
+        reference=Rows(t=[], values={}), nominal_step=nominal_step, rates=rates,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run")
+    (path / "profile.toml").write_text(PROFILE)
+    return path
+
+
+def invoke(folder) -> str:
+    command = [sys.executable, "-m", "bench", "run", str(folder / "profile.toml")]
+    command += ["--out", str(folder / "out"), "--jobs", "1"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stderr
+
+
+def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(folder):
+    assert "damping" in invoke(folder)
+    with Store(folder / "out") as store:
+        plan, scenes = store.plan(), store.scenes()
+        records = store.records()
+    newmark = plan.integrators["newmark[beta=0.25,gamma=0.5]"].damping
+    ended = [r for r in records.values() if r.integrator.startswith("newmark") and r.status == "ok"]
+    at = sorted(scenes[r.problem, r.t_end].omega_h for r in ended)
+    assert len(at) >= 1
+    assert newmark.omega_h == at
+    # The trapezoidal rule damps nothing, and stretches the period by w h / (2 atan(w h / 2)).
+    assert newmark.ratio == pytest.approx([0.0] * len(at), abs=1e-12)
+    stretched = [w / (2 * math.atan(w / 2)) - 1 for w in at]
+    assert newmark.period_error == pytest.approx(stretched, rel=1e-7)
+    damped = plan.integrators["generalized_alpha[rho_inf=0.5]"].damping
+    (w,) = damped.omega_h
+    assert w == scenes["duffing", 3.0].omega_h
+    # |root| = exp(-ratio angle), and the angle is w / (1 + period error).
+    angle = w / (1 + damped.period_error[0])
+    assert damped.radius[0] == pytest.approx(math.exp(-damped.ratio[0] * angle), rel=1e-12)
+    assert 1e-7 < damped.ratio[0] < 1e-4
+    assert plan.integrators["ida[formulation=stabilised_index2]"].damping is None
+    assert "damping" not in invoke(folder)
+    with Store(folder / "out") as store:
+        assert store.plan().integrators == plan.integrators
+
+
+def test_the_page_shows_what_the_run_found(folder):
+    with Store(folder / "out") as store:
+        found = store.plan().integrators["generalized_alpha[rho_inf=0.5]"].damping
+    page = Document((folder / "out" / "report.html").read_text(encoding="utf-8"))
+    rows = page.rows("Damping and period error of the method itself")
+    (cell,) = [r["generalized_alpha[rho_inf=0.5]"] for r in rows if "duffing" in r["scene"]]
+    assert cell == f"{found.ratio[0]:.3g} ({100 * found.period_error[0]:+.2g}%)"
+    assert cell in (folder / "out" / "report.md").read_text(encoding="utf-8")
+
+
+def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
+    registry = Registry([])
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    with Store(folder / "out") as store:
+        scenes, records = store.scenes(), store.records()
+    names = {task.arguments[0] for task in analysis.tasks(suite, scenes, records, registry)}
+    assert names == {"newmark[beta=0.25,gamma=0.5]", "generalized_alpha[rho_inf=0.5]"}
+    for record in records.values():
+        if record.integrator.startswith("generalized"):
+            record.status = "crashed"
+    (task,) = analysis.tasks(suite, scenes, records, registry)
+    assert task.arguments[0] == "newmark[beta=0.25,gamma=0.5]"
+
+
+def test_an_answer_is_kept_until_the_source_of_the_method_changes():
+    registry, name = Registry([]), "newmark[beta=0.25,gamma=0.5]"
+
+    def plan() -> Plan:
+        facts = {name: IntegratorFacts(title="")}
+        return Plan(name="", title="", samples=0, budget_s=1.0, studies=[], integrators=facts)
+
+    old = plan()
+    lost = Lost("budget_exceeded", "It took too long.")
+    analysis.note(old, Task("damping", (name, (0.1,))), lost, registry)
+    known = old.integrators[name].damping
+    assert (known.omega_h, known.message) == ([0.1], "It took too long.")
+    assert analysis.kept(plan(), old, registry).integrators[name].damping == known
+    old.integrators[name].damping = msgspec.structs.replace(known, fingerprint="other")
+    assert analysis.kept(plan(), old, registry).integrators[name].damping is None
+    assert analysis.kept(plan(), None, registry).integrators[name].damping is None
+
+
+def test_every_ending_has_its_words():
+    scenes = [("one", scene(rates={"oscillation": 2.0}))]  # omega h = 0.1
+    found = {
+        "damps": Damping(omega_h=[0.1], radius=[0.99], ratio=[0.0123], period_error=[0.00125]),
+        "keeps": Damping(omega_h=[0.1], radius=[1.0], ratio=[-3e-16], period_error=[0.0]),
+        "grows": Damping(omega_h=[0.1], radius=[1.25], ratio=[-0.1], period_error=[0.0]),
+        "creeps": Damping(omega_h=[0.1], radius=[0.5], ratio=[None], period_error=[None]),
+        "fails": Damping(omega_h=[0.1], radius=[None], ratio=[None], period_error=[None]),
+        "lost": Damping(omega_h=[0.1], message="It took too long."),
+        "elsewhere": Damping(omega_h=[0.2], radius=[1.0], ratio=[0.0], period_error=[0.0]),
+    }
+    known = {name: IntegratorFacts(title="", damping=d) for name, d in found.items()}
+    known["adaptive"] = IntegratorFacts(title="")
+    table = damping.table(known, scenes)
+    assert table.head == ["integrator", "one, omega h = 0.1"]
+    assert table.rows == [
+        ["damps", "0.0123 (+0.12%)"],
+        ["keeps", "0 (+0%)"],
+        ["grows", "grows 1.25 times per step"],
+        ["creeps", "no oscillation, 0.5 left"],
+        ["fails", "not solved"],
+        ["lost", "It took too long."],
+        ["elsewhere", ""],
+    ]
+    more = [(f"scene {k}", scene(rates={"oscillation": 2.0})) for k in range(8)]
+    turned = damping.table(known, more)
+    assert turned.head == ["scene", *found]
+    assert turned.rows[0][1] == "0.0123 (+0.12%)"
+
+
+def test_without_frequencies_or_analysis_there_is_no_table(tmp_path):
+    known = {"a": IntegratorFacts(title="", damping=Damping(omega_h=[0.1], message="m"))}
+    assert damping.table(known, [("one", scene(rates=None))]) is None
+    assert damping.table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
+    assert damping.table({"a": IntegratorFacts(title="")}, []) is None
+    plant(tmp_path, everything())
+    for write in (html.write, markdown.write):
+        assert "of the method itself" not in write(tmp_path).read_text(encoding="utf-8")
