@@ -19,9 +19,9 @@ from bench.worker import serve
 
 #: How often the memory of a worker is looked at.
 _WATCH_SECONDS = 0.1
-#: A run that is long is timed less often: no more samples once they have lasted this long.
-_TIMING_SECONDS = 1.0
-_LEAST_SAMPLES = 3
+#: A run that is long is timed less often, it averages the machine's noise itself: no more samples
+#: once they have lasted this long.
+_TIMING_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,7 @@ class Runner:
         spent = {cell.key: 0.0 for cell in cells}
         for number in range(samples):
             for cell in cells:
-                enough = number >= _LEAST_SAMPLES and spent[cell.key] > _TIMING_SECONDS
-                if number < have.get(cell.key, 0) or enough or spent[cell.key] == float("inf"):
+                if number < have.get(cell.key, 0) or spent[cell.key] > _TIMING_SECONDS:
                     continue
                 worker = self._owner.get(cell.key)
                 if worker not in self._workers:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from bench.atlas.results import ExperimentResult
 from bench.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
 
 FILE = "stepbench.sqlite"
@@ -23,6 +24,7 @@ CREATE TABLE IF NOT EXISTS scenes (
 CREATE TABLE IF NOT EXISTS records (
     key TEXT PRIMARY KEY, problem TEXT NOT NULL, integrator TEXT NOT NULL, status TEXT NOT NULL,
     value BLOB NOT NULL, rows BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS experiments (name TEXT PRIMARY KEY, value BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS samples (
     key TEXT NOT NULL REFERENCES records(key), number INTEGER NOT NULL, seconds REAL NOT NULL,
     PRIMARY KEY (key, number));
@@ -114,6 +116,12 @@ class Store:
             msgspec.json.encode(scene),
         )
 
+    def save_experiment(self, found: ExperimentResult) -> None:
+        """Keep what came out of an experiment of the atlas."""
+        self._write(
+            "INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, msgspec.json.encode(found)
+        )
+
     def save(self, record: Record, rows: Rows) -> None:
         """Keep a finished cell with its rows, in one transaction; forgets older samples."""
         with self._transaction():
@@ -148,6 +156,14 @@ class Store:
         """All scenes by (problem, t_end)."""
         found = self._read("SELECT value FROM scenes ORDER BY problem, t_end", kind=SceneRecord)
         return {(scene.problem, scene.t_end): scene for (scene,) in found}
+
+    def experiments(self) -> dict[str, ExperimentResult]:
+        """What came out of the atlas, by name and in the order of its numbers."""
+        there = self._read("SELECT 1 FROM sqlite_master WHERE name = 'experiments'")
+        if not there:  # written before there was an atlas
+            return {}
+        found = self._read("SELECT name, value FROM experiments", kind=ExperimentResult)
+        return dict(sorted(found, key=lambda row: row[1].number))
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.

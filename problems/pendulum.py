@@ -17,7 +17,8 @@ class Pendulum(MechatronicSystem):
     Released at rest at angle th0 from the downward vertical; by default the run starts 0.35 s
     later, so that velocity and jerk are not zero and the start-up error of the multiplier
     shows. Tests order in q, v, a and lambda on a constraint of its own. Left out: damping and
-    a rod with inertia, for which the closed form by elliptic functions would be lost.
+    a rod with inertia, for which the closed form by elliptic functions would be lost. ``copies``
+    and ``radial`` spoil the scene on purpose, to see what a method says to it.
     """
 
     interval = (0.35, 1.35)
@@ -38,6 +39,13 @@ class Pendulum(MechatronicSystem):
         np.pi / 2, "rad", "amplitude: angle at rest at t=0", low=1e-6, high=np.pi - 1e-9
     )
 
+    copies: int = parameter(
+        1, "-", "how often the constraint is stated; more than once is redundant", low=1
+    )
+    radial: float = parameter(
+        0.0, "m/s", "velocity along the rod at the start; all but zero contradicts the constraint"
+    )
+
     def mass(self, q: Any) -> Any:
         return self.m * jnp.eye(2)
 
@@ -45,14 +53,14 @@ class Pendulum(MechatronicSystem):
         return jnp.stack([0.0 * self.m, -self.m * self.g])
 
     def constraint(self, q: Any, t: Any) -> Any:
-        return 0.5 * (q @ q - self.length**2)[None]
+        return jnp.tile(0.5 * (q @ q - self.length**2), self.copies)
 
     def energy(self, q: Any, v: Any) -> Any:
         return 0.5 * self.m * (v @ v) + self.m * self.g * q[1]
 
     def initial_state(self) -> State:
         start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0])
+        return State(q=start["q"][0], v=start["v"][0] + self.radial / self.length * start["q"][0])
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """th(t) = 2 asin(k sn(K - w t, k^2)) with k = sin(th0/2), w = sqrt(g/length)."""
@@ -64,12 +72,13 @@ class Pendulum(MechatronicSystem):
         rate = -2 * k * w * cn
         sin, cos = 2 * k * sn * dn, 1 - 2 * (k * sn) ** 2  # of th, without forming th itself
         bend = -w * w * sin
+        lam = self.m * (rate**2 + w * w * cos) / self.copies
         e_r, e_t = np.column_stack([sin, -cos]), np.column_stack([cos, sin])
         return {
             "q": self.length * e_r,
             "v": self.length * rate[:, None] * e_t,
             "a": self.length * (bend[:, None] * e_t - (rate**2)[:, None] * e_r),
-            "lam": (self.m * (rate**2 + w * w * cos))[:, None],
+            "lam": np.tile(lam[:, None], self.copies),
         }
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:

@@ -28,7 +28,7 @@ _POWER_ERROR = 1e-6
 _SLOPE_ERROR = 1e-6
 #: Its difference quotients are tried with these parts of the nominal step, which may be longer
 #: than the fastest oscillation.
-_SLOPE_STEPS = (1e-2, 1e-3, 1e-4)
+_SLOPE_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
 _TIMES = 40
 
 

@@ -1,0 +1,34 @@
+"""Condition of the index-3 tangent, for the scalings of its rows and columns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from problems.formulations import consistent_start, constraint_force
+from problems.runtime import jax, jnp
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+#: beta of the trapezoidal rule; the powers of h do not depend on it.
+_BETA = 0.25
+
+
+def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
+    """Condition number of the tangent of Newton's method in (q, lam) at a scene's start.
+
+    With q'' = q/(beta h^2) + ... the tangent is [[M/(beta h^2), Phi_q^T], [Phi_q, 0]] (terms that
+    vanish with h are left out). ``scaling`` divides by 1/(beta h^2): nothing ("none"), the
+    constraint rows ("rows"), or these and the multipliers ("both"); after Bottasso, Dopico &
+    Trainelli (2008), On the optimal scaling of index three DAEs in multibody dynamics.
+    """
+    if scaling not in ("none", "rows", "both"):
+        raise SpecError(f"There is no scaling {scaling!r}; there are none, rows and both.")
+    z = consistent_start(scene).z
+    mass = np.asarray(scene.mass(z.q))
+    zero = jnp.zeros(len(z.lam))
+    columns = np.asarray(jax.jacfwd(lambda lam: constraint_force(scene, z.q, z.t, lam))(zero))
+    large = 1 / (_BETA * h * h)
+    rows = columns.T * (large if scaling != "none" else 1.0)
+    columns = columns * (large if scaling == "both" else 1.0)
+    nothing = np.zeros((len(z.lam), len(z.lam)))
+    return float(np.linalg.cond(np.block([[mass * large, columns], [rows, nothing]])))

@@ -1,0 +1,211 @@
+"""Experiments as data: TOML files that say what is run, what is measured and what is predicted.
+
+An experiment has parts; a part measures one number by one rule for several cases. What a part
+says of the scene, the sweep and the number holds for all its cases, and a case may say otherwise.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bench.plan import Cell, check_end
+from bench.records import GROUPS, LEVELS, NORMS
+from bench.registry import Registry
+from integrators.contract import Integrator, Steps, Tolerances
+from problems import spec
+from problems.spec import SpecError
+
+#: What a number can be made of ...
+MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "condition", "linear")
+#: ... and how the values of a sweep become one number.
+TAKES = ("last", "largest", "growth", "slope")
+
+
+class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """What is run and measured.
+
+    The sweep goes over ``steps`` (each with ``pattern``; ``count`` steps each, if given) or over
+    ``rtol``, as the integrator wants it; over ``values`` of the scene's parameter ``over``, at the
+    first of steps or rtol; or, without a scene, over ``omega_h``. ``measure`` is
+
+    error
+        relative error of ``group`` in ``norm``
+    energy, constraint
+        largest drift of the energy; largest residual of Phi and its derivatives (``name``:
+        position, velocity, acceleration)
+    note, work
+        largest value that the method notes (``name``: gamma, h, ...); counts (residuals, ...)
+    reached
+        part of the interval that was reached before the run failed
+    condition
+        condition number of the index-3 tangent, in the ``name``d scaling: none, rows, both
+    linear
+        a column of the linear analysis (``name``: radius, damping, period_error, overshoot_q,
+        overshoot_v) over omega h
+
+    ``take`` makes one number of the sweep's values: the last, the largest, the growth from the
+    first to the last, or the slope of a straight line in log-log. ``show`` names a component
+    (such as lam1) whose history in the last run is drawn.
+    """
+
+    problem: str | None = None
+    steps: list[float] | None = None
+    pattern: tuple[float, ...] | None = None
+    count: int | None = None
+    rtol: list[float] | None = None
+    over: str | None = None
+    values: list[float] | None = None
+    omega_h: list[float] | None = None
+    t_end: float | None = None
+    measure: str | None = None
+    group: str | None = None
+    norm: str | None = None
+    name: str | None = None
+    take: str | None = None
+    show: str | None = None
+
+
+class Case(Settings, kw_only=True, forbid_unknown_fields=True):
+    """One row of a part: an integrator (none for ``condition``) and the number predicted for it."""
+
+    predicted: tuple[float, float]
+    integrator: str = ""
+    label: str = ""
+
+
+class Part(Settings, kw_only=True, forbid_unknown_fields=True):
+    """Numbers of one kind; a method whose number is within ``healthy`` is spared."""
+
+    text: str
+    healthy: tuple[float, float]
+    case: list[Case]
+
+
+class Experiment(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A failure: what is claimed, why, where that is published, what helps, and its parts."""
+
+    number: int
+    title: str
+    claim: str
+    remedy: str
+    source: str
+    part: list[Part]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a case runs: its settings, the axis ``x`` that is swept, and the cells over it."""
+
+    settings: Settings
+    axis: str
+    x: tuple[float, ...]
+    cells: tuple[Cell, ...] = ()
+
+
+def built_in_experiments() -> dict[str, Path]:
+    """The files of all experiments by name, in the order of their numbers."""
+    folder = Path(str(resources.files("bench.atlas"))) / "experiments"
+    return {file.stem[3:]: file for file in sorted(folder.glob("*.toml"))}
+
+
+def read_experiments(names: Sequence[str] = ()) -> list[Experiment]:
+    """Read experiments by name, all if none is named.
+
+    Raises
+    ------
+    SpecError
+        If there is no such experiment.
+    """
+    known = built_in_experiments()
+    for name in names:
+        if name not in known:
+            raise SpecError(f"There is no experiment {name!r}; {spec.suggest(name, known)}.")
+    return [read_experiment(known[name]) for name in (names or known)]
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Read one file, named NN_name.toml.
+
+    Raises
+    ------
+    SpecError
+        If it cannot be read, or says something that is not known.
+    """
+    try:
+        made = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Experiment)
+    except OSError as error:
+        raise SpecError(f"The experiment {path} cannot be read: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise SpecError(f"The experiment {path} is not as expected: {error}.") from None
+    made.name = path.stem[3:]
+    for part in made.part:
+        for case in part.case:
+            _check(merged(part, case), f"{made.name}, {part.text!r}")
+    return made
+
+
+def merged(part: Part, case: Case | None = None) -> Settings:
+    """The settings of a case: its own where it has them, else those of the part."""
+    own = {f: getattr(case, f, None) for f in Settings.__struct_fields__}
+    return Settings(
+        **{f: getattr(part, f) if value is None else value for f, value in own.items()}
+    )
+
+
+def _check(s: Settings, where: str) -> None:
+    _one_of(s.measure, MEASURES, f"{where}: measure")
+    _one_of(s.take or "last", TAKES, f"{where}: take")
+    if s.measure == "error":
+        _one_of(s.group, GROUPS, f"{where}: group")
+        _one_of(s.norm or "max", NORMS, f"{where}: norm")
+    if s.measure == "constraint":
+        _one_of(s.name, LEVELS, f"{where}: name")
+
+
+def _one_of(value: str | None, known: Sequence[str], what: str) -> None:
+    if value not in known:
+        raise SpecError(f"{what}={value!r} is not known; {spec.suggest(str(value), known)}.")
+
+
+def sweep_of(s: Settings, integrator: Integrator | None, registry: Registry) -> Sweep:
+    """What these settings make an integrator do.
+
+    Raises
+    ------
+    SpecError
+        If it takes steps (or tolerances) and the settings have none, or they say too little.
+    """
+    if s.measure in ("linear", "condition"):
+        x = s.omega_h if s.measure == "linear" else s.steps
+        return Sweep(s, "omega h" if s.measure == "linear" else "h", tuple(x or ()))
+    if integrator is None or s.problem is None:
+        raise SpecError(f"The measure {s.measure} needs an integrator and a scene.")
+    grid = s.steps if integrator.controls == "step" else s.rtol
+    if not grid:
+        what = "step sizes" if integrator.controls == "step" else "tolerances"
+        raise SpecError(f"{integrator.spec} wants {what}, which this part does not have.")
+    varied: list[dict[str, Any]] = [{s.over: v} for v in s.values or ()] if s.over else [{}]
+    grid = grid[:1] if s.over else grid
+    cells = []
+    for change in varied:
+        scene = registry.problem(s.problem, **change)
+        t0, end = scene.interval
+        for value in grid:
+            t_end = t0 + s.count * value if s.count else end if s.t_end is None else s.t_end
+            resolution: Steps | Tolerances = (
+                Steps(value, s.pattern or (1.0,))
+                if integrator.controls == "step"
+                else Tolerances(value)
+            )
+            cells.append(Cell(scene.spec, integrator.spec, check_end(t0, t_end), resolution))
+    if s.over:
+        return Sweep(s, s.over, tuple(s.values or ()), tuple(cells))
+    return Sweep(s, "h" if integrator.controls == "step" else "rtol", tuple(grid), tuple(cells))

@@ -1,0 +1,79 @@
+"""From the records of a sweep to one number."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from bench.atlas.experiments import Settings
+from bench.records import Record, Rows
+
+
+def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
+    """What is measured of one run; None if the run does not have it."""
+    if s.measure == "reached":
+        if record.status == "ok":
+            return 1.0
+        return (rows.t[-1] - record.t0) / (record.t_end - record.t0) if rows.t else 0.0
+    if s.measure == "note":
+        noted = [abs(v) for v in rows.notes.get(s.name or "", []) if v is not None]
+        return max(noted, default=None)
+    if record.status != "ok":
+        return None
+    if s.measure == "error":
+        return record.errors.get(s.group or "", {}).get(s.norm or "max")
+    if s.measure == "energy":
+        return record.energy_drift
+    if s.measure == "constraint":
+        return record.constraint.get(s.name or "")
+    return record.work.get(s.name or "")
+
+
+def number_of(take: str, x: Sequence[float], y: Sequence[float | None]) -> float | None:
+    """One number of a sweep's values; None if one of them is missing."""
+    known = [v for v in y if v is not None and math.isfinite(v)]
+    if not y or len(known) < len(y):
+        return None
+    if take == "largest":
+        return max(known)
+    if take == "growth":
+        return known[-1] / known[0] if known[0] else None
+    if take == "slope":
+        if min(known) <= 0:
+            return None
+        return float(np.polyfit(np.log(x), np.log(known), 1)[0])
+    return known[-1]
+
+
+def quantity(s: Settings) -> str:
+    """What is measured, in words."""
+    norms = {"max": "largest", "end": "at the end", "rms": "rms", "settled": "after the transient"}
+    return {
+        "error": f"relative error of {s.group}, {norms[s.norm or 'max']}",
+        "energy": "relative drift of the energy",
+        "constraint": f"constraint residual, {s.name} level",
+        "note": f"largest {s.name}",
+        "work": str(s.name),
+        "reached": "part of the interval reached",
+        "condition": "condition number of the tangent",
+        "linear": str(s.name).replace("_", " "),
+    }[s.measure or ""]
+
+
+def history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
+    """Times and values of a component such as "lam1" or of a note such as "gamma"."""
+    match = re.fullmatch(r"(q|v|a|lam|x|y)(\d+)", show)
+    if match and match[1] in rows.values:
+        return rows.t, [row[int(match[2]) - 1] for row in rows.values[match[1]]]
+    if show in rows.notes:
+        known = [(t, v) for t, v in zip(rows.t, rows.notes[show], strict=True) if v is not None]
+        return [t for t, _ in known], [v for _, v in known]
+    return None
+
+
+def within(number: float | None, interval: tuple[float, float]) -> bool:
+    """Whether a number is known and lies in an interval."""
+    return number is not None and interval[0] <= number <= interval[1]

@@ -1,0 +1,55 @@
+"""What the atlas found, as typed rows that are stored and shown."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class CaseResult(msgspec.Struct, kw_only=True):
+    """One case: its sweep (``x``, ``y``; None where there is no value), the number made of it, and
+    whether that lies in the predicted interval (None: nothing was predicted, a method was added).
+
+    ``predicted`` bounds that are open are None. ``history`` holds t and the shown component.
+    """
+
+    label: str
+    integrator: str
+    family: str
+    axis: str
+    x: list[float]
+    y: list[float | None]
+    number: float | None
+    predicted: tuple[float | None, float | None] | None
+    as_predicted: bool | None
+    healthy: bool
+    message: str = ""
+    history: tuple[list[float], list[float]] | None = None
+
+
+class PartResult(msgspec.Struct, kw_only=True):
+    """One number for several cases; ``quantity`` is what the sweep's values are."""
+
+    text: str
+    quantity: str
+    take: str
+    healthy: tuple[float | None, float | None]
+    show: str = ""
+    cases: list[CaseResult] = []
+
+
+class ExperimentResult(msgspec.Struct, kw_only=True):
+    """An experiment with what came out."""
+
+    name: str
+    number: int
+    title: str
+    claim: str
+    remedy: str
+    source: str
+    parts: list[PartResult]
+    digest: str = ""
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether every predicted number was found."""
+        return all(case.as_predicted is not False for part in self.parts for case in part.cases)

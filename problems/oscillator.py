@@ -1,0 +1,56 @@
+"""The undamped linear oscillator: the test equation of structural dynamics as a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import MechatronicSystem, State, jnp, parameter
+
+
+@dataclass(frozen=True)
+class Oscillator(MechatronicSystem):
+    """One mass on one spring.
+
+    Tests what a method does to an amplitude and a period over many periods, where its damping and
+    its phase error add up, and where a conditionally stable method begins to grow (omega h). Left
+    out: everything else; damping would hide the method's own.
+    """
+
+    interval = (0.0, 20.0)
+    nominal_step = 0.1
+    tags = ("linear", "smooth", "closed form", "conservative")
+    difficulties = ("errors of amplitude and phase add up over many periods",)
+    coordinates = ("position",)
+    source = "q = q0 cos(omega t); e.g. Hughes (1987), The Finite Element Method, ch. 9"
+
+    omega: float = parameter(1.0, "rad/s", "frequency", low=1e-12)
+    q0: float = parameter(1.0, "m", "initial position")
+
+    def mass(self, q: Any) -> Any:
+        return jnp.eye(1)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return -(self.omega**2) * q
+
+    def energy(self, q: Any, v: Any) -> Any:
+        return 0.5 * (v @ v + self.omega**2 * (q @ q))
+
+    def initial_state(self) -> State:
+        return State(q=np.array([self.q0]), v=np.zeros(1))
+
+    def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
+        phase = self.omega * np.asarray(t, dtype=float)[:, None]
+        q = self.q0 * np.cos(phase)
+        return {"q": q, "v": -self.q0 * self.omega * np.sin(phase), "a": -(self.omega**2) * q}
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        half, wall = 0.25, -3.0
+        x = float(q[0])
+        spring = np.linspace(wall, x - half, 20)
+        zigzag = np.where(np.arange(20) % 2, 0.15, -0.15)
+        zigzag[[0, -1]] = 0.0
+        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
+        return [np.array([[wall, -0.5], [wall, 0.5]]), np.column_stack([spring, zigzag]), box]
