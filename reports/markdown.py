@@ -88,7 +88,8 @@ def table(content: Table) -> str:
     for i, cells in enumerate(content.rows):
         shown = [code(c) if j in content.code else escape(c) for j, c in enumerate(cells)]
         lines.append(_row(f"**{c}**" if (i, j) in content.best else c for j, c in enumerate(shown)))
-    parts = [f"**{escape(content.caption)}**", "\n".join(lines)]
+    # With a colon: a line that is nothing but bold would pass for a heading.
+    parts = [f"**{escape(content.caption)}**:", "\n".join(lines)]
     return "\n\n".join([*parts, escape(content.note)] if content.note else parts)
 
 

@@ -157,7 +157,8 @@ class SceneReader:
         first, every = tables.orders(series, (study.norm,)), tables.orders(series)
         fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudyPart(
-            title=study.title or "All runs",
+            # A study without a title of its own bears the scene's name, which stands above it.
+            title="Accuracy and cost" if study.title in ("", self.name) else study.title,
             note=study.note,
             state=_study_state(study, records),
             findings=findings(series),

@@ -1,0 +1,101 @@
+"""The Markdown of the pages and of the project passes a linter, and what it links to exists."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from planted import edited, everything, plant
+
+from bench.compare import compare
+from bench.store import Store
+from reports import comparison, gallery, markdown
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md")]
+
+
+def faults(path: Path) -> list[str]:
+    """What the linter says of a file; lines may be long, as a table has nowhere to break."""
+    from pymarkdown.api import PyMarkdownApi
+
+    api = PyMarkdownApi().disable_rule_by_identifier("md013")
+    # Every scene may have a part with the same name.
+    api.set_boolean_property("plugins.md024.siblings_only", True)
+    found = api.scan_path(str(path))
+    assert found.pragma_errors == []
+    return [
+        f"{path.name}:{f.line_number}: {f.rule_id} {f.rule_description}"
+        for f in found.scan_failures
+    ]
+
+
+def missing(path: Path) -> list[str]:
+    """Files that a page links to or shows and that are not there."""
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    places = re.findall(r"(?<!\\)\]\(([^)#\s]+)(?:#[^)]*)?\)", text)
+    here = [p for p in places if "://" not in p]
+    return [p for p in here if not (path.parent / p).exists()]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_a_document_of_the_project_has_no_faults(path):
+    assert faults(path) == []
+    assert missing(path) == []
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return plant(tmp_path_factory.mktemp("planted") / "out", everything())
+
+
+def test_the_report_has_no_faults_and_its_pictures_exist(folder):
+    path = markdown.write(folder)
+    assert faults(path) == []
+    assert missing(path) == []
+    next((folder / markdown.FIGURES).glob("*.svg")).unlink()
+    assert len(missing(path)) == 1
+
+
+def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
+    bare = edited(folder, tmp_path / "bare", lambda record: None)
+    with Store(bare, create=True) as store:
+        plan = store.plan()
+        for study in plan.studies:
+            study.title = study.problem
+        store.save_plan(plan)
+    path = markdown.write(bare)
+    assert faults(path) == []
+    assert "### Accuracy and cost" in path.read_text(encoding="utf-8")
+
+
+def test_a_report_of_nothing_has_no_faults(tmp_path):
+    assert faults(markdown.write(plant(tmp_path, [], plan=False))) == []
+
+
+def test_a_comparison_has_no_faults(folder, tmp_path):
+    def edit(record):
+        record.work = {name: 2 * n for name, n in record.work.items() if n}
+        if record.integrator == "poor":
+            record.status, record.message = "newton_failed", "It | stopped *there*."
+
+    changed = compare(folder, edited(folder, tmp_path / "twice", edit))
+    (path,) = [p for p in comparison.write(changed, ["A & B."], tmp_path) if p.suffix == ".md"]
+    assert faults(path) == []
+    assert missing(path) == []
+
+
+def test_the_catalogue_has_no_faults(folder, tmp_path):
+    with Store(folder) as store:
+        pages = gallery.catalogue(list(store.scenes().values()), tmp_path)
+    (path,) = [p for p in pages if p.suffix == ".md"]
+    assert faults(path) == []
+    assert missing(path) == []
+
+
+def test_a_fault_is_found(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text("# A\n\n### B\n\n![picture](gone.svg)\n")
+    assert [fault for fault in faults(path) if "MD001" in fault]
+    assert missing(path) == ["gone.svg"]
