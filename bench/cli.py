@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from bench import answers, cli_plugins, cli_results, cli_scenes, cli_stability, options
+from bench import answers, cli_atlas, cli_plugins, cli_results, cli_scenes, cli_stability, options
 from bench import plan as plans
 from bench.cli_results import DEFAULT_OUT
 from bench.plan import Cell, check_end, make_suite, read_profile
@@ -315,7 +315,7 @@ def export(folder: Path, form: str, out: Path | None) -> None:
 for command in (
     *(cli_plugins.check, cli_plugins.new, cli_scenes.show, cli_scenes.catalogue),
     *(cli_results.compare, cli_results.merge, cli_results.open_, cli_results.figure),
-    cli_stability.stability,
+    *(cli_stability.stability, cli_atlas.atlas),
 ):
     main.add_command(command)
 

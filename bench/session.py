@@ -77,7 +77,7 @@ def run_suite(
                     else:
                         store.save_scene(answer)
                 else:
-                    record, rows = _row(task.arguments[0], answer, registry)
+                    record, rows = row_of(task.arguments[0], answer, registry)
                     record.environment, record.budget_s = number, plan.budget_s
                     store.save(record, rows)
                 progress.advance()
@@ -94,7 +94,7 @@ def solve_cells(
         answers = {}
         for task, answer in runner.run([[Task("measure", (cell,)) for cell in cells]]):
             cell = task.arguments[0]
-            answers[cell.key] = _row(cell, answer, registry)
+            answers[cell.key] = row_of(cell, answer, registry)
         good = [cell for cell in cells if answers[cell.key][0].status == "ok"]
         for cell, _, seconds in runner.time(good, samples, {}):
             answers[cell.key][0].run_s.append(seconds)
@@ -180,7 +180,8 @@ def _words(task: Task) -> str:
     return task.arguments[0].key
 
 
-def _row(cell: Cell, answer: Measured | Lost, registry: Registry) -> tuple[Record, Rows]:
+def row_of(cell: Cell, answer: Measured | Lost, registry: Registry) -> tuple[Record, Rows]:
+    """The record and rows of a cell from what the runner answered."""
     if isinstance(answer, Measured):
         return answer.record, answer.rows
     return cell.record(registry, answer.status, answer.message), Rows(t=[], values={})

@@ -119,7 +119,9 @@ class Store:
     def save_experiment(self, found: ExperimentResult) -> None:
         """Keep what came out of an experiment of the atlas."""
         self._write(
-            "INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, msgspec.json.encode(found)
+            "INSERT OR REPLACE INTO experiments VALUES (?, ?)",
+            found.name,
+            msgspec.json.encode(found),
         )
 
     def save(self, record: Record, rows: Rows) -> None:

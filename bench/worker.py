@@ -61,23 +61,27 @@ class _Bench:
             self.references[key] = reference
         return self.references[key]
 
-    def measure(self, cell: Cell) -> Measured:
+    def measure(self, cell: Cell, errors: bool = True) -> Measured:
+        """Run a cell once; without ``errors`` no reference is made."""
         scene = self.registry.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
         record = cell.record(self.registry, trajectory.status, trajectory.message)
         record.work = asdict(trajectory.work)
         record.compile_s = compile_s
         if trajectory.status == "ok":
-            self._compare(record, trajectory, scene)
+            self._compare(record, trajectory, scene, errors)
         return Measured(record, measure.rows_of(trajectory))
 
-    def _compare(self, record: Record, run: Trajectory, scene: MechatronicSystem) -> None:
+    def _compare(
+        self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
+    ) -> None:
         # What goes wrong from here on is not the integrator's fault.
-        try:
-            reference = self.reference(scene, record.t_end)
-            record.errors, record.reference_error = measure.relative_errors(run, reference)
-        except Exception as error:
-            record.message = f"No errors are known, the reference failed: {explain(error)}"
+        if errors:
+            try:
+                reference = self.reference(scene, record.t_end)
+                record.errors, record.reference_error = measure.relative_errors(run, reference)
+            except Exception as error:
+                record.message = f"No errors are known, the reference failed: {explain(error)}"
         histories = measure.histories(scene, run)
         largest = {name: measure.finite(values.max()) for name, values in histories.items()}
         record.energy_drift = largest.pop("energy", None)
@@ -122,6 +126,22 @@ class _Bench:
                 self.seconds[cell.key] = elapsed / repeats
                 return elapsed / repeats
 
+    def linear(
+        self, integrator: str, name: str, omega_h: tuple[float, ...], pattern: tuple[float, ...]
+    ) -> list[float | None]:
+        """A column of the linear analysis of a method on the undamped oscillator."""
+        from bench.stability.spectra import nearest, spectrum, summary
+
+        found = spectrum(self.registry.integrator(integrator), None, pattern, omega_h)
+        column = summary(found)[name]
+        return [column[k] for k in nearest(found, omega_h)]
+
+    def condition(self, problem: str, steps: tuple[float, ...], scaling: str) -> list[float]:
+        """Condition number of a scene's index-3 tangent at its start, for each step."""
+        from bench.atlas.conditioning import condition
+
+        return [condition(self.registry.problem(problem), h, scaling) for h in steps]
+
     def damping(self, integrator: str, omega_h: tuple[float, ...]) -> Damping:
         """What a method at constant steps makes of the undamped oscillator."""
         from bench.stability.matrices import matrices
@@ -135,9 +155,7 @@ class _Bench:
             return Damping(omega_h=list(omega_h), message=str(error))
         columns = [radii(roots), *oscillation(roots, at)]
         radius, ratio, period_error = ([measure.finite(x) for x in column] for column in columns)
-        return Damping(
-            omega_h=list(omega_h), radius=radius, ratio=ratio, period_error=period_error
-        )
+        return Damping(omega_h=list(omega_h), radius=radius, ratio=ratio, period_error=period_error)
 
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Everything that a report shows of a scene."""
@@ -162,7 +180,7 @@ def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:
 
 
 def serve(pipe: Connection, plugin_paths: list[str]) -> None:
-    """Answer jobs ("measure" | "time" | "scene", arguments...) until the pipe closes."""
+    """Answer jobs (a method of the bench, arguments...) until the pipe closes."""
     os.dup2(2, 1)  # what a plugin prints must not mix with an answer in JSON
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the runner's business
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -83,7 +83,7 @@ class DrivenSprings(MechatronicSystem):
         zigzag[[0, -1]] = 0.0
         return [
             np.array([[first - 1.5, 0.0], [first - half, 0.0]]),
-            box + [first, 0.0],
+            box + np.array([first, 0.0]),
             np.column_stack([soft, zigzag]),
-            box + [second, 0.0],
+            box + np.array([second, 0.0]),
         ]

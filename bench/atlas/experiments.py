@@ -52,7 +52,7 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     ``take`` makes one number of the sweep's values: the last, the largest, the growth from the
     first to the last, or the slope of a straight line in log-log. ``show`` names a component
-    (such as lam1) whose history in the last run is drawn.
+    (such as lam1) whose history in the first run is drawn.
     """
 
     problem: str | None = None
@@ -73,9 +73,11 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class Case(Settings, kw_only=True, forbid_unknown_fields=True):
-    """One row of a part: an integrator (none for ``condition``) and the number predicted for it."""
+    """One row of a part: an integrator (none for ``condition``) and the number predicted for it;
+    ``healthy`` where it differs from the part's."""
 
     predicted: tuple[float, float]
+    healthy: tuple[float, float] | None = None
     integrator: str = ""
     label: str = ""
 
@@ -155,9 +157,7 @@ def read_experiment(path: Path) -> Experiment:
 def merged(part: Part, case: Case | None = None) -> Settings:
     """The settings of a case: its own where it has them, else those of the part."""
     own = {f: getattr(case, f, None) for f in Settings.__struct_fields__}
-    return Settings(
-        **{f: getattr(part, f) if value is None else value for f, value in own.items()}
-    )
+    return Settings(**{f: getattr(part, f) if value is None else value for f, value in own.items()})
 
 
 def _check(s: Settings, where: str) -> None:

@@ -17,6 +17,7 @@ from bench.atlas.results import CaseResult, ExperimentResult, PartResult
 from bench.registry import Registry, fingerprint
 from bench.runner import Lost, Runner, Task
 from bench.session import Progress, row_of
+from bench.store import Store
 from integrators.contract import Integrator
 from problems.spec import SpecError
 
@@ -64,6 +65,32 @@ def run_experiments(
             progress.advance()
 
 
+def complete(
+    experiments: Sequence[Experiment],
+    added: Sequence[str],
+    store: Store,
+    registry: Registry,
+    jobs: int,
+    progress: Progress,
+    budget_s: float = 60.0,
+) -> list[ExperimentResult]:
+    """Run the experiments that the store does not have as they are now; returns all of them.
+
+    Each result is stored before the next experiment begins.
+    """
+    stored = store.experiments()
+    missing = [
+        e
+        for e in experiments
+        if e.name not in stored or stored[e.name].digest != digest(e, added, registry)
+    ]
+    if missing:
+        for found in run_experiments(missing, added, registry, jobs, budget_s, progress):
+            store.save_experiment(found)
+    stored = store.experiments()
+    return [stored[e.name] for e in experiments]
+
+
 def digest(experiment: Experiment, added: Sequence[str], registry: Registry) -> str:
     """Changes with the experiment and with the source of all scenes and integrators in it."""
     parts = [msgspec.json.encode((experiment, list(added)))]
@@ -87,7 +114,7 @@ def _run(
         for trial in trials:
             for task in trial.tasks():
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[merged_problem(trial), shared]
+                group = groups[_problem(trial), shared]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -99,8 +126,7 @@ def _run(
     )
 
 
-def merged_problem(trial: _Trial) -> str | None:
-    """The scene of a trial."""
+def _problem(trial: _Trial) -> str | None:
     return trial.sweep.settings.problem if trial.sweep else None
 
 
@@ -150,7 +176,8 @@ def _case(
             record, rows = row_of(task.arguments[0], answer, registry)
             y.append(value_of(sweep.settings, record, rows))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
-            shown = history(sweep.settings.show or "", rows)
+            # The first run has the longest steps, of which the most are kept as rows.
+            shown = shown or history(sweep.settings.show or "", rows)
         elif isinstance(answer, Lost):
             messages.append(answer.message)
         else:
@@ -169,7 +196,7 @@ def _case(
         number=number,
         predicted=_bounds(case.predicted) if trial.predicted else None,
         as_predicted=within(number, case.predicted) if trial.predicted else None,
-        healthy=within(number, part.healthy),
+        healthy=within(number, case.healthy or part.healthy),
         message=next(filter(None, messages), ""),
         history=shown,
     )
