@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import jinja2
-import vl_convert
 
 from reports.content import Page, read_page
+from reports.pictures import draw
+from reports.scenes import Figure
 from reports.tables import Table
 
 FILE = "report.md"
@@ -34,7 +36,8 @@ def write(folder: Path) -> Path:
         If the folder holds no readable store.
     """
     page = read_page(folder, interactive=False)
-    _draw(page, Path(folder) / FIGURES)
+    charts = {name: chart for f in _figures(page) for name, chart in f.charts.items()}
+    draw(charts, Path(folder) / FIGURES)
     path = Path(folder) / FILE
     path.write_text(render("report.md.j2", page=page, figures=FIGURES), encoding="utf-8")
     return path
@@ -54,19 +57,11 @@ def render(name: str, **values: object) -> str:
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
-def _draw(page: Page, folder: Path) -> None:
-    """All charts of a page as SVG; those of an earlier page go."""
-    for old in folder.glob("*.svg"):
-        old.unlink()
-    figures = list(page.overview)
+def _figures(page: Page) -> Iterator[Figure]:
+    yield from page.overview
     for scene in page.scenes:
-        figures += [scene.picture] if scene.picture else []
-        figures += [figure for study in scene.studies for figure in study.figures]
-    for figure in figures:
-        for name, chart in figure.charts.items():
-            folder.mkdir(exist_ok=True)
-            svg = vl_convert.vegalite_to_svg(chart)
-            (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
+        yield from [scene.picture] if scene.picture else []
+        yield from (figure for study in scene.studies for figure in study.figures)
 
 
 def escape(text: object) -> str:
