@@ -10,7 +10,16 @@ from typing import Any
 
 import click
 
-from bench import answers, cli_atlas, cli_plugins, cli_results, cli_scenes, cli_stability, options
+from bench import (
+    answers,
+    cli_atlas,
+    cli_maps,
+    cli_plugins,
+    cli_results,
+    cli_scenes,
+    cli_stability,
+    options,
+)
 from bench import plan as plans
 from bench.cli_results import DEFAULT_OUT
 from bench.plan import Cell, check_end, make_suite, read_profile
@@ -91,6 +100,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
 @click.option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given.")
 @options.with_t_end
 @options.with_set
+@cli_maps.with_ensemble
 @options.with_budget
 @options.with_plugins
 @options.with_as_json
@@ -103,21 +113,35 @@ def solve(
     atol: float | None,
     t_end: float | None,
     settings: dict[str, str],
+    ensemble: int | None,
+    vary: tuple[str, ...],
+    seed: int | None,
+    out: Path | None,
     budget: float,
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Run one integrator on one scene and show the end values, errors and work.
 
+    With --ensemble, run many members that differ in what --vary says.
+
     \b
     Examples:
       stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
+      stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
     """
     registry = Registry(plugins)
     registry.require_files()
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
+    if ensemble is not None:
+        _refuse(method.spec, "constant steps in an ensemble", rtol=rtol, atol=atol)
+        cli_maps.solve_ensemble(
+            scene, method, step, pattern, t_end, ensemble, vary, seed, budget, out, as_json
+        )
+        return
+    cli_maps.refuse_alone(vary, seed, out)
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     if method.controls == "step":
         _refuse(method.spec, "fixed steps; give --step", rtol=rtol, atol=atol)
@@ -255,20 +279,28 @@ def run(
       stepbench run paper --out paper-results
       stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
     """
+    from bench.atlas.experiments import read_experiments
+    from bench.atlas.laboratory import complete
     from bench.console import RunProgress
     from bench.session import run_suite
 
     registry = Registry(plugins)
     registry.require_files()
     suite = make_suite(*read_profile(profile), registry, problems, integrators)
+    chosen = suite.atlas if isinstance(suite.atlas, list) else []
+    experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
         outcome = run_suite(suite, store, registry, jobs, progress)
+        atlas = complete(experiments, [], store, registry, jobs, progress)
     records = [outcome.records[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
     click.echo(
         f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
         f"{outcome.measured} measured now, {outcome.kept} kept from before."
     )
+    if atlas:
+        held = sum(found.as_predicted for found in atlas)
+        click.echo(f"{len(atlas)} experiments of the failure atlas: {held} as predicted.")
     _write_reports(out)
 
 
@@ -315,7 +347,7 @@ def export(folder: Path, form: str, out: Path | None) -> None:
 for command in (
     *(cli_plugins.check, cli_plugins.new, cli_scenes.show, cli_scenes.catalogue),
     *(cli_results.compare, cli_results.merge, cli_results.open_, cli_results.figure),
-    *(cli_stability.stability, cli_atlas.atlas),
+    *(cli_stability.stability, cli_atlas.atlas, cli_maps.map_),
 ):
     main.add_command(command)
 

@@ -104,22 +104,26 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell."""
+    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; and the
+    experiments of the failure ``atlas`` that belong to it (true: all)."""
 
     study: list[StudyFile]
     title: str = ""
     samples: int = 5
     budget_s: float = 60.0
     memory_gib: float = 4.0
+    atlas: bool | list[str] = False
 
 
 @dataclass(frozen=True)
 class Suite:
-    """A plan as it is stored, its cells by key in order, and the memory limit of a cell."""
+    """A plan as it is stored, its cells by key in order, the memory limit of a cell, and the
+    experiments of the failure atlas that belong to it (True: all, False: none)."""
 
     plan: Plan
     cells: dict[str, Cell]
     memory_gib: float
+    atlas: bool | list[str] = False
 
 
 def built_in_profiles() -> dict[str, Path]:
@@ -237,7 +241,9 @@ def make_suite(
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
     )
-    return Suite(plan, cells, profile.memory_gib)
+    # Who asks for a part of the profile does not want the atlas.
+    atlas = False if problems or integrators else profile.atlas
+    return Suite(plan, cells, profile.memory_gib, atlas)
 
 
 def _facts(registry: Registry, text: str) -> IntegratorFacts:

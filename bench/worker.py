@@ -127,14 +127,19 @@ class _Bench:
                 return elapsed / repeats
 
     def linear(
-        self, integrator: str, name: str, omega_h: tuple[float, ...], pattern: tuple[float, ...]
-    ) -> list[float | None]:
-        """A column of the linear analysis of a method on the undamped oscillator."""
-        from bench.stability.spectra import nearest, spectrum, summary
+        self, integrator: str, omega_h: tuple[float, ...], pattern: tuple[float, ...] = (1.0,)
+    ) -> dict[str, list[float | None]]:
+        """What a method makes of the undamped oscillator: columns over omega h."""
+        from bench.stability.matrices import matrices, steppable
+        from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
+        from bench.stability.systems import Oscillator
 
-        found = spectrum(self.registry.integrator(integrator), None, pattern, omega_h)
-        column = summary(found)[name]
-        return [column[k] for k in nearest(found, omega_h)]
+        at, method = np.array(omega_h), steppable(self.registry.integrator(integrator))
+        found = matrices(method, Oscillator(), at, pattern)
+        roots = eigenvalues(found.a)
+        columns = (radii(roots), *oscillation(roots, at), *overshoot(found, Oscillator()))
+        names = ("radius", "damping", "period_error", "overshoot_q", "overshoot_v")
+        return {n: list(map(measure.finite, c)) for n, c in zip(names, columns, strict=True)}
 
     def condition(self, problem: str, steps: tuple[float, ...], scaling: str) -> list[float]:
         """Condition number of a scene's index-3 tangent at its start, for each step."""
@@ -143,19 +148,16 @@ class _Bench:
         return [condition(self.registry.problem(problem), h, scaling) for h in steps]
 
     def damping(self, integrator: str, omega_h: tuple[float, ...]) -> Damping:
-        """What a method at constant steps makes of the undamped oscillator."""
-        from bench.stability.matrices import matrices
-        from bench.stability.spectra import eigenvalues, oscillation, radii
-        from bench.stability.systems import Oscillator
-
-        at, method = np.array(omega_h), self.registry.integrator(integrator)
+        """What a method at constant steps makes of the undamped oscillator, as it is stored."""
+        found = Damping(omega_h=list(omega_h))
         try:
-            roots = eigenvalues(matrices(method, Oscillator(), at).a)
+            columns = self.linear(integrator, omega_h)
         except SpecError as error:
-            return Damping(omega_h=list(omega_h), message=str(error))
-        columns = [radii(roots), *oscillation(roots, at)]
-        radius, ratio, period_error = ([measure.finite(x) for x in column] for column in columns)
-        return Damping(omega_h=list(omega_h), radius=radius, ratio=ratio, period_error=period_error)
+            found.message = str(error)
+        else:
+            found.radius, found.ratio = columns["radius"], columns["damping"]
+            found.period_error = columns["period_error"]
+        return found
 
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Everything that a report shows of a scene."""

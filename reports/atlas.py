@@ -10,11 +10,11 @@ import vl_convert
 
 from bench.atlas.results import CaseResult, ExperimentResult, PartResult
 from bench.atlas.tables import bounds
-from reports.html import template
 from reports.marks import Data, Spec, View, arrange, by_series, log_axis, log_scale, quantity, short
 from reports.scenes import Figure
 from reports.series import looks_of, number
 from reports.tables import Table
+from reports.templating import template
 
 FILE = "atlas.html"
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.changes import LEAST, Change, Comparison, Run, factor, shown
-from reports.html import template
 from reports.markdown import render
 from reports.tables import Table
+from reports.templating import template
 
 _CAPTIONS = {
     "error": "Relative errors that changed",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.records import Environment, Plan, Record, SceneRecord, Study
 from bench.store import Store
-from reports import damping, front, overview, tables
+from reports import atlas, damping, front, overview, tables
 from reports.scenes import Figure, ScenePart, SceneReader
 from reports.series import (
     TRUST,
@@ -48,6 +48,7 @@ class Page:
     noise: str
     environments: list[tuple[int, Environment]]
     fairness: list[str] = field(default_factory=list)
+    atlas: atlas.Chapter | None = None
 
 
 def read_page(folder: Path, interactive: bool) -> Page:
@@ -83,7 +84,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
                 described=names[twins[0]] if twins else "",
             )
             parts.append(part.read([s for s in _studies(plan) if (s.problem, s.t_end) == key]))
-        environments = store.environments()
+        environments, experiments = store.environments(), list(store.experiments().values())
     everything, found = list(records.values()), standings(series)
     return Page(
         title=(plan.title or plan.name) if plan else "Results",
@@ -103,6 +104,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
         noise=_noise(everything),
         environments=list(environments.items()),
         fairness=_fairness(plan),
+        atlas=atlas.chapter(experiments),
     )
 
 

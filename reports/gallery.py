@@ -11,11 +11,11 @@ import vl_convert
 
 from bench.records import SceneRecord
 from reports import charts
-from reports.html import template
 from reports.markdown import render
 from reports.marks import short
 from reports.scenes import facts, parameters
 from reports.series import number
+from reports.templating import template
 
 PICTURES = "catalogue_figures"
 

@@ -6,11 +6,11 @@ import contextlib
 import os
 from pathlib import Path
 
-import jinja2
 import platformdirs
 import vl_convert
 
 from reports.content import read_page
+from reports.templating import template
 
 FILE = "report.html"
 
@@ -38,18 +38,6 @@ def write(folder: Path) -> Path:
     text = template("report.html.j2").render(page=page, library=_library())
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def template(name: str) -> jinja2.Template:
-    """A page's template, which escapes what it is given."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("reports"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    return environment.get_template(name)
 
 
 def _library() -> str:

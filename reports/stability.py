@@ -10,10 +10,10 @@ from typing import Any
 
 import vl_convert
 
-from reports.html import template
 from reports.marks import Data, Spec, View, arrange, by_series, log_axis, log_scale, quantity, short
 from reports.series import looks_of, number
 from reports.tables import Table
+from reports.templating import template
 
 FILE = "stability.html"
 

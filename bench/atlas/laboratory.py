@@ -39,7 +39,7 @@ class _Trial:
         if s.measure == "condition":
             return [Task("condition", (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
-            return [Task("linear", (self.integrator.spec, s.name, x, s.pattern or (1.0,)))]
+            return [Task("linear", (self.integrator.spec, x, s.pattern or (1.0,)))]
         return [Task("measure", (cell, s.measure == "error")) for cell in self.sweep.cells]
 
 
@@ -181,7 +181,7 @@ def _case(
         elif isinstance(answer, Lost):
             messages.append(answer.message)
         else:
-            y = answer
+            y = answer[sweep.settings.name or ""] if task.kind == "linear" else answer
     x = list(sweep.x) if sweep else []
     y += [None] * (len(x) - len(y))
     own = sweep.settings.take if sweep else None

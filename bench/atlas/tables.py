@@ -48,7 +48,7 @@ def _case(case: CaseResult) -> tuple[str, str, str, str]:
         number,
         "" if case.predicted is None else bounds(case.predicted),
         mark[case.as_predicted],
-        "spared" if case.healthy else "hit",
+        ("spared" if case.healthy else "hit") if case.x else "does not apply",
     )
 
 
