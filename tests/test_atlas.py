@@ -1,0 +1,195 @@
+"""Every experiment of the failure atlas comes out as predicted, and a mutant of it does not."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from bench.atlas.conditioning import condition
+from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
+from bench.atlas.laboratory import run_experiments
+from bench.atlas.measures import number_of
+from bench.atlas.tables import bounds
+from bench.registry import Registry
+from bench.store import Store
+from problems.pendulum import Pendulum
+from problems.spec import SpecError
+
+NAMES = list(built_in_experiments())
+
+#: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
+#: cured, or the cure left out, the prediction must fail.
+MUTANTS = {
+    "undamped_index3": ((0, 2), {"integrator": "generalized_alpha[rho_inf=1]"}),
+    "start_transient": ((0, 0), {"integrator": "generalized_alpha[start=corrected]"}),
+    "variable_steps": ((0, 1), {"integrator": "generalized_alpha[gamma=fixed]"}),
+    "classical_acceleration": ((1, 2), {"integrator": "generalized_alpha_classical"}),
+    "energy_blow_up": ((0, 0), {"integrator": "generalized_alpha[rho_inf=0.9]"}),
+    "spurious_acceleration": ((0, 1), {"integrator": "newmark"}),
+    "condition": ((0, 2), {"name": "rows"}),
+    "drift": ((0, 2), {"integrator": "ida[formulation=index1]"}),
+    "singular": ((0, 0), {"problem": "slider_crank_driven[l2=0.2]"}),
+    "stiff_controller": ((2, 0), {"integrator": "generalized_alpha[rho_inf=0.5]"}),
+    "conditional_stability": ((0, 0), {"steps": [1.999]}),
+    "bdf_damping": ((0, 3), {"integrator": "generalized_alpha[rho_inf=0]", "steps": [0.2]}),
+    "discontinuity": ((1, 0), {"problem": "friction[eps=1]"}),
+}
+
+
+class Quiet:
+    """Nobody waits."""
+
+    def phase(self, name: str, total: int) -> None: ...
+    def working(self, text: str) -> None: ...
+    def advance(self) -> None: ...
+    def note(self, text: str) -> None: ...
+
+
+def run(experiments, *added, plugins=()):
+    found = run_experiments(experiments, added, Registry(plugins), 2, 60.0, Quiet())
+    return {result.name: result for result in found}
+
+
+@pytest.fixture(scope="module")
+def found():
+    return run(read_experiments())
+
+
+@pytest.fixture(scope="module")
+def mutated():
+    return run([mutant(name) for name in MUTANTS])
+
+
+def mutant(name):
+    (p, c), change = MUTANTS[name]
+    experiment = read_experiments([name])[0]
+    part = experiment.part[p]
+    part.case = [msgspec.structs.replace(part.case[c], **change)]
+    experiment.part = [part]
+    return experiment
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_experiment_comes_out_as_predicted(found, name):
+    cases = [(part.text, case) for part in found[name].parts for case in part.cases]
+    differ = [
+        f"{text}, {case.label}: {case.number} is not {bounds(case.predicted)}. {case.message}"
+        for text, case in cases
+        if not case.as_predicted
+    ]
+    assert not differ, "\n".join(differ)
+    assert found[name].as_predicted
+    # A failure is only worth showing beside a method that is spared.
+    assert any(case.healthy for _, case in cases)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mutant_of_an_experiment_does_not(mutated, name):
+    assert not mutated[name].as_predicted
+
+
+def test_an_interval_is_narrow_enough_to_say_something(found):
+    for result in found.values():
+        for part in result.parts:
+            for case in part.cases:
+                assert case.predicted != (None, None), (result.name, part.text, case.label)
+
+
+def test_numbers_are_what_the_sweep_says():
+    x, y = [0.4, 0.2, 0.1], [1.6, 0.4, 0.1]
+    assert number_of("slope", x, y) == pytest.approx(2.0)
+    assert (number_of("last", x, y), number_of("largest", x, y)) == (0.1, 1.6)
+    assert number_of("growth", x, y) == pytest.approx(1 / 16)
+    for take in ("slope", "last", "largest", "growth"):
+        assert number_of(take, x, [1.6, None, 0.1]) is None
+        assert number_of(take, [], []) is None
+
+
+def test_the_scaled_tangent_does_not_depend_on_the_step():
+    # Of the pendulum at its start; with m = 1 and Phi_q a unit vector the tangent scaled by
+    # beta h^2 is [[1, 0, c], [0, 1, s], [c, s, 0]], with eigenvalues 1 and (1 +- sqrt 5)/2.
+    golden = (1 + np.sqrt(5)) / 2
+    for h in (1e-1, 1e-5):
+        assert condition(Pendulum(), h, "both") == pytest.approx(golden**2, rel=1e-6)
+    with pytest.raises(SpecError, match="none, rows and both"):
+        condition(Pendulum(), 0.1, "neither")
+
+
+def test_a_plugin_gets_its_column_without_extra_code(tmp_path):
+    text = Path("CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(# bathe.py\n.*?)```", text, re.DOTALL)[1]
+    (tmp_path / "bathe.py").write_text(code)
+    names = ["undamped_index3", "spurious_acceleration", "condition"]
+    found = run(read_experiments(names), "bathe", plugins=[str(tmp_path / "bathe.py")])
+    column = {
+        (name, part.text): next((c for c in part.cases if c.label == "bathe"), None)
+        for name, result in found.items()
+        for part in result.parts
+    }
+    order, *_ = column.values()
+    assert order.number == pytest.approx(2.0, abs=0.05)
+    assert order.healthy
+    assert (order.predicted, order.as_predicted) == (None, None)
+    assert column["condition", "Power of h in the condition number"] is None
+    assert all(result.as_predicted for result in found.values())
+
+
+def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
+    first = stepbench("atlas", "condition", "--out", tmp_path)
+    assert first.exit_code == 0, first.output
+    page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
+    assert "As predicted: 5 of 5 numbers." in page
+    assert page.count("<svg") >= 2
+    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"', "", page)
+    second = stepbench("atlas", "condition", "--out", tmp_path, "--json")
+    assert "failure atlas" not in second.stderr
+    with Store(tmp_path) as store:
+        stored = store.experiments()
+    assert json.loads(second.stdout) == [json.loads(msgspec.json.encode(stored["condition"]))]
+
+
+def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkeypatch):
+    wrong = tmp_path / "01_wrong.toml"
+    text = built_in_experiments()["condition"].read_text(encoding="utf-8")
+    wrong.write_text(text.replace("predicted = [-4.1, -3.9]", "predicted = [-3.1, -2.9]"))
+    monkeypatch.setattr("bench.atlas.experiments.built_in_experiments", lambda: {"wrong": wrong})
+    result = stepbench("atlas", "wrong", "--out", tmp_path)
+    assert result.exit_code == 1
+    assert "Not as predicted: wrong." in result.output
+    page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
+    assert "Not as predicted: 4 of 5 numbers." in page
+    assert "DIFFERS" in page
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
+        (('take = "slope"', 'take = "slop"'), "did you mean 'slope'"),
+        (("healthy =", "helthy ="), "helthy"),
+        (("number = 8", "number = 'eight'"), "not as expected"),
+        (('group = "lam"', 'group = "lambda"'), "group='lambda' is not known"),
+    ],
+)
+def test_a_mistake_in_an_experiment_is_named(tmp_path, change, said):
+    file = tmp_path / "08_condition.toml"
+    text = built_in_experiments()["condition"].read_text(encoding="utf-8")
+    assert change[0] in text
+    file.write_text(text.replace(*change))
+    with pytest.raises(SpecError, match=re.escape(said)):
+        read_experiment(file)
+
+
+def test_an_unknown_experiment_costs_one_sentence(stepbench, tmp_path):
+    result = stepbench("atlas", "undamped_index", "--out", tmp_path / "a")
+    assert result.exit_code != 0
+    assert "did you mean 'undamped_index3'" in result.output
+    assert "Traceback" not in result.output
+    assert not (tmp_path / "a").exists()
+    listed = stepbench("atlas", "--list")
+    assert all(name in listed.output for name in NAMES)
