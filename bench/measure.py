@@ -23,6 +23,17 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def norms(t: np.ndarray) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+    """Norms over the rows at times t of sizes ``(..., k)``; see `relative_errors`."""
+    last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
+    return {
+        "end": lambda r: r[..., -1],
+        "max": lambda r: r.max(axis=-1),
+        "rms": lambda r: np.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
+        "settled": lambda r: r[..., last].max(axis=-1),
+    }
+
+
 def relative_errors(
     trajectory: Trajectory, reference: Reference
 ) -> tuple[dict[str, dict[str, float | None]], dict[str, dict[str, float]]]:
@@ -34,15 +45,7 @@ def relative_errors(
     Where the reference's norm vanishes the error is absolute. The reference's estimated error is
     taken relative to the same norms.
     """
-    t = trajectory.t
-    exact = reference(t)
-    last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
-    norms: dict[str, Callable[[np.ndarray], float]] = {
-        "end": lambda r: r[-1],
-        "max": lambda r: r.max(),
-        "rms": lambda r: math.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
-        "settled": lambda r: r[last].max(),
-    }
+    exact, over = reference(trajectory.t), norms(trajectory.t)
     errors: dict[str, dict[str, float | None]] = {}
     floors: dict[str, dict[str, float]] = {}
     for group in GROUPS:
@@ -50,8 +53,8 @@ def relative_errors(
             continue
         difference = np.linalg.norm(getattr(trajectory, group) - exact[group], axis=1)
         size = np.linalg.norm(exact[group], axis=1)
-        scales = {name: float(norm(size)) or 1.0 for name, norm in norms.items()}
-        errors[group] = {n: finite(norm(difference) / scales[n]) for n, norm in norms.items()}
+        scales = {name: float(norm(size)) or 1.0 for name, norm in over.items()}
+        errors[group] = {n: finite(norm(difference) / scales[n]) for n, norm in over.items()}
         floors[group] = {n: reference.error[group] / scale for n, scale in scales.items()}
     return errors, floors
 

@@ -1,0 +1,272 @@
+"""Ensembles: members are single runs, and do not get in each other's way."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_contributing import EXAMPLES
+
+from bench.axes import number, varied
+from bench.batch import Batch, Run
+from bench.ensemble import ensemble
+from bench.registry import Registry
+from integrators import Steps
+from problems import parameter
+from problems.formulations import consistent_start
+from problems.spec import SpecError
+from problems.starts import consistent_starts
+
+REGISTRY = Registry()
+GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("examples")
+    for name, code in EXAMPLES.items():
+        (folder / name).write_text(code)
+    return Registry([folder])
+
+
+def alone(problem, integrator, h, t_end=None, registry=REGISTRY, pattern=(1.0,)):
+    scene, method = registry.problem(problem), registry.integrator(integrator)
+    end = t_end or scene.interval[1]
+    return method.prepare(scene, end, Steps(h, pattern)).measure()
+
+
+def check_member(found, k, run, rtol):
+    """A member is its single run: status, message, counts, time and end values."""
+    assert (found.status[k], found.message[k]) == (run.status, run.message)
+    for name, counts in found.work.items():
+        # Another program rounds differently, which may save or cost an iteration here and there.
+        wanted = getattr(run.work, name)
+        assert counts[k] == (wanted if name == "steps" else pytest.approx(wanted, rel=5e-3))
+    if run.status == "ok":
+        assert found.t[k] == run.t[-1]
+        for name, table in found.ends.items():
+            end = getattr(run, name)[-1]
+            scale = np.abs(end).max(initial=0.0) or 1.0
+            assert table[k] == pytest.approx(end, rel=0, abs=rtol * scale), name
+
+
+def test_members_are_single_runs_whatever_varies():
+    vary = {"k": [20000.0, 24453.1, 31000.0], "h": [5e-3, 4e-3, 1e-2], "rho_inf": [0.2, 0.8, 0.5]}
+    scene = REGISTRY.problem("quarter_car")
+    found = ensemble(scene, REGISTRY.integrator("generalized_alpha"), vary, t_end=0.5)
+    assert (found.problem, found.integrator) == ("quarter_car", "generalized_alpha")
+    for k, (stiffness, h, rho) in enumerate(zip(*vary.values(), strict=True)):
+        run = alone(f"quarter_car[k={stiffness}]", f"generalized_alpha[rho_inf={rho}]", h, 0.5)
+        assert run.status == "ok"
+        check_member(found, k, run, 1e-11)
+    assert set(found.ends) == {"q", "v", "a", "x", "xdot", "y"}
+
+
+@pytest.mark.parametrize(
+    ("problem", "integrator", "name", "values"),
+    [
+        ("pendulum", "generalized_alpha[newton=modified,gamma=updated]", "th0", [0.5, 2.0]),
+        ("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4]),
+        ("spring_mass", "kvaerno5[steps=constant]", "b", [0.0, 1.4]),
+        ("pendulum", "dopri8[steps=constant]", "g", [5.0, 9.81]),
+    ],
+)
+def test_every_kind_of_method_and_patterns(problem, integrator, name, values):
+    scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
+    end, pattern = scene.interval[0] + 0.5, (0.3, 0.7)
+    h = scene.nominal_step
+    found = ensemble(scene, method, {name: values}, Steps(h, pattern), end)
+    owner = number(name, scene, method).owner
+    for k, value in enumerate(values):
+        bases = scene.spec, method.spec
+        specs = [
+            f"{base.rstrip(']')}{',' if '[' in base else '['}{name}={value}]" for base in bases
+        ]
+        specs[owner == "scene"] = bases[owner == "scene"]
+        run = alone(*specs, h, end, pattern=pattern)
+        check_member(found, k, run, 1e-9)
+
+
+def test_a_plugin_runs_in_numbers(plugins):
+    scene, method = plugins.problem("ramp_oscillator"), plugins.integrator("bathe")
+    found = ensemble(scene, method, {"k": [1.0, 2.0, 4.0]}, Steps(0.1), 2.0)
+    for k, stiffness in enumerate((1, 2, 4)):
+        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe", 0.1, 2.0, plugins)
+        check_member(found, k, run, 1e-12)
+
+
+def test_a_diverging_member_neither_spoils_nor_slows_the_others():
+    scene = REGISTRY.problem("spring_mass[b=0]")
+    method = REGISTRY.integrator("newmark[beta=0]")
+    healthy = [0.1, 0.5, 1.0, 1.9]
+    without = ensemble(scene, method, {"h": [*healthy, 0.7]}, t_end=200.0)
+    found = ensemble(scene, method, {"h": [*healthy, 2.5]}, t_end=200.0)
+    assert found.status == ["ok"] * 4 + ["diverged"]
+    assert "in the step to t=52.5 s" in found.message[4]
+    assert found.t[4] == pytest.approx(52.5)
+    assert np.isnan(found.ends["q"][4]).all()
+    for name in found.ends:
+        assert (found.ends[name][:4] == without.ends[name][:4]).all()
+    assert set(found.summary()) == {"q1", "v1", "a1", "x1", "xdot1", "y1", "y2"}
+    assert found.summary()["q1"]["max"] == found.ends["q"][:4].max()
+    # The step that a failed run takes with the others is left by Newton's method at once.
+    blown = alone("spring_mass[b=0]", "newmark[beta=0,newton_max=1000]", 2.5, 200.0)
+    assert blown.status == "diverged"
+    assert blown.work.newton <= 3 * blown.work.steps
+
+
+def test_newton_failures_are_told_as_in_single_runs():
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
+    tight = REGISTRY.integrator("generalized_alpha[newton_max=2]")
+    vary = {"h": [0.001, 0.2, 0.002, 0.1]}
+    found = ensemble(scene, tight, vary)
+    assert found.status == ["ok", "newton_failed", "ok", "newton_failed"]
+    for k, h in enumerate(vary["h"]):
+        check_member(found, k, alone("pendulum", tight.spec, h), 1e-7)
+    assert ensemble(scene, method, vary).status == ["ok"] * 4
+
+
+def test_blocks_are_bounded_and_hold_runs_of_like_length():
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
+    steps = np.geomspace(0.01, 0.1, 40)
+    runs = varied(scene, method, Steps(0.1), {number("h", scene, method): steps})
+    batch = Batch(runs, 1.35, lanes=16)
+    blocks = list(batch.blocks(jobs=2))
+    assert sorted(len(block.members) for block in blocks) == [8, 16, 16]
+    counts = [block.counts[:, 0] for block in blocks]
+    assert counts[0].min() >= counts[1].max() >= counts[1].min() >= counts[2].max()
+    members = np.concatenate([block.members for block in blocks])
+    assert sorted(members) == list(range(40))
+
+
+def test_starts_of_many_are_those_of_each():
+    scenes = [REGISTRY.problem(f"slider_crank[m1={m}]") for m in (0.3, 0.36, 0.5)]
+    starts, refused = consistent_starts(scenes)
+    assert refused == {}
+    for k, scene in enumerate(scenes):
+        one = consistent_start(scene)
+        for name in ("q", "v", "a", "lam"):
+            assert getattr(starts.z, name)[k] == pytest.approx(getattr(one.z, name), rel=1e-11)
+        assert starts.jerk[k] == pytest.approx(one.jerk, rel=1e-9, abs=1e-9)
+
+
+def test_a_member_without_a_start_says_why(tmp_path):
+    code = """
+from dataclasses import dataclass
+import numpy as np
+from problems import MechatronicSystem, State, jnp, parameter
+
+
+@dataclass(frozen=True)
+class Rod(MechatronicSystem):
+    "A point held at a distance; starts where it should be only for r = 1."
+
+    r: float = parameter(1.0, "m", "distance", low=0.1)
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, -1.0])
+
+    def constraint(self, q, t):
+        return (q @ q - self.r**2)[None]
+
+    def initial_state(self):
+        return State(q=np.array([1.0, 0.0]), v=np.zeros(2))
+"""
+    (tmp_path / "rod.py").write_text(code)
+    scene = Registry([tmp_path / "rod.py"]).problem("rod")
+    found = ensemble(scene, REGISTRY.integrator("generalized_alpha"), {"r": [1.0, 1.5, 1.0]})
+    assert found.status == ["ok", "crashed", "ok"]
+    assert "violates the constraints at position level by 1.250e+00" in found.message[1]
+    assert (found.ends["q"][0] == found.ends["q"][2]).all()
+    assert found.work["steps"].tolist() == [100, 0, 100]
+
+
+def test_a_budget_stops_between_blocks():
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
+    found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 600)}, budget=0.0, jobs=1)
+    assert found.statuses() == {"ok": 128, "budget_exceeded": 472}
+    assert found.rows()[-1]["q1"] is None
+
+
+# ---- the command -------------------------------------------------------------------------
+ENSEMBLE = ("solve", "spring_mass", "generalized_alpha", "--ensemble", "5", "--t-end", "1")
+
+
+def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_path):
+    vary = ("--vary", "k:0.8..1.2", "--vary", "h:0.001..0.1")
+    csv, js = tmp_path / "m.csv", tmp_path / "m.json"
+    result = stepbench(*ENSEMBLE, *vary, "--seed", "3", "-o", csv)
+    assert result.exit_code == 0, result.output
+    assert "5 ok" in result.output
+    assert "median" in result.output
+    table = pd.read_csv(csv)
+    assert table["k"].between(0.8, 1.2).all()
+    assert table["h"].between(0.001, 0.1).all()
+    assert (table["status"] == "ok").all()
+    answer = json.loads(stepbench(*ENSEMBLE, *vary, "--seed", "3", "--json", "-o", js).stdout)
+    again = pd.read_json(js, precise_float=True)
+    assert list(again["q1"]) == list(table["q1"]) == [row["q1"] for row in answer["members"]]
+    assert answer["summary"]["q1"]["median"] == np.median(table["q1"])
+    k, h = table["k"].tolist()[2], table["h"].tolist()[2]
+    run = alone(f"spring_mass[k={k}]", "generalized_alpha", h, 1.0)
+    assert table["q1"][2] == pytest.approx(run.q[-1, 0], rel=1e-12)
+    other = json.loads(stepbench(*ENSEMBLE, *vary, "--seed", "4", "--json").stdout)
+    assert other["members"][0]["k"] != answer["members"][0]["k"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["spring_mass", "newmark", "--ensemble", "3"], "give --vary"),
+        (["spring_mass", "newmark", "--vary", "k:1..2"], "--vary is for an ensemble"),
+        (["spring_mass", "newmark", "--seed", "1"], "--seed is for an ensemble"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "kk:1..2"], "did you mean 'k'"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:2..1"], "smaller one first"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k=2"], "of the form NAME:LOW"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "m:-1..1"], "lies outside"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "h:0.1..30"], "larger than"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "h:0.1..0.2", "--step", "0.1"],
+         "leave --step out"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:1..2", "-o", "x.txt"],
+         "ends in .csv or .json"),
+        (["spring_mass", "ida", "--ensemble", "3", "--vary", "k:1..2"],
+         "cannot run many members in one program"),
+        (["spring_mass", "kvaerno5", "--ensemble", "3", "--vary", "k:1..2"],
+         "take kvaerno5[steps=constant"),
+        (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:1..2", "--rtol", "1e-3"],
+         "constant steps in an ensemble"),
+        (["pendulum", "newmark[beta=0]", "--ensemble", "3", "--vary", "g:1..2"], "does not take"),
+    ],
+)  # fmt: skip
+def test_it_refuses_in_one_sentence(stepbench, arguments, words):
+    result = stepbench("solve", *arguments)
+    assert result.exit_code != 0
+    assert words in " ".join(result.output.split())
+    assert "Traceback" not in result.output
+
+
+def test_names_that_stand_for_two_things_need_their_owner():
+    @dataclass(frozen=True)
+    class Shared(type(REGISTRY.problem("duffing"))):
+        beta: float = parameter(1.0, "1", "a name that Newmark's method has, too")
+
+    scene, method = Shared(), REGISTRY.integrator("newmark")
+    with pytest.raises(SpecError, match=r"write scene.beta or integrator.beta"):
+        number("beta", scene, method)
+    assert number("scene.beta", scene, method).owner == "scene"
+    runs = varied(scene, method, Steps(0.1), {number("integrator.beta", scene, method): [0.2, 0.3]})
+    assert [(run.scene.beta, run.method.beta) for run in runs] == [(1.0, 0.2), (1.0, 0.3)]
+
+
+def test_different_programs_are_refused():
+    scene = REGISTRY.problem("pendulum")
+    forms = ("index3", "stabilised_index2")
+    methods = [REGISTRY.integrator(f"generalized_alpha[formulation={form}]") for form in forms]
+    with pytest.raises(SpecError, match="different compiled programs"):
+        Batch([Run(scene, method, Steps(0.1)) for method in methods], 1.35)
