@@ -29,6 +29,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from integrators import dense
 from integrators.contract import (
     FIRST_ROWS,
     SPREAD_ROWS,
@@ -258,6 +259,10 @@ def kernel(
         spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
         return m._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * m.stride)
 
+    @dense.without_products
+    def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple:
+        return step(template.with_parameters(p), sizes, numbers, state, t, h)
+
     def march(p: dict, numbers: Any, start: Start, span: Span, wanted: Any) -> tuple:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
@@ -275,7 +280,7 @@ def kernel(
             left = span.t_end - m.t
             h = fitted(m.h, left)
             t = jnp.where(h == left, span.t_end, m.t + h)
-            state, report = step(scene, sizes, numbers, m.state, t, h)
+            state, report = advance(p, numbers, m.state, t, h)
             now = read(state)
             errors = estimate(sizes, numbers, m.state, state, h)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))

@@ -33,21 +33,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.march import Reading, StepReport, largest
+from integrators.newton import newton
 from problems import formulations
 from problems.formulations import Start
-from problems.runtime import jax, jnp
+from problems.runtime import jnp
 from problems.system import MechatronicSystem, Sizes, Variables
 
 _EPS = float(np.finfo(float).eps)
-#: Newton updates that stop shrinking below this relative size have met round-off.
-_STAGNANT = 1e-7
 #: Unknowns are guessed ahead where that was so much better than staying put the last time; in a
 #: vibration that the steps do not resolve it is worse, and leads Newton's method astray.
 _SMOOTH = 0.1
 #: Rounding of the accelerations is passed on to the controller's tolerances up to this part.
 _MOST_ROUNDING = 1e-6
-#: Modified Newton keeps a tangent while its updates shrink at least so fast.
-_CONTRACTION = 0.1
 
 
 class Scheme(NamedTuple):
@@ -263,7 +260,8 @@ def _step(
     floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, *of_control)
     old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
     ahead = extrapolated(old, state.slopes, h, state.h)
-    guesses = [jnp.insert(u, cuts[1], jnp.zeros(nmu)) for u in (ahead, old)]
+    no_mu = jnp.zeros(nmu)
+    guesses = [jnp.concatenate([u[: cuts[1]], no_mu, u[cuts[1] :]]) for u in (ahead, old)]
     guess = jnp.where(state.smooth, *guesses)
     u, inverse, report = newton(
         residual, guess, guesses[1], cuts, s.newton_tol, s.newton_max, floors, state.inverse
@@ -303,89 +301,3 @@ FUNCTIONS = {
     for form in ("index3", "stabilised_index2")
     for kind in ("full", "modified")
 }
-
-
-def newton(
-    residual: Any,
-    guess: Any,
-    old: Any,
-    cuts: Any,
-    tol: Any,
-    most: Any,
-    floors: Any,
-    inverse: Any,
-) -> tuple[Any, Any, StepReport]:
-    """Newton's method with the exact tangent, in the traced loop of a step.
-
-    Full Newton (an empty ``inverse`` comes) takes a new tangent in every iteration. Modified
-    Newton keeps the inverse that it is given while an update is at most ``_CONTRACTION`` times
-    the one before, and takes a new one where it is not. Returns the solution, the inverse for
-    the next step, and the report.
-
-    With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
-    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
-    xdot, y), below ``tol`` times the group's size, now or at the start of the step (``old``), plus
-    its entry of ``floors``; or when updates by a new tangent no longer shrink and are tiny:
-    round-off then forbids more.
-    """
-
-    def measure(du: Any, u: Any, exact: Any) -> Any:
-        # What an old tangent leaves behind points the same way in every step and adds up; a new
-        # one leaves far less than its last update.
-        factor = jnp.where(exact, 8.0, 1.0)
-        split = [jnp.split(part, cuts) for part in (du, u, old)]
-        return jnp.max(
-            jnp.stack(
-                [
-                    largest(d)
-                    / (tol * jnp.maximum(largest(a), largest(b)) + factor * floor + 1e-300)
-                    for d, a, b, floor in zip(*split, floors, strict=True)
-                    if d.size
-                ]
-            )
-        )
-
-    def settled(size: Any, before: Any, exact: Any) -> Any:
-        # The first update has nothing to be compared with: before is infinite.
-        left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
-        small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-        stagnant = exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
-        return small | stagnant
-
-    def go_on(carry: tuple) -> Any:
-        _, k, size, before, exact, *_ = carry
-        lost = exact & jnp.isnan(size)  # an old tangent may lead there, but a new one leads back
-        return (k < most) & ~settled(size, before, exact) & ~lost
-
-    def invert(u: Any) -> Any:
-        return jnp.linalg.inv(jax.jacfwd(residual)(u))
-
-    def with_new_tangent(carry: tuple) -> tuple:
-        u, k, size, _, _, inverse, tangents = carry
-        du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
-        return u - du, k + 1, measure(du, u - du, True), size, True, inverse, tangents + 1
-
-    def with_kept_tangent(carry: tuple) -> tuple:
-        u, k, size, before, exact, inverse, tangents = carry
-        # Before the first update both sizes are infinite; a NaN never contracts. Where an old
-        # tangent led astray, the new one starts over.
-        stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
-        u = jnp.where(stale & ~exact & ~(size <= before), guess, u)
-        inverse = jax.lax.cond(stale, invert, lambda u: inverse, u)
-        du = inverse @ residual(u)
-        return u - du, k + 1, measure(du, u - du, stale), size, stale, inverse, tangents + stale
-
-    kept = bool(inverse.size)
-    carry = (guess, 0, jnp.inf, jnp.inf, not kept, inverse, 0)
-    carry = jax.lax.while_loop(go_on, with_kept_tangent if kept else with_new_tangent, carry)
-    if kept:
-        # What modified Newton does not solve, full Newton tries from the start of the step.
-        _, done, size, before, exact, inverse, tangents = carry
-        solved = settled(size, before, exact)
-        again = (old, 0, jnp.inf, jnp.inf, True, inverse, 0)
-        start = jax.tree.map(lambda a, b: jnp.where(solved, a, b), carry, again)
-        u, k, *end, inverse, more = jax.lax.while_loop(go_on, with_new_tangent, start)
-        k, tangents = (jnp.where(solved, a, b) for a, b in ((k, done + k), (more, tangents + more)))
-    else:
-        u, k, *end, inverse, tangents = carry
-    return u, inverse, StepReport(settled(*end), k, k, tangents, tangents, k)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from integrators import dense
 from integrators.contract import (
     FIRST_ROWS,
     SPREAD_ROWS,
@@ -264,6 +265,10 @@ def kernel(
         t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
         return t, clock.length / clock.macro_steps * clock.fractions[j]
 
+    @dense.without_products
+    def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
+        return step(template.with_parameters(p), sizes, numbers, state, t, h)
+
     def march(
         p: dict, numbers: Any, start: Start, clock: Clock, rows: Any, row_count: Any
     ) -> tuple:
@@ -278,7 +283,7 @@ def kernel(
             # Among many runs a step is taken for those that have failed, too, and dropped. It is
             # made one that Newton's method leaves at once.
             h = jnp.where(status == _OK, h, jnp.nan)
-            state, report = step(scene, sizes, numbers, state, t, h)
+            state, report = advance(p, numbers, state, t, h)
             now = read(state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
             sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))

@@ -15,14 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
+#: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
+_JOINED = "xla_cpu_small_while_loop_byte_threshold"
+
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
     "JAX_COMPILATION_CACHE_DIR": str(Path(platformdirs.user_cache_dir("stepbench")) / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    # Timing on one thread, for every solver alike: it is the method that is measured.
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    # Timing on one thread, for every solver alike: it is the method that is measured. Loops over
+    # little data that call no library become one function each: handing over from one compiled
+    # piece to the next costs more than what small scenes compute in it.
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"
+    f" --xla_backend_extra_options={_JOINED}=1000000",
     "NPROC": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -37,6 +43,11 @@ def configure() -> None:
         os.environ.setdefault(name, value)
     if "jax" in sys.modules:  # imported before us, for example in a notebook
         sys.modules["jax"].config.update("jax_enable_x64", True)
+
+
+def joins_loops() -> bool:
+    """Whether XLA was told to compile loops over little data to one function each."""
+    return _JOINED in os.environ["XLA_FLAGS"]
 
 
 class _LateModule:

@@ -1,0 +1,131 @@
+"""Small dense linear algebra that a compiled march keeps to itself.
+
+A loop that calls a library (LAPACK, or a routine for matrix products) is run piece by piece, and on
+small systems handing over from piece to piece costs far more than the arithmetic. What stands here
+needs no library, so that the whole march becomes one compiled function (see `problems.runtime`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+from math import prod
+from operator import add
+from typing import Any
+
+from problems import runtime
+from problems.runtime import jax, jnp
+
+#: Where primitives keep the functions that they call, and the bodies of loops and branches.
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
+_BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan": ("jaxpr",)}
+#: Matrices up to this size are dealt with here; the libraries are faster with larger ones.
+MOST = 32
+
+
+def inverse(a: Any) -> Any:
+    """Inverse of a square matrix; where there is none, it is not finite."""
+    if len(a) > MOST or not runtime.joins_loops():
+        return jnp.linalg.inv(a)
+    by_elimination = jax.custom_batching.custom_vmap(_by_elimination)
+    # A batch of matrices is no small system: LAPACK takes them one after the other.
+    by_elimination.def_vmap(lambda size, batched, a: (jnp.linalg.inv(a), True))
+    return by_elimination(a)
+
+
+def solve(a: Any, b: Any) -> Any:
+    """Solution of a x = b for one right-hand side."""
+    if len(a) > MOST or not runtime.joins_loops():
+        return jnp.linalg.solve(a, b)
+    return inverse(a) @ b
+
+
+def _by_elimination(a: Any) -> Any:
+    """Gauss-Jordan elimination in place, with the largest pivots of the columns; instead of
+    exchanging rows it remembers which row was the pivot's."""
+    n = len(a)
+    put = jax.lax.dynamic_update_index_in_dim
+
+    def eliminate(k: Any, carry: tuple) -> tuple:
+        w, row_of, column_of = carry
+        column = w[:, k]
+        p = jnp.argmax(jnp.where(column_of == n, jnp.abs(column), -1.0))
+        row = put(w[p], 1.0, k, 0) / column[p]
+        w = put(w, jnp.zeros(n), k, 1) - put(column, 0.0, p, 0)[:, None] * row
+        return put(w, row, p, 0), put(row_of, p, k, 0), put(column_of, k, p, 0)
+
+    w, row_of, column_of = jax.lax.fori_loop(0, n, eliminate, (a, *2 * (jnp.full(n, n),)))
+    return w[row_of][:, column_of]
+
+
+def without_products(function: Callable) -> Callable:
+    """The function with products of small matrices written as sums, in loops and branches, too."""
+
+    def rewritten(*args: Any) -> Any:
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        out = _evaluate(closed, jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shape), out)
+
+    return rewritten
+
+
+def _evaluate(closed: Any, args: list) -> list:
+    """Evaluate a closed jaxpr, products of small matrices as sums."""
+    from jax.extend.core import Literal
+
+    jaxpr = closed.jaxpr
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *args], strict=True))
+
+    def value(atom: Any) -> Any:
+        return atom.val if isinstance(atom, Literal) else values[atom]
+
+    for equation in jaxpr.eqns:
+        given, name = [value(atom) for atom in equation.invars], equation.primitive.name
+        params = equation.params
+        if name == "dot_general" and _is_small_product(*given, params["dimension_numbers"]):
+            out = [_as_sum(*given, params["dimension_numbers"])]
+        elif name in _CALLS:
+            out = _evaluate(params[_CALLS[name]], given)
+        else:
+            if name in _BODIES:
+                params = params | {key: _rewritten(params[key]) for key in _BODIES[name]}
+            out = equation.primitive.bind(*given, **params)
+            out = out if equation.primitive.multiple_results else [out]
+        values.update(zip(equation.outvars, out, strict=True))
+    return [value(atom) for atom in jaxpr.outvars]
+
+
+def _rewritten(body: Any) -> Any:
+    if isinstance(body, tuple):
+        return tuple(map(_rewritten, body))
+    return jax.make_jaxpr(lambda *args: _evaluate(body, list(args)))(*body.in_avals)
+
+
+def _is_small_product(a: Any, b: Any, numbers: tuple) -> bool:
+    """Whether both factors are small matrices: products with a vector need no library."""
+    (contracted, _), (batched, _) = numbers
+    inner, copies = (prod(a.shape[k] for k in axes) for axes in (contracted, batched))
+    rows, columns = (x.size // max(inner * copies, 1) for x in (a, b))
+    return min(rows, columns) > 1 and inner <= MOST and copies * rows * inner * columns <= MOST**3
+
+
+def _as_sum(a: Any, b: Any, numbers: tuple) -> Any:
+    """``dot_general`` as the sum of columns of a times rows of b."""
+
+    def ordered(x: Any, contracted: tuple, batched: tuple) -> tuple[Any, int]:
+        """Batched axes, free axes, and the contracted ones as one; and how many are free."""
+        free = [k for k in range(x.ndim) if k not in (*contracted, *batched)]
+        x = jnp.transpose(x, (*batched, *free, *contracted))
+        return jnp.reshape(x, (*x.shape[: len(batched) + len(free)], -1)), len(free)
+
+    (of_a, of_b), (batch_a, batch_b) = numbers
+    (a, free_a), (b, free_b) = ordered(a, of_a, batch_a), ordered(b, of_b, batch_b)
+    first = len(batch_a)
+    a = jnp.expand_dims(a, [first + free_a + k for k in range(free_b)])
+    b = jnp.expand_dims(b, [first + k for k in range(free_a)])
+    return reduce(add, (a[..., k] * b[..., k] for k in range(a.shape[-1])))

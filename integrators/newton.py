@@ -1,0 +1,110 @@
+"""Newton's method for the equations of a step, with the exact tangent, full or modified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from integrators import dense
+from integrators.march import StepReport, largest
+from problems.runtime import jax, jnp
+
+#: Updates that stop shrinking below this relative size have met round-off.
+_STAGNANT = 1e-7
+#: Modified Newton keeps a tangent while its updates shrink at least so fast.
+_CONTRACTION = 0.1
+
+
+class _Iteration(NamedTuple):
+    """The iterate after k updates, the size of the last and of the one before, whether the last
+    came from a new tangent, the inverted tangent, and how many tangents were taken."""
+
+    u: Any
+    k: Any
+    size: Any
+    before: Any
+    exact: Any
+    inverse: Any
+    tangents: Any
+
+
+def newton(
+    residual: Callable,
+    guess: Any,
+    old: Any,
+    cuts: Any,
+    tol: Any,
+    most: Any,
+    floors: Any,
+    inverse: Any,
+) -> tuple[Any, Any, StepReport]:
+    """Solve residual(u) = 0, in the traced loop of a step.
+
+    Full Newton (an empty ``inverse`` comes) takes a new tangent in every iteration. Modified
+    Newton keeps the inverse that it is given while an update is at most ``_CONTRACTION`` times
+    the one before, and takes a new one where it is not; what it has not solved after ``most``
+    iterations, full Newton tries from the start of the step. Returns the solution, the inverse for
+    the next step, and the report.
+
+    With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
+    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
+    xdot, y), below ``tol`` times the group's size, now or at the start of the step (``old``), plus
+    its entry of ``floors``; or when updates by a new tangent no longer shrink and are tiny:
+    round-off then forbids more.
+    """
+    keeps = bool(inverse.size)
+
+    def measure(du: Any, u: Any, exact: Any) -> Any:
+        # What an old tangent leaves behind points the same way in every step and adds up; a new
+        # one leaves far less than its last update.
+        factor = jnp.where(exact, 8.0, 1.0)
+        split = [jnp.split(part, cuts) for part in (du, u, old)]
+        return jnp.max(
+            jnp.stack(
+                [
+                    largest(d)
+                    / (tol * jnp.maximum(largest(a), largest(b)) + factor * floor + 1e-300)
+                    for d, a, b, floor in zip(*split, floors, strict=True)
+                    if d.size
+                ]
+            )
+        )
+
+    def settled(now: _Iteration) -> Any:
+        # The first update has nothing to be compared with: before is infinite.
+        size, before = now.size, now.before
+        left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
+        small = (size <= 1.0) | ((size < before) & (left <= 1.0))
+        stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
+        return small | stagnant
+
+    def go_on(now: _Iteration) -> Any:
+        # An old tangent may lead to what is not a number, but a new one leads back.
+        lost = now.exact & jnp.isnan(now.size)
+        if keeps:
+            lost = lost & (now.k > most)
+        return (now.k < (2 * most if keeps else most)) & ~settled(now) & ~lost
+
+    def iterate(now: _Iteration) -> _Iteration:
+        u, k, size, before, exact, inverse, tangents = now
+        if keeps:
+            anew = k == most
+            # Before the first update both sizes are infinite; a NaN never contracts.
+            stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
+            astray = stale & ~exact & ~(size <= before)
+            u = jnp.where(anew, old, jnp.where(astray, guess, u))
+            size, exact = jnp.where(anew, jnp.inf, size), stale | (k >= most)
+            inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
+            du = inverse @ residual(u)
+        else:
+            du = dense.solve(jax.jacfwd(residual)(u), residual(u))
+        size, before = measure(du, u - du, exact), size
+        return _Iteration(u - du, k + 1, size, before, exact, inverse, tangents + exact)
+
+    def invert(u: Any) -> Any:
+        return dense.inverse(jax.jacfwd(residual)(u))
+
+    start = _Iteration(guess, 0, jnp.inf, jnp.inf, not keeps, inverse, 0)
+    end = jax.lax.while_loop(go_on, iterate, start)
+    report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
+    return end.u, end.inverse, report
