@@ -62,6 +62,8 @@ def _figures(page: Page) -> Iterator[Figure]:
     for scene in page.scenes:
         yield from [scene.picture] if scene.picture else []
         yield from (figure for study in scene.studies for figure in study.figures)
+    for card in page.atlas.cards if page.atlas else ():
+        yield from card.figures
 
 
 def escape(text: object) -> str:

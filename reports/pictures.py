@@ -6,6 +6,7 @@ A drawing engine works on one core, so that a large page has one engine per core
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -34,27 +35,33 @@ def draw(charts: Mapping[str, Spec], folder: Path) -> None:
     if not charts:
         return
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {name: json.dumps(_mute(chart)) for name, chart in charts.items()}
+    texts = {name: json.dumps(_plain(chart)) for name, chart in charts.items()}
     size = sum(map(len, texts.values()))
     mine, *others = _shares(texts, max(1, min(_cores(), size // _WORTH)))
-    command = [sys.executable, "-m", "reports.pictures", str(folder)]
+    # -P: whatever is called "reports" where the user stands is not meant.
+    command = [sys.executable, "-P", "-m", "reports.pictures", str(folder)]
     engines = []
     for share in others:
         engine = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        engine.stdin.write(json.dumps(share))
-        engine.stdin.close()
+        with contextlib.suppress(BrokenPipeError):  # its death is told by its exit code
+            engine.stdin.write(json.dumps(share))
+            engine.stdin.close()
         engine.stdin = None  # it is told all; what is left is to listen
         engines.append(engine)
     _write(mine, folder)
     for engine in engines:
         _, said = engine.communicate()
         if engine.returncode:
-            raise RuntimeError(f"Pictures could not be drawn: {said.strip()}")
+            raise RuntimeError(said.strip() or f"A drawing engine ended: {engine.returncode}.")
 
 
-def _mute(chart: Spec) -> Spec:
-    """Without a description of every point: of a picture in a page nobody is read them."""
-    return chart | {"config": chart.get("config", {}) | {"aria": False}}
+def _plain(chart: Spec) -> Spec:
+    """Without what only costs time: of a picture in a page nobody is read every point, and to
+    see whether a name is too long, the engine would measure it a second time."""
+    config = chart.get("config", {})
+    axis = config.get("axis", {}) | {"labelLimit": 0, "titleLimit": 0}
+    legend = config.get("legend", {}) | {"labelLimit": 0}
+    return chart | {"config": config | {"aria": False, "axis": axis, "legend": legend}}
 
 
 def _shares(texts: Mapping[str, str], count: int) -> list[dict[str, str]]:
@@ -77,8 +84,16 @@ def _cores() -> int:
 
 def _write(charts: Mapping[str, str], folder: Path) -> None:
     for name, text in charts.items():
-        (folder / f"{name}.svg").write_text(vl_convert.vegalite_to_svg(text), encoding="utf-8")
+        try:
+            svg = vl_convert.vegalite_to_svg(text)
+        except ValueError as error:
+            reason, *_ = str(error).splitlines()
+            raise RuntimeError(f"The chart {name} cannot be drawn: {reason}") from None
+        (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    _write(json.load(sys.stdin), Path(sys.argv[1]))
+    try:
+        _write(json.load(sys.stdin), Path(sys.argv[1]))
+    except RuntimeError as error:
+        sys.exit(str(error))

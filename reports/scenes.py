@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from reports.series import (
     NORM_NAMES,
     Look,
     Series,
+    error_of,
     floor_of,
     groups_of,
     label_of,
@@ -30,6 +32,9 @@ from reports.tables import Table
 
 #: A study of at most so many runs shows them all over time, a larger one the finest of each.
 ALL_RUNS = 6
+#: More lines than this cannot be told apart, over time or in a picture that does not answer: the
+#: most accurate are shown.
+MOST_LINES, MOST_STILL = 12, 24
 ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 
 
@@ -169,18 +174,24 @@ class SceneReader:
             links={s.label: self.ids[s.records[0].key] for s in series},
         )
 
+    @property
+    def _most(self) -> int:
+        """Integrators in a chart of errors; where a click isolates one, all of them."""
+        return len(self.looks) if self.interactive else MOST_STILL
+
     def _convergence(self, series: Sequence[Series], name: str) -> Figure | None:
         groups = groups_of(r for s in series for r in s.ok)
         # A page that answers offers every norm in one chart; pictures show those that matter.
         held = any(r.constraint for r in self.records)
         norms = ["end", "max"] if held and not self.interactive else ["end"]
+        shown = _most_accurate(series, self._most)
         made = {
-            f"{name}-{norm}": charts.convergence(series, groups, self.looks, norm, self.interactive)
+            f"{name}-{norm}": charts.convergence(shown, groups, self.looks, norm, self.interactive)
             for norm in norms
         }
         caption = (
             f"Error {self._which(norms)} against step size; thin grey lines have the slope of a "
-            f"whole order. {self._floor(groups)}"
+            f"whole order. {self._floor(groups)}{_left_out(series, self._most)}"
         )
         return _figure(caption, made)
 
@@ -190,34 +201,36 @@ class SceneReader:
             chart = explorer.explorer(series, groups, self.looks)
         else:
             few = [g for g in groups if g in "qa"]
-            chart = charts.work_precision(series, few, self.looks)
+            chart = charts.work_precision(_most_accurate(series, self._most), few, self.looks)
         where = "" if self.interactive else f" {self._which(['end'])}"
         caption = (
             f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
             "or counted work. A line joins the resolutions of one integrator. "
-            f"{self._floor(groups)}"
+            f"{self._floor(groups)}{_left_out(series, self._most)}"
         )
         return _figure(caption, {name: chart})
 
     def _accuracy(self, series: Sequence[Series], name: str) -> Figure | None:
-        chart = explorer.accuracy(series, self.looks, "max", self.interactive)
+        shown = _most_accurate(series, self._most)
+        chart = explorer.accuracy(shown, self.looks, "max", self.interactive)
         caption = (
             f"Acceleration beside position {self._which(['max'])}: good in q is not always good "
             "in a. On the dashed line both have the same relative error."
+            f"{_left_out(series, self._most)}"
         )
         return _figure(caption, {name: chart})
 
     def _histories(self, series: Sequence[Series], name: str) -> Figure | None:
         shown = []
-        for s in series:
-            record = (s.ok or s.records)[-1]
-            rows = self._rows(record)
+        for s in _most_accurate(series, MOST_LINES):
+            rows = self._rows(_finest(s))
             if rows and rows.notes:
                 shown.append((s.label, rows))
         chart = charts.histories(shown, self.looks, self.interactive)
         caption = (
             "Over time, for the finest run of each: step size, weights of the recurrence, how far "
             "the constraints are violated, and how far the energy has changed."
+            f"{_left_out(series, MOST_LINES)}"
         )
         return _figure(caption, {name: chart})
 
@@ -238,8 +251,7 @@ class SceneReader:
     ) -> Figure | None:
         runs = [r for s in series for r in s.records]
         if len(runs) > ALL_RUNS:
-            # The finest run that came to the end; of a method that never did, how far it came.
-            runs = [(s.ok or s.records)[-1] for s in series]
+            runs = [_finest(s) for s in _most_accurate(series, MOST_LINES)]
         shown = []
         for record in runs:
             rows = self._rows(record)
@@ -261,6 +273,7 @@ class SceneReader:
         caption = "Values over time" + (
             "; the reference is the broad grey line." if reference else "."
         )
+        caption += _left_out(series, MOST_LINES)
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
             caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
@@ -281,6 +294,26 @@ def _components(study: Study) -> list[tuple[str, int]]:
     """What a study wants drawn over time: "x5" is the fifth controller state."""
     found = [re.fullmatch(r"([a-z]+)(\d+)", text) for text in study.components]
     return [(match[1], int(match[2]) - 1) for match in found if match]
+
+
+def _finest(s: Series) -> Record:
+    """The finest run that came to the end; of a method that never did, how far it came."""
+    return (s.ok or s.records)[-1]
+
+
+def _most_accurate(series: Sequence[Series], most: int) -> Sequence[Series]:
+    """As many as can be told apart, in their order."""
+    if len(series) <= most:
+        return series
+    ranked = sorted(series, key=lambda s: error_of(_finest(s), "q", "max") or math.inf)
+    chosen = {s.label for s in ranked[:most]}
+    return [s for s in series if s.label in chosen]
+
+
+def _left_out(series: Sequence[Series], most: int) -> str:
+    if len(series) <= most:
+        return ""
+    return f" Of {len(series)} integrators those {most} are shown that err least in q."
 
 
 def _figure(caption: str, made: dict[str, Spec | None]) -> Figure | None:

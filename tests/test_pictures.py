@@ -1,0 +1,116 @@
+"""Pictures: many engines draw what one draws, and no picture holds more lines than can be read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import subprocess
+import sys
+
+import pytest
+from planted import Document, plant, planted
+
+from reports import html, markdown, pictures
+
+
+def line(name, text="a,b\n1,2\n"):
+    return {
+        "datasets": {name: text},
+        "data": {"name": name, "format": {"type": "csv"}},
+        "mark": "line",
+        "encoding": {f: {"field": k, "type": "quantitative"} for f, k in (("x", "a"), ("y", "b"))},
+        "config": {"axis": {"labelColor": "#123456"}},
+    }
+
+
+CHARTS = {f"chart-{k}": line(f"d{k}", f"a,b\n1,{k}\n2,{2 * k}\n") for k in range(5)}
+
+
+def drawn(folder):
+    # Numbers in the names of clips and gradients count on within one engine.
+    return {f.name: re.sub(r"(clip|gradient_)\d+", r"\1", f.read_text()) for f in folder.iterdir()}
+
+
+def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
+    started = []
+    popen = subprocess.Popen
+    monkeypatch.setattr(
+        pictures.subprocess, "Popen", lambda *a, **k: started.append(a) or popen(*a, **k)
+    )
+    pictures.draw(CHARTS, tmp_path / "one")
+    assert started == []
+    monkeypatch.setattr(pictures, "_WORTH", 400)
+    monkeypatch.setattr(pictures, "_cores", lambda: 2)
+    pictures.draw(CHARTS, tmp_path / "two")
+    assert len(started) == 1
+    assert drawn(tmp_path / "one") == drawn(tmp_path / "two")
+    assert set(drawn(tmp_path / "one")) == {f"{name}.svg" for name in CHARTS}
+    assert "#123456" in drawn(tmp_path / "one")["chart-0.svg"]
+
+
+@pytest.mark.parametrize("worth", [10**9, 100])
+def test_a_chart_that_cannot_be_drawn_says_so(tmp_path, monkeypatch, worth):
+    monkeypatch.setattr(pictures, "_WORTH", worth)
+    monkeypatch.setattr(pictures, "_cores", lambda: 2)
+    # The larger part is drawn here, the smaller one by the other engine.
+    charts = {"good": line("good", "a,b\n" + "1,2\n" * 99), "bad": {"mark": "no such mark"}}
+    with pytest.raises(RuntimeError, match="bad cannot be drawn"):
+        pictures.draw(charts, tmp_path)
+
+
+def test_shares_are_of_about_the_same_size():
+    texts = {str(n): "x" * n for n in (70, 40, 30, 20, 10)}
+    shares = pictures._shares(texts, 2)
+    assert sorted(sum(map(len, share.values())) for share in shares) == [80, 90]
+    assert sorted(name for share in shares for name in share) == sorted(texts)
+
+
+def test_an_engine_does_not_import_what_lies_where_the_user_stands(tmp_path):
+    (tmp_path / "reports").mkdir()
+    (tmp_path / "reports" / "__init__.py").write_text("raise SystemExit('the wrong one')")
+    code = (
+        "from pathlib import Path; from reports import pictures; "
+        "pictures._WORTH, pictures._cores = 1, lambda: 2; "
+        f"pictures.draw({ {k: CHARTS[k] for k in list(CHARTS)[:2]}!r}, Path('out'))"
+    )
+    subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, check=True)
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
+@pytest.fixture(scope="module")
+def crowd(tmp_path_factory):
+    """30 integrators, of which the later ones err less in q; the last one failed."""
+    records = [
+        planted("pendulum", f"m{k:02}", {g: (1.0 / (k + 1), 2) for g in ("q", "a")}, h=h)
+        for k in range(29)
+        for h in (0.1, 0.05, 0.025)
+    ]
+    failed = {"status": "crashed", "errors": {}}
+    records += [planted("pendulum", "m29", {}, h=h, **failed) for h in (0.1, 0.05, 0.025)]
+    return plant(tmp_path_factory.mktemp("crowd"), records)
+
+
+def labels(chart):
+    """The integrators that the legend of a chart names."""
+    return set(re.findall(r">(m\d\d)[:<,]", chart))
+
+
+def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
+    text = markdown.write(crowd).read_text(encoding="utf-8")
+    figures = crowd / markdown.FIGURES
+    best = [f"m{k:02}" for k in range(28, -1, -1)]
+    for name, most in (("convergence-end", 24), ("work_precision", 24), ("trajectory", 12)):
+        chart = (figures / f"scene-1-1-{name}.svg").read_text()
+        assert labels(chart) == set(best[:most]), name
+        assert f"Of 30 integrators those {most} are shown that err least in q." in text
+
+
+def test_a_chart_that_answers_shows_the_errors_of_all_and_few_lines_over_time(crowd):
+    page = Document(html.write(crowd).read_text(encoding="utf-8"))
+    rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-work_precision"]["datasets"]["runs"]))
+    assert {row["series"] for row in rows} == {f"m{k:02}" for k in range(29)}
+    rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-trajectory"]["datasets"]["runs"]))
+    assert len({row["s"] for row in rows}) == 12
+    assert "Of 30 integrators those 12 are shown" in page.words
+    assert "those 24 are shown" not in page.words
