@@ -258,6 +258,11 @@ def order(
     show_default=True,
     help="Worker processes; timing is done by one at a time.",
 )
+@click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
+)
 @options.with_plugins
 def run(
     profile: str,
@@ -266,6 +271,7 @@ def run(
     out: Path,
     fresh: bool,
     jobs: int,
+    cluster: str | None,
     plugins: tuple[str, ...],
 ) -> None:
     """Run a suite and write its report.
@@ -278,6 +284,7 @@ def run(
       stepbench run
       stepbench run paper --out paper-results
       stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
+      stepbench run full --cluster tcp://head:8786
     """
     from bench.atlas.experiments import read_experiments
     from bench.atlas.laboratory import complete
@@ -290,7 +297,7 @@ def run(
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
-        outcome = run_suite(suite, store, registry, jobs, progress)
+        outcome = run_suite(suite, store, registry, jobs, progress, cluster)
         atlas = complete(experiments, [], store, registry, jobs, progress)
     records = [outcome.records[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)

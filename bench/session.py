@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from bench import damping
+from bench.cluster import ClusterRunner
 from bench.environment import environment
 from bench.plan import Cell, Suite
 from bench.records import Record, Rows, SceneRecord
@@ -42,11 +43,17 @@ class Outcome:
 
 
 def run_suite(
-    suite: Suite, store: Store, registry: Registry, jobs: int, progress: Progress
+    suite: Suite,
+    store: Store,
+    registry: Registry,
+    jobs: int,
+    progress: Progress,
+    cluster: str | None = None,
 ) -> Outcome:
     """Measure and time every cell of a suite that the store does not have yet.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
+    With the address of a ``cluster`` its workers measure; timing is always done here.
     """
     plan = suite.plan
     stored = store.records()
@@ -66,7 +73,9 @@ def run_suite(
     }
     scenes = wanted - current
     number = store.save_environment(environment()) if missing or _due(suite, stored) else 0
-    with Runner(registry.paths, jobs, plan.budget_s, suite.memory_gib) as runner:
+    limits = plan.budget_s, suite.memory_gib
+    who = ClusterRunner(registry.paths, cluster, *limits) if cluster else None
+    with who or Runner(registry.paths, jobs, *limits) as runner:
         if missing or scenes:
             groups = _groups(missing, sorted(scenes), registry)
             progress.phase("measuring", sum(len(group) for group in groups))
@@ -123,7 +132,11 @@ def describe_scenes(
 
 
 def _analyse(
-    suite: Suite, store: Store, runner: Runner, registry: Registry, progress: Progress
+    suite: Suite,
+    store: Store,
+    runner: Runner | ClusterRunner,
+    registry: Registry,
+    progress: Progress,
 ) -> None:
     due = damping.tasks(suite, store.scenes(), store.records(), registry)
     if not due:
@@ -135,7 +148,7 @@ def _analyse(
     store.save_plan(suite.plan)
 
 
-def _time(suite: Suite, store: Store, runner: Runner, progress: Progress) -> None:
+def _time(suite: Suite, store: Store, runner: Runner | ClusterRunner, progress: Progress) -> None:
     records = store.records()
     cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
     have = {cell.key: len(records[cell.key].run_s) for cell in cells}

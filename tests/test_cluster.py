@@ -1,0 +1,140 @@
+"""Runs on a cluster: the same answers, a worker that dies costs nothing, timing stays here."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from bench.cluster import ClusterRunner
+from bench.plan import Cell
+from bench.runner import Lost, Runner, Task
+from bench.store import Store
+from integrators.contract import Steps
+from problems.spec import SpecError
+
+distributed = pytest.importorskip("distributed")
+
+PLUGIN = """
+import os, time
+from dataclasses import dataclass
+from integrators.alpha_family import GeneralizedAlpha
+
+@dataclass(frozen=True)
+class Slow(GeneralizedAlpha):
+    'Takes its time, and says who it is.'
+    def prepare(self, scene, t_end, resolution):
+        with open(FILE, 'a') as file:
+            file.write(f'{os.getppid()}\\n')
+        time.sleep(2.0)
+        return super().prepare(scene, t_end, resolution)
+"""
+PROFILE = """
+samples = 1
+[[study]]
+problems = ["spring_mass"]
+integrators = ["newmark", "ida"]
+steps = [0.1, 0.05]
+rtol = [1e-4]
+t_end = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as running:
+        yield running
+
+
+def cells(integrator, *steps):
+    return [Cell("spring_mass", integrator, 1.0, Steps(h)) for h in steps]
+
+
+def test_a_cluster_gives_the_answers_of_this_machine(cluster):
+    tasks = [Task("measure", (cell,)) for cell in cells("newmark", 0.1, 0.05)]
+    with Runner([], 1, 60.0, 4.0) as here:
+        expected = dict(here.run([tasks]))
+    with ClusterRunner([], cluster.scheduler_address, 60.0, 4.0) as there:
+        answers = dict(there.run([[tasks[0]], [tasks[1]]]))
+    for task in tasks:
+        assert answers[task].record.errors == expected[task].record.errors
+        assert answers[task].record.work == expected[task].record.work
+        assert answers[task].rows == expected[task].rows
+
+
+def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
+    file, plugin = tmp_path / "who", tmp_path / "slow.py"
+    plugin.write_text(PLUGIN.replace("FILE", repr(str(file))))
+    killed = []
+
+    def kill():
+        while not file.exists() or not file.read_text().strip():
+            time.sleep(0.05)
+        killed.append(int(file.read_text().split()[0]))
+        os.kill(killed[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    tasks = [Task("measure", (cell,)) for cell in cells("slow", 0.1, 0.05)]
+    with ClusterRunner([str(plugin)], cluster.scheduler_address, 60.0, 4.0) as runner:
+        answers = dict(runner.run([tasks]))
+    killer.join()
+    assert [answers[task].record.status for task in tasks] == ["ok", "ok"]
+    ran = [int(line) for line in file.read_text().split()]
+    assert ran[0] == killed[0]
+    assert killed[0] not in ran[1:]  # another worker did it all again
+    assert len(ran) >= 3
+
+
+def test_budgets_hold_on_a_cluster(cluster, tmp_path):
+    plugin = tmp_path / "slow.py"
+    plugin.write_text(PLUGIN.replace("FILE", repr(os.devnull)))
+    tasks = [Task("measure", (cell,)) for cell in cells("slow", 0.1)]
+    with ClusterRunner([str(plugin)], cluster.scheduler_address, 0.5, 4.0) as runner:
+        ((_, answer),) = runner.run([tasks])
+    assert isinstance(answer, Lost)
+    assert answer.status == "budget_exceeded"
+
+
+def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
+    tasks = [Task("measure", (cell,)) for cell in cells("newmark", 0.1)]
+    with ClusterRunner(
+        [str(tmp_path / "missing.py")], cluster.scheduler_address, 30.0, 4.0
+    ) as runner:
+        ((_, answer),) = runner.run([tasks])
+    assert (type(answer), answer.status) == (Lost, "crashed")
+    assert "missing.py" in answer.message
+
+
+def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
+    (tmp_path / "p.toml").write_text(PROFILE)
+    address, out = cluster.scheduler_address, tmp_path / "out"
+    result = stepbench("run", tmp_path / "p.toml", "--out", out, "--cluster", address)
+    assert result.exit_code == 0, result.output
+    with Store(out) as store:
+        records = store.records().values()
+    assert [record.status for record in records] == ["ok"] * 3
+    assert all(len(record.run_s) == 1 for record in records)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://"])
+def test_a_cluster_that_does_not_answer_costs_one_sentence(
+    stepbench, tmp_path, monkeypatch, address
+):
+    monkeypatch.setattr("bench.cluster._CONNECT_SECONDS", 0.5)
+    (tmp_path / "p.toml").write_text(PROFILE)
+    result = stepbench("run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster", address)
+    assert result.exit_code != 0
+    assert "No dask scheduler answers" in result.output
+    assert "Traceback" not in result.output
+
+
+def test_without_the_library_the_cluster_is_refused(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(SpecError, match=r"stepbench\[cluster\]"):
+        ClusterRunner([], "tcp://127.0.0.1:1", 1.0, 1.0)
