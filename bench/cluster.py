@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from bench.plan import Cell
+from bench.registry import Registry
 from bench.runner import Lost, Runner, Task
 from problems.spec import SpecError
 
@@ -97,6 +98,7 @@ def _answers(group: list[Task], guards: tuple) -> list[Any]:
     """Done by a worker of the cluster: the answers to a group of tasks, in order."""
     # A worker that has a nanny may not have children by default; ours end with it.
     multiprocessing.current_process()._config["daemon"] = False
+    Registry(guards[0]).require_files()  # says what is missing; a child would only die of it
     with Runner(*guards) as runner:
         answers = dict(runner.run([group]))
     return [answers[task] for task in group]
