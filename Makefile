@@ -17,8 +17,10 @@ test: .venv/installed  ## check the style and pass the tests
 	$(BIN)/ruff check .
 	$(BIN)/python -m pytest -q
 
-bench: .venv/installed  ## microseconds per step and per residual
+bench: .venv/installed  ## our march against C, exudyn and other solvers; microseconds per step
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
+	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc
 
 clean:
-	rm -rf .venv build *.egg-info stepbench-results
+	rm -rf .venv build *.egg-info stepbench-results stepbench-bench.json

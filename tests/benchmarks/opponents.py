@@ -1,0 +1,161 @@
+"""Who races against whom on the slider crank: the same runs by other programs and methods.
+
+A contestant is prepared once and then run many times; ``run()`` returns the seconds of one solve.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.measure import relative_errors
+from bench.registry import Registry
+from integrators import Steps, Tolerances
+from problems.reference import Reference
+from problems.slider_crank import SliderCrank
+
+SCENE, T_END, STEPS, RHO = SliderCrank(), SliderCrank.interval[1], 20_000, 0.8
+OURS = "generalized_alpha[rho_inf=0.8,newton=modified]"
+_YARDSTICK = Path(__file__).with_name("yardstick_slider_crank.c")
+
+
+class NotHere(Exception):
+    """An opponent that cannot run on this machine; the message is a sentence for the reader."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A prepared run: what it is, in words, how many steps it takes, what it ends in."""
+
+    name: str
+    about: str
+    run: Callable[[], float]
+    steps: int
+    q: np.ndarray
+    error: float | None = None
+
+
+def timed(execute: Callable[[], object]) -> Callable[[], float]:
+    """Seconds of one call."""
+
+    def run() -> float:
+        started = time.perf_counter()
+        execute()
+        return time.perf_counter() - started
+
+    return run
+
+
+def stepbench(
+    spec: str, resolution: Steps | Tolerances, reference: Reference | None = None
+) -> Contestant:
+    """A method of this project, with its settled error in a if there is a reference."""
+    run = Registry().integrator(spec).prepare(SCENE, T_END, resolution)
+    end = run.measure()
+    if end.status != "ok":
+        raise NotHere(f"{spec} did not come to the end: {end.message}")
+    error = None if reference is None else relative_errors(end, reference)[0]["a"]["settled"]
+    size = f"h={resolution.h:g} s" if isinstance(resolution, Steps) else f"rtol={resolution.rtol:g}"
+    return Contestant(spec, size, timed(run.execute), end.work.steps, end.q[-1], error)
+
+
+def equally_accurate(spec: str, wanted: float, reference: Reference) -> Contestant:
+    """An adaptive method at the tolerance whose settled error in a is within 2 of the wanted one.
+
+    Raises
+    ------
+    NotHere
+        If no tolerance gives it.
+    """
+    rtol = 1e-6
+    for _ in range(12):
+        found = stepbench(spec, Tolerances(rtol), reference)
+        ratio = wanted / found.error
+        if 0.5 <= ratio <= 2:
+            return found
+        rtol *= float(np.clip(ratio**0.9, 1e-2, 1e2))
+    raise NotHere(f"{spec} met no tolerance with an error in a of about {wanted:.1e}.")
+
+
+def c_program() -> Contestant:
+    """The yardstick, compiled for this machine; it times its own loop."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise NotHere("The C program was left out: there is no C compiler (cc) on the path.")
+    program = Path(tempfile.mkdtemp(prefix="stepbench-")) / "yardstick"
+    options = ["-O3", "-march=native"]
+    subprocess.run([compiler, *options, "-o", program, _YARDSTICK, "-lm"], check=True)
+
+    def call() -> list[float]:
+        command = [program, str(STEPS), str(T_END), str(RHO)]
+        printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        return list(map(float, printed.split()))
+
+    q = np.array(call()[2:9])
+    return Contestant("C", f"cc {' '.join(options)}", lambda: call()[0] * 1e-6 * STEPS, STEPS, q)
+
+
+def exudyn(newton: str) -> Contestant:
+    """The mechanism in exudyn: two rigid bodies, a sliding mass, three revolute joints."""
+    if importlib.util.find_spec("exudyn") is None:
+        raise NotHere("exudyn was left out: it is not installed (pip install 'stepbench[bench]').")
+    sys.exudynFast = True  # its build without range checks
+    import exudyn as exu
+    import exudyn.itemInterface
+
+    items, s, (q, v, _) = exu.itemInterface, SCENE, SCENE.initial_state()
+    mbs = exu.SystemContainer().AddSystem()
+
+    def marker(body: int, x: float) -> int:
+        return mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=body, localPosition=[x, 0, 0]))
+
+    def bar(at: slice, m: float, length: float) -> int:
+        node = items.NodeRigidBody2D(
+            referenceCoordinates=list(q[at]), initialVelocities=list(v[at])
+        )
+        inertia = m * length**2 / 12
+        body = mbs.AddObject(
+            items.ObjectRigidBody2D(nodeNumber=mbs.AddNode(node), mass=m, inertia=inertia)
+        )
+        mbs.AddLoad(items.Force(markerNumber=marker(body, 0), loadVector=[0, -m * s.g, 0]))
+        return body
+
+    ground = mbs.AddObject(items.ObjectGround())
+    crank, rod = bar(slice(0, 3), s.m1, s.l1), bar(slice(3, 6), s.m2, s.l2)
+    along = mbs.AddNode(items.Node1D(referenceCoordinates=[q[6]], initialVelocities=[v[6]]))
+    slider = mbs.AddObject(items.Mass1D(nodeNumber=along, mass=s.m3))
+    for one, other in (
+        (marker(ground, 0), marker(crank, -s.l1 / 2)),
+        (marker(crank, s.l1 / 2), marker(rod, -s.l2 / 2)),
+        (marker(rod, s.l2 / 2), marker(slider, 0)),
+    ):
+        mbs.AddObject(items.RevoluteJoint2D(markerNumbers=[one, other]))
+    mbs.Assemble()
+
+    settings = exu.SimulationSettings()
+    settings.solution.file.write = False
+    settings.parallel.numberOfThreads = 1
+    settings.timeIntegration.numberOfSteps = STEPS
+    settings.timeIntegration.endTime = T_END
+    settings.timeIntegration.adaptiveStep = False
+    settings.timeIntegration.generalizedAlpha.spectralRadius = RHO
+    # At its default relative tolerance of 1e-8; 1e-6 is faster, and wrong in the fifth digit.
+    settings.timeIntegration.newton.useModifiedNewton = newton == "modified"
+
+    def execute() -> None:
+        if not mbs.SolveDynamic(settings):
+            raise NotHere("exudyn did not solve the slider crank.")
+
+    execute()
+    data = mbs.systemData
+    end = data.GetODE2Coordinates() + data.GetODE2Coordinates(exu.ConfigurationType.Reference)
+    return Contestant(f"exudyn, {newton} Newton", exu.__version__, timed(execute), STEPS, end)

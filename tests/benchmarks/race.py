@@ -1,0 +1,142 @@
+"""Side by side in one run: our march against C, a C++ code, and general-purpose solvers.
+
+``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round, so
+that what disturbs the machine disturbs all alike. A ratio is taken within a round, and is above 1
+where we are faster; its median and quartiles over the rounds are given. Nothing is asserted about
+times; that the answers agree is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from opponents import (
+    OURS,
+    RHO,
+    SCENE,
+    STEPS,
+    T_END,
+    Contestant,
+    NotHere,
+    c_program,
+    equally_accurate,
+    exudyn,
+    stepbench,
+)
+
+from bench.environment import environment
+from integrators import Steps
+from problems.reference import Reference
+
+#: Steps of the races at equal error in a: a coarse and a fine one.
+_SIZES = (1e-3, 1e-4)
+_PEERS = ("ida", "kvaerno5", "radau")
+#: Solutions of the same discrete equations, solved to these tolerances, differ by less.
+_SAME = 1e-6
+
+
+def present(*makers: Callable[[], Contestant]) -> list[Contestant]:
+    """Those contestants that can run here; of the others it is said why not."""
+    found = []
+    for make in makers:
+        try:
+            found.append(make())
+        except NotHere as reason:
+            print(reason)
+    return found
+
+
+def race(title: str, agreement: str, contestants: list[Contestant], rounds: int) -> list[dict]:
+    """Rows of the contestants, the first of whom is ours."""
+    seconds = np.array([[one.run() for one in contestants] for _ in range(rounds)])
+    ours, rows = contestants[0], []
+    for one, own in zip(contestants, seconds.T, strict=True):
+        ratios = np.quantile(own / seconds[:, 0], [0.5, 0.25, 0.75])
+        gap = np.linalg.norm(one.q - ours.q) / np.linalg.norm(ours.q)
+        rows.append(
+            {
+                "race": title,
+                "contestant": one.name,
+                "about": one.about,
+                "steps": one.steps,
+                "us_per_step": {
+                    "median": 1e6 * float(np.median(own)) / one.steps,
+                    "least": 1e6 * float(own.min()) / one.steps,
+                },
+                "milliseconds": 1e3 * float(np.median(own)),
+                "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True)),
+                "agreement": {agreement: float(gap if one.error is None else one.error)},
+            }
+        )
+    return rows
+
+
+def same_equations(rounds: int) -> list[dict[str, Any]]:
+    """Index 3, 20 000 steps: everybody solves the same discrete equations."""
+    spec, steps = f"generalized_alpha[rho_inf={RHO:g}]", Steps(T_END / STEPS)
+    contestants = present(
+        lambda: stepbench(OURS, steps),
+        lambda: stepbench(spec, steps),
+        c_program,
+        lambda: exudyn("full"),
+        lambda: exudyn("modified"),
+    )
+    title = f"the same {STEPS} steps"
+    rows = race(title, "difference of q at the end", contestants, rounds)
+    for row in rows:
+        (gap,) = row["agreement"].values()
+        if not gap < _SAME:
+            raise SystemExit(f"{row['contestant']} ends elsewhere than {OURS}: by {gap:.1e}.")
+    return rows
+
+
+def same_error(h: float, rounds: int, reference: Reference) -> list[dict[str, Any]]:
+    """Solvers of other kinds at the tolerance that gives our error in a, within a factor of 2."""
+    ours = stepbench(OURS, Steps(h), reference)
+    peers = [lambda spec=spec: equally_accurate(spec, ours.error, reference) for spec in _PEERS]
+    contestants = [ours, *present(*peers)]
+    return race(f"equal error in a, h={h:g} s", "settled error in a", contestants, rounds)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows in Markdown, a table per race."""
+    lines: list[str] = []
+    for k, row in enumerate(rows):
+        ((agreement, gap),) = row["agreement"].items()
+        if k == 0 or row["race"] != rows[k - 1]["race"]:
+            head = f"{row['race']} | at | ms | µs/step (least) | its time/ours (quartiles)"
+            lines += ["", f"| {head} | {agreement} |", "|---|---|---:|---:|---:|---:|"]
+        us, ratio = row["us_per_step"], row["ratio"]
+        lines.append(
+            f"| {row['contestant']} | {row['about']} | {row['milliseconds']:.1f} "
+            f"| {us['median']:.2f} ({us['least']:.2f}) "
+            f"| {ratio['median']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f}) | {gap:.1e} |"
+        )
+    return "\n".join(lines[1:])
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--output", type=Path, default=Path("stepbench-bench.json"))
+    options.add_argument("--rounds", type=int, default=21, help="samples of each contestant")
+    given = options.parse_args()
+    machine = environment()
+    print(f"{machine.cpu}, {machine.cores} cores, {machine.platform}")
+    rows = same_equations(given.rounds)
+    reference = Reference(SCENE, T_END)
+    for h in _SIZES:
+        rows += same_error(h, max(3, given.rounds // 4), reference)
+    print(table(rows))
+    record = {"machine": msgspec.to_builtins(machine), "rounds": given.rounds, "rows": rows}
+    given.output.write_text(json.dumps(record, indent=1) + "\n")
+    print(f"\nWritten to {given.output}.")
+
+
+if __name__ == "__main__":
+    main()
