@@ -25,6 +25,7 @@ from reports.panels import (
     error_panel,
     first_components,
     floor_rule,
+    full_norm,
     reference_line,
     run_lines,
     slope_guides,
@@ -42,10 +43,12 @@ def convergence(
 ) -> Spec | None:
     """Error against step size, one panel per group; None if there is nothing to draw.
 
-    An interactive chart carries all norms and a choice between them. The legend names the fitted
-    orders of the norm that is shown.
+    An interactive chart carries all norms and a choice between them; it starts with one that has
+    errors in every group. The legend names the fitted orders of the norm that is shown.
     """
     stepped = [s for s in series if s.controls == "step" and s.ok]
+    if interactive:
+        norm = full_norm(stepped, groups, norm)
     view = View({s.label: looks[s.label] for s in stepped}, norm, interactive)
     notes = {n: {s.label: _orders(s, groups, n) for s in stepped} for n in view.norms}
     view = replace(view, notes=notes)

@@ -24,7 +24,7 @@ from reports.marks import (
     short,
     zoom,
 )
-from reports.panels import DEEP
+from reports.panels import floor_layer, floor_row
 from reports.series import (
     GROUP_NAMES,
     NORM_NAMES,
@@ -222,27 +222,24 @@ def _lines(view: View, x: str, y: str, order: str, tips: list[Spec]) -> list[Spe
 def _floors(
     series: Sequence[Series], groups: Sequence[str], rows: Sequence[Mapping[str, Any]]
 ) -> Data:
-    """The reference's own error where it does not lie so deep that it would squeeze the lines."""
-    runs, table = [r for s in series for r in s.ok], []
-    for group in groups:
-        for norm in NORMS:
-            errors = [row[f"{group}_{norm}"] for row in rows if f"{group}_{norm}" in row]
-            floor = floor_of(runs, group, norm)
-            if errors and floor > 0 and floor * DEEP >= min(errors):
-                table.append({"group": group, "norm": norm, "floor": short(floor)})
-    return Data("floors", table)
+    """The reference's own error in every group and norm that is drawn."""
+    runs = [r for s in series for r in s.ok]
+    errors = {
+        (group, norm): [row[f"{group}_{norm}"] for row in rows if f"{group}_{norm}" in row]
+        for group in groups
+        for norm in NORMS
+    }
+    table = [
+        {"group": group, "norm": norm} | floor_row(floor_of(runs, group, norm), min(found))
+        for (group, norm), found in errors.items()
+        if found
+    ]
+    return Data("floors", table if any(row["seen"] for row in table) else [])
 
 
 def _floor_line(floors: Data) -> Spec:
-    return {
-        "data": floors.source,
-        "transform": [{"filter": "datum.group === group && datum.norm === norm"}],
-        "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
-        "encoding": {
-            "y": quantity("floor", scale=log_scale()),
-            "tooltip": quantity("floor", title="reference's own error", format=".2g"),
-        },
-    }
+    chosen = {"transform": [{"filter": "datum.group === group && datum.norm === norm"}]}
+    return {"data": floors.source} | chosen | floor_layer()
 
 
 def _title(text: str, x: str, y: str, turn: int = 0) -> Spec:

@@ -13,7 +13,6 @@ from reports.marks import (
     by_series,
     config,
     dimmed,
-    log_scale,
     menu,
     pick,
     quantity,
@@ -140,7 +139,9 @@ def profile(found: Sequence[Standing], looks: Mapping[str, Look], interactive: b
         "transform": _chosen() if interactive else [],
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
-            "x": quantity("tau", title="times the best cost", scale=log_scale()),
+            "x": quantity(
+                "tau", title="times the best cost", scale={"type": "log", "domain": [1, _FAR]}
+            ),
             "y": quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
             "color": by_series(view.colors, view),
             "strokeDash": by_series(view.dashes, view),

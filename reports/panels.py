@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bench.records import Rows
+from bench.records import NORMS, Rows
 from reports.marks import (
     GREY,
     Data,
@@ -63,6 +63,16 @@ def error_data(
                 if error is not None and error > 0:
                     rows.append({"series": s.label, "norm": norm, "error": error, **run})
     return Data(group, rows)
+
+
+def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str:
+    """The norm, or where a group has no error above zero in it, the first in which all have."""
+
+    def full(norm: str) -> bool:
+        runs = [r for s in series for r in s.ok]
+        return all(any(error_of(r, group, norm) for r in runs) for group in groups)
+
+    return norm if full(norm) else next(filter(full, NORMS), norm)
 
 
 def error_panel(
@@ -127,20 +137,37 @@ def _tips(group: str) -> list[Spec]:
     ]
 
 
-def floor_rule(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
-    """The reference's own error, unless it lies so deep that it would squeeze the lines."""
-    runs = [r for s in series for r in s.ok]
-    floors = [{"norm": n, "floor": floor_of(runs, data.name, n)} for n in view.norms]
-    lowest = min((row["error"] for row in data.rows), default=0.0)
-    floors = [row for row in floors if row["floor"] > 0 and row["floor"] * DEEP >= lowest]
-    if not floors:
-        return []
-    tip = quantity("floor", title="reference's own error", format=".2g")
-    layer: Spec = {
-        "data": {"values": floors},
+def floor_row(floor: float, lowest: float) -> dict[str, float | int | None]:
+    """The reference's own error, unless it lies so deep that it would squeeze the lines.
+
+    Then an unseen line at the lowest error takes its place: a scale with no value to show warns.
+    """
+    seen = floor > 0 and floor * DEEP >= lowest
+    return {"floor": short(floor if seen else lowest), "seen": int(seen)}
+
+
+def floor_layer() -> Spec:
+    """A dashed line at the floor."""
+    return {
         "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
-        "encoding": {"y": quantity("floor", scale=log_scale()), "tooltip": tip},
+        "encoding": {
+            "y": quantity("floor", scale=log_scale()),
+            "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
+            "tooltip": quantity("floor", title="reference's own error", format=".2g"),
+        },
     }
+
+
+def floor_rule(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
+    """The reference's own error in every norm of a panel, where it can be seen in one of them."""
+    runs, rows = [r for s in series for r in s.ok], []
+    for norm in view.norms:
+        errors = [row["error"] for row in data.rows if row["norm"] == norm]
+        if errors:
+            rows.append({"norm": norm} | floor_row(floor_of(runs, data.name, norm), min(errors)))
+    if not any(row["seen"] for row in rows):
+        return []
+    layer = {"data": {"values": rows}} | floor_layer()
     if view.interactive:
         layer["transform"] = [{"filter": "datum.norm == norm"}]
     return [layer]
@@ -148,9 +175,10 @@ def floor_rule(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
 
 def slope_guides(series: Sequence[Series], data: Data, view: View) -> list[Spec]:
     """A thin line for each whole order found, over the highest errors that were fitted by it."""
-    rows = [row for norm in view.norms for row in _guides(series, data.name, norm)]
-    if not rows:
+    found = {norm: list(_guides(series, data.name, norm)) for norm in view.norms}
+    if not any(found.values()):
         return []
+    rows = [row for norm, guides in found.items() for row in guides or _nothing(data, norm)]
     layer: Spec = {"data": {"values": rows}}
     if view.interactive:
         layer["transform"] = [{"filter": "datum.norm == norm"}]
@@ -160,6 +188,15 @@ def slope_guides(series: Sequence[Series], data: Data, view: View) -> list[Spec]
     text = {"type": "text", "color": GREY, "align": "right", "dx": -6, "dy": -5}
     named = {"x": x, "y": y, "text": {"field": "name"}}
     return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
+
+
+def _nothing(data: Data, norm: str) -> list[dict[str, Any]]:
+    """A guide of no length in the place of none: a scale with no value to show warns."""
+    rows = [row for row in data.rows if row["norm"] == norm][:1]
+    return [
+        {"norm": norm, "name": "", "h": h, "error": error, "h2": h, "error2": error}
+        for h, error in ((row["h"], row["error"]) for row in rows)
+    ]
 
 
 def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:

@@ -59,7 +59,14 @@ def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
     for record in series[0].records:
         record.reference_error["q"]["max"] = 1e-4
     chart = explorer.explorer(series, ["q"], looks)
-    assert table(chart["datasets"]["floors"]) == [{"group": "q", "norm": "max", "floor": "0.0001"}]
+    floors = table(chart["datasets"]["floors"])
+    assert [row for row in floors if row["seen"] == "1"] == [
+        {"group": "q", "norm": "max", "floor": "0.0001", "seen": "1"}
+    ]
+    # Elsewhere an unseen line that widens no axis.
+    assert [row["norm"] for row in floors if row["seen"] == "0"] == ["end", "rms", "settled"]
+    lowest = min(r.errors["q"]["rms"] for s in series for r in s.ok)
+    assert {float(row["floor"]) for row in floors if row["seen"] == "0"} == {float(f"{lowest:.5g}")}
 
 
 def test_acceleration_stands_beside_position(series, looks):

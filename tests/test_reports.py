@@ -276,6 +276,25 @@ def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
     assert guides(charts.convergence(series_of(odd), ["q"], looks)) == {"q": []}
 
 
+def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
+    records = [planted("pendulum", "m", {"q": (1.0, 2), "lam": (1.0, 2)}, h=h) for h in STEPS]
+    for record in records:
+        record.errors["lam"]["end"] = 0.0
+        record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
+    series, looks = series_of(records), looks_of([("m", "alpha")])
+    chart = charts.convergence(series, ["q", "lam"], looks, "end", interactive=True)
+    (choice,) = chart["params"]
+    assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
+    # Layers hold something in every norm in which there are errors, so that no scale is empty.
+    for panel, norms in zip(chart["concat"], (set(NORMS), {"max", "rms", "settled"}), strict=True):
+        rows = [row for layer in panel["layer"][:2] for row in layer["data"]["values"]]
+        assert {row["norm"] for row in rows} == norms
+        unnamed = [row for row in rows if not row["name"]]
+        assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
+    picture = charts.convergence(series, ["q", "lam"], looks, "end")
+    assert [panel["data"]["name"] for panel in picture["concat"]] == ["q"]
+
+
 def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
     looks = looks_of([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
     assert len({(look.color, look.dash, look.shape) for look in looks.values()}) == 8
