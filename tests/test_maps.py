@@ -1,0 +1,244 @@
+"""Maps: a point is a single run, and the edges lie where theory puts them."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import zlib
+
+import numpy as np
+import pytest
+from planted import Document
+
+from bench.axes import axis
+from bench.maps import OUTCOMES, outcome_map
+from bench.measure import relative_errors
+from bench.registry import Registry
+from integrators import Steps
+from problems.reference import Reference
+from reports.maps import _between, _png, _ticks
+
+REGISTRY = Registry()
+
+
+def made(problem, integrator, over, counts, **more):
+    scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
+    axes = tuple(axis(name, scene, method, ends) for name, ends in over.items())
+    return outcome_map(scene, method, axes, counts, **more)
+
+
+@pytest.mark.parametrize(
+    ("problem", "integrator", "over", "error"),
+    [
+        ("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "a:end"),
+        ("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "lam:settled"),
+        ("pendulum", "generalized_alpha", {"th0": (0.5, 3.0), "h": (0.01, 0.1)}, "q:max"),
+        ("spring_mass", "newmark", {"k": (0.5, 20.0), "m": (0.5, 2.0)}, "a:rms"),
+        ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end"),
+    ],
+)
+def test_a_point_is_a_single_run(problem, integrator, over, error):
+    found = made(problem, integrator, over, (4, 3), error=error)
+    group, norm = error.split(":")
+    for i, j in ((0, 0), (3, 1), (1, 2)):
+        settings = dict(zip(over, (found.values[0][i], found.values[1][j]), strict=True))
+        scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
+        h = settings.pop("h", scene.nominal_step)
+        for of in (scene, method):
+            for name in settings.keys() & vars(of).keys():
+                object.__setattr__(of, name, float(settings[name]))  # both were made here
+        run = method.prepare(scene, scene.interval[1], Steps(h)).measure()
+        errors, _ = relative_errors(run, Reference(scene, scene.interval[1]))
+        wanted = errors[group][norm]
+        assert found.error[j, i] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+        assert OUTCOMES[found.outcome[j, i]] == ("ok" if wanted <= 0.1 else "inaccurate")
+    assert len(set(found.error.ravel())) > 6
+
+
+@pytest.mark.parametrize(("beta", "limit"), [(0.0, 2.0), (1 / 6, math.sqrt(12)), (1 / 12, 6**0.5)])
+def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, limit):
+    """Newmark with gamma = 1/2: omega h = (1/4 - beta)^(-1/2); the scene has omega = sqrt(k)."""
+    # Errors are of no interest here, and the reference over so many periods takes long.
+    monkeypatch.setattr(Reference, "__call__", lambda self, t: {"q": np.ones((len(t), 1))})
+    over = {"k": (0.99**2, 1.01**2), "m": (1.0, 1.0 + 1e-9)}
+    steps = 3000
+    found = made(
+        "spring_mass[b=0]",
+        f"newmark[beta={beta!r}]",
+        over,
+        (21, 2),
+        steps=Steps(limit),
+        t_end=steps * limit,
+        error="q:end",
+        threshold=1e300,
+    )
+    ratio = np.sqrt(found.values[0])  # omega h relative to the limit
+    told = np.array(OUTCOMES)[found.outcome[0]]
+    assert (told[ratio < 1 - 1e-9] == "ok").all()
+    assert (told[ratio > 1 + 1e-9] == "diverged").all()
+    assert set(told) == {"ok", "diverged"}
+    assert "grew beyond all bounds" in found.reasons["diverged"]
+
+
+def test_undamped_index_3_spoils_the_multiplier():
+    found = made(
+        "pendulum", "generalized_alpha", {"h": (0.005, 0.01), "rho_inf": (0.8, 1.0)}, (3, 2),
+        error="lam:settled",
+    )  # fmt: skip
+    assert [[OUTCOMES[k] for k in row] for row in found.outcome] == [
+        ["ok"] * 3,
+        ["inaccurate"] * 3,
+    ]
+    assert found.error[0].max() < 0.02 < 0.2 < found.error[1].min()
+    assert found.reasons == {"inaccurate": "The error of lam (settled) is above 0.1."}
+
+
+def test_newton_failures_and_unsupported_points_are_told():
+    found = made(
+        "pendulum", "generalized_alpha[newton_max=2]", {"h": (0.001, 0.2), "rho_inf": (0.5, 0.9)},
+        (5, 2),
+    )  # fmt: skip
+    told = [[OUTCOMES[k] for k in row] for row in found.outcome]
+    assert [row[-1] for row in told] == ["newton_failed"] * 2
+    assert np.isnan(found.error[:, -1]).all()
+    assert np.isfinite(found.error[:, 0]).all()
+    partly = made("pendulum", "newmark", {"beta": (0.0, 0.5), "gamma": (0.5, 0.6)}, (3, 2))
+    told = [[OUTCOMES[k] for k in row] for row in partly.outcome]
+    assert [row[0] for row in told] == ["not_run", "not_run"]
+    assert told[0][1] != "not_run"
+    assert "constraints act like infinite frequencies" in partly.reasons["not_run"]
+
+
+def test_a_scene_without_a_reference_is_told_apart(monkeypatch):
+    def fails(self, t):
+        if self.scene.k > 1.0:
+            raise RuntimeError("no such luck")
+        return {"a": np.ones((len(t), 1))}
+
+    monkeypatch.setattr(Reference, "__call__", fails)
+    found = made("spring_mass", "newmark", {"k": (0.5, 2.0), "m": (1.0, 2.0)}, (2, 2), t_end=1.0)
+    assert OUTCOMES[found.outcome[0, 1]] == "no_reference"
+    assert found.reasons["no_reference"] == "The reference failed: no such luck"
+    assert OUTCOMES[found.outcome[0, 0]] in ("ok", "inaccurate")
+
+
+def test_the_reference_is_made_once_per_scene_and_set_of_times(monkeypatch):
+    asked = []
+    plain = Reference.__call__
+
+    def counted(self, t):
+        asked.append((self.scene.th0, tuple(t)))
+        return plain(self, t)
+
+    monkeypatch.setattr(Reference, "__call__", counted)
+    made("pendulum", "generalized_alpha", {"h": (0.01, 0.1), "rho_inf": (0.0, 1.0)}, (8, 5))
+    assert len(asked) == 1  # all end at the same time
+    asked.clear()
+    over = {"h": (0.01, 0.1), "rho_inf": (0.0, 1.0)}
+    made("pendulum", "generalized_alpha", over, (8, 5), error="a:max")
+    assert len(asked) == len(set(asked)) == 8
+
+
+# ---- the command -------------------------------------------------------------------------
+MAP = ("map", "pendulum", "generalized_alpha", "--over", "h,rho_inf", "--grid", "6x4")
+
+
+def test_numbers_as_json(stepbench):
+    result = stepbench(*MAP, "--range", "h:1e-3..0.3", "--error", "q", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert (found["problem"], found["integrator"]) == ("pendulum", "generalized_alpha")
+    assert found["x"]["values"] == pytest.approx(list(np.geomspace(1e-3, 0.3, 6)))
+    assert found["y"]["values"] == pytest.approx([0, 1 / 3, 2 / 3, 1])
+    assert (found["x"]["log"], found["y"]["log"]) == (True, False)
+    assert sum(found["counts"].values()) == 24
+    assert [len(row) for row in found["log10_error"]] == [6] * 4
+    ok = [o == "ok" for row in found["outcome"] for o in row]
+    errors = [e for row in found["log10_error"] for e in row]
+    assert ok == [e <= -1 for e in errors]
+
+
+def test_the_page_holds_the_map_and_asks_no_network(stepbench, tmp_path):
+    result = stepbench(*MAP, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "over h and rho_inf: 24 runs" in result.output
+    assert re.search(r"ok +\d+ +\d+\.\d %", result.output)
+    text = (tmp_path / "map.html").read_text()
+    page = Document(text)
+    assert "generalized_alpha on pendulum" in page.words
+    assert "along h" in page.words
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
+    assert [len(row) for row in data["outcome"]] == [6] * 4
+    assert len(data["words"]) == len(OUTCOMES)
+
+
+def test_a_pixel_is_a_point_and_the_first_row_is_at_the_bottom():
+    outcomes = [["ok", "diverged"], ["newton_failed", "inaccurate"], ["ok", "ok"]]
+    found = {
+        "x": {"values": [1, 2]},
+        "outcome": outcomes,
+        "log10_error": [[-3.0, None], [None, 5.0], [-1.0, -2.0]],
+    }
+    png = base64.b64decode(_png(found, -3.0, -1.0).partition(",")[2])
+    assert png[16:24] == bytes([0, 0, 0, 2, 0, 0, 0, 3])
+    start = png.index(b"IDAT") + 4
+    pixels = zlib.decompress(png[start : png.index(b"IEND") - 8])
+    rows = [pixels[k : k + 7] for k in range(0, 21, 7)]
+    assert tuple(rows[2][1:4]) == (8, 62, 120)  # ok, the most accurate
+    assert tuple(rows[2][4:7]) == (160, 16, 28)  # diverged
+    assert tuple(rows[1][1:4]) == (122, 60, 160)  # Newton failed
+    assert tuple(rows[1][4:7]) == (235, 120, 20)  # far beyond the threshold
+    assert tuple(rows[0][1:4]) == (178, 226, 190)  # just ok
+    assert tuple(rows[0][4:7]) == _between(((8, 62, 120), (178, 226, 190)), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("side", "places"),
+    [
+        ({"values": list(np.geomspace(1e-3, 0.1, 5)), "log": True},
+         {"0.001": 0.1, "0.01": 0.5, "0.1": 0.9, "0.02": 0.5 + 0.4 * math.log10(2)}),
+        ({"values": [0.0, 0.25, 0.5, 0.75, 1.0], "log": False}, {"0": 0.1, "0.5": 0.5, "1": 0.9}),
+        ({"values": [-3.0, 5.0], "log": False}, {"-3": 0.25, "1": 0.5, "5": 0.75}),
+    ],
+)  # fmt: skip
+def test_ticks_stand_at_the_middle_of_their_point(side, places):
+    found = {word: part for part, word in _ticks(side)}
+    assert len(found) < 13
+    for word, place in places.items():
+        assert found[word] == pytest.approx(place), word
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pendulum", "newmark", "--over", "h"], "give two different numbers"),
+        (["pendulum", "newmark", "--over", "h,h"], "give two different numbers"),
+        (["pendulum", "newmark", "--over", "h,bta"], "did you mean 'beta'"),
+        (["pendulum", "newmark", "--over", "h,newton_max"], "is no number that can vary"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "gamma:0..1"], "is of no axis"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "h:0.1"], "of the form NAME:LOW"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "h:0.1..3"], "larger than the"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "h:-1..0.1"], "positive number"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "beta:0..7"], "outside [0.0, 1.0]"),
+        (["pendulum", "newmark", "--over", "h,beta", "--range", "h:nan..1"], "two finite numbers"),
+        (["pendulum", "newmark", "--over", "h,beta", "--grid", "1x5"], "two numbers of at least 2"),
+        (["pendulum", "newmark", "--over", "h,beta", "--grid", "99999x99999"], "1000000 points"),
+        (["pendulum", "newmark", "--over", "h,beta", "--step", "0.1"], "leave --step out"),
+        (["pendulum", "newmark", "--over", "h,beta", "--error", "x:end"], "has no group 'x'"),
+        (["pendulum", "newmark", "--over", "h,beta", "--error", "q:mx"], "did you mean 'max'"),
+        (["pendulum", "newmark", "--over", "h,beta", "--threshold", "0"], "positive number"),
+        (["spring_mass", "newmark", "--over", "h,sigma", "--set", "sigma=0"],
+         "give --range sigma:A..B"),
+        (["pendulum", "ida", "--over", "h,th0"], "cannot run many members in one program"),
+        (["pendulum", "kvaerno5", "--over", "h,th0"], "take kvaerno5[steps=constant"),
+        (["pendulum", "generalized_alpha_adaptive", "--over", "h,th0"], "constant steps"),
+    ],
+)  # fmt: skip
+def test_it_refuses_in_one_sentence(stepbench, arguments, words):
+    result = stepbench("map", *arguments)
+    assert result.exit_code != 0
+    assert words in " ".join(result.output.split())
+    assert "Traceback" not in result.output
