@@ -1,0 +1,82 @@
+"""Small linear algebra without libraries gives what the libraries give."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from integrators import dense
+from problems import jax, jnp
+
+RANDOM = np.random.default_rng(7)
+
+
+@pytest.mark.parametrize("n", [1, 2, 13, dense.MOST])
+def test_the_inverse_is_that_of_lapack(n):
+    a = RANDOM.normal(size=(n, n))
+    wanted = np.linalg.inv(a)
+    assert np.abs(dense.inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
+def test_pivots_are_looked_for_where_the_diagonal_is_zero():
+    a = np.eye(5)[[3, 0, 4, 1, 2]] * np.array([1.0, -2, 3, -4, 5])
+    assert np.array_equal(dense.inverse(a) @ a, np.eye(5))
+
+
+def test_large_pivots_keep_the_digits():
+    a = np.array([[1e-17, 1.0], [1.0, 1.0]])
+    assert np.allclose(dense.solve(a, np.array([1.0, 2.0])), [1.0, 1.0], rtol=1e-15)
+
+
+def test_a_singular_matrix_has_no_finite_inverse():
+    assert not np.isfinite(dense.inverse(np.ones((3, 3)))).all()
+    assert not np.isfinite(dense.inverse(np.full((3, 3), np.nan))).any()
+
+
+@pytest.mark.parametrize(("n", "called"), [(5, False), (dense.MOST + 1, True)])
+def test_lapack_is_called_for_large_matrices_alone(n, called):
+    assert ("lapack" in jax.jit(dense.inverse).lower(jnp.eye(n)).as_text()) is called
+
+
+def test_a_batch_goes_to_lapack():
+    many = RANDOM.normal(size=(6, 4, 4))
+    batched = jax.jit(jax.vmap(dense.inverse))
+    assert "lapack" in batched.lower(many).as_text()
+    assert np.allclose(batched(many), np.linalg.inv(many))
+
+
+@pytest.mark.parametrize(
+    ("formula", "a", "b"),
+    [
+        ("ij,jk->ik", (3, 4), (4, 5)),
+        ("ji,jk->ki", (4, 3), (4, 5)),
+        ("bij,bkj->bik", (2, 3, 4), (2, 5, 4)),
+        ("ijk,jkl->il", (2, 3, 4), (3, 4, 5)),
+        ("bij,cj->bic", (2, 3, 4), (5, 4)),
+    ],
+)
+def test_sums_give_what_products_gave(formula, a, b):
+    a, b = RANDOM.normal(size=a), RANDOM.normal(size=b)
+    rewritten = dense.without_products(lambda a, b: jnp.einsum(formula, a, b))
+    assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
+    assert np.allclose(rewritten(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14)
+
+
+def test_loops_branches_and_calls_are_rewritten():
+    def function(a, tree):
+        a = jax.lax.fori_loop(0, 2, lambda k, x: jax.jit(lambda y: y @ tree["b"])(x), a)
+        a = jax.lax.cond(a[0, 0] > 0, lambda x: x @ x, lambda x: x, a)
+        total, _ = jax.lax.scan(lambda x, row: (x @ x + row, row), a, tree["rows"])
+        return {"total": jax.nn.relu(total), "first": a}
+
+    given = RANDOM.normal(size=(3, 3)), {"b": np.eye(3), "rows": RANDOM.normal(size=(2, 3))}
+    rewritten = dense.without_products(function)
+    assert "dot_general" not in str(jax.make_jaxpr(rewritten)(*given))
+    ours, plain = rewritten(*given), function(*given)
+    assert all(np.allclose(ours[key], plain[key], rtol=1e-13) for key in ("total", "first"))
+
+
+def test_products_with_vectors_and_large_ones_stay():
+    for a, b in (((9, 9), (9,)), ((9, 9), (9, 1)), ((dense.MOST + 1,) * 2, (dense.MOST + 1,) * 2)):
+        rewritten = dense.without_products(jnp.matmul)
+        assert "dot_general" in str(jax.make_jaxpr(rewritten)(jnp.ones(a), jnp.ones(b)))

@@ -1,0 +1,145 @@
+"""What makes small scenes fast, as counts that do not depend on the machine's mood.
+
+The march of a small scene is one compiled function: no loop in it is run piece by piece, and none
+calls a library. Within that function every fusion and copy is a loop over memory of its own; their
+number per step is what is bounded here. That times follow is shown by ``make bench``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from integrators import Steps, Tolerances, dense, march
+from integrators.alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.alpha_family import GeneralizedAlpha
+from integrators.counting import run_counted, watch
+from problems import jnp, runtime
+from problems.chain import Chain
+from problems.heavy_top import HeavyTop
+from problems.pendulum import Pendulum
+from problems.quarter_car import QuarterCar
+from problems.slider_crank import SliderCrank
+
+KINDS = ("full", "modified")
+pytestmark = pytest.mark.skipif(
+    not runtime.joins_loops(), reason="XLA_FLAGS of your own keep XLA from joining small loops."
+)
+
+
+class Program:
+    """The optimised program of a prepared run, as XLA prints it."""
+
+    def __init__(self, run) -> None:
+        arguments = run._end_only if hasattr(run, "_end_only") else (run._drop,)
+        lowered = run._kernel._compiled.lower(run._arguments, *arguments)
+        self.lines: dict[str, list[str]] = {}
+        for line in lowered.compile().as_text().splitlines():
+            head = re.match(r"(ENTRY )?%([\w.\-]+) \(.*\{$", line)
+            if head:
+                name = "ENTRY" if head[1] else head[2]
+                self.lines[name] = []
+            elif line.startswith("  "):
+                self.lines[name].append(line)
+
+    def operations(self, name: str) -> Counter:
+        found = (re.search(r"= .*? ([a-z][a-z\-]*)\(", line) for line in self.lines[name])
+        return Counter(match[1] for match in found if match)
+
+    def loops(self) -> list[Counter]:
+        """What the body of each loop consists of, innermost loops first."""
+        bodies = [
+            re.search(r"body=%([\w.\-]+)", line)[1]
+            for lines in self.lines.values()
+            for line in lines
+            if " while(" in line
+        ]
+        return [self.operations(name) for name in bodies]
+
+    def joined(self) -> bool:
+        """Whether all loops are within one function each, and none calls a library."""
+        run_by_pieces = self.operations("ENTRY")["while"]
+        libraries = sum(body["custom-call"] for body in self.loops())
+        custom = any("kind=kCustom" in line for lines in self.lines.values() for line in lines)
+        return not (run_by_pieces or libraries or custom)
+
+
+def prepared(scene, newton="full", steps=400):
+    t0, t_end = scene.interval
+    return GeneralizedAlpha(newton=newton).prepare(scene, t_end, Steps((t_end - t0) / steps))
+
+
+SCENES = [SliderCrank(), QuarterCar(), HeavyTop(), Chain()]
+
+
+@pytest.mark.parametrize("newton", KINDS)
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_the_march_of_a_small_scene_is_one_function(scene, newton):
+    assert Program(prepared(scene, newton)).joined()
+
+
+def test_so_is_the_march_of_chosen_steps():
+    method = GeneralizedAlphaAdaptive(newton="modified")
+    assert Program(method.prepare(SliderCrank(), 5.0, Tolerances(1e-4))).joined()
+
+
+def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
+    monkeypatch.setattr(dense, "without_products", lambda function: function)
+    march.kernel.cache_clear()
+    try:
+        assert not Program(prepared(SliderCrank())).joined()
+    finally:
+        march.kernel.cache_clear()
+
+
+@pytest.mark.parametrize("newton", KINDS)
+def test_the_pieces_of_a_step_are_few(newton):
+    kinds = ("fusion", "copy", "dot", "concatenate")
+    pieces = [
+        sum(map(body.get, kinds, (0,) * 4)) for body in Program(prepared(SCENES[0], newton)).loops()
+    ]
+    # The start's permutation, rows, a column of the elimination, an iteration, a step.
+    assert all(np.array(sorted(pieces)) <= [8, 11, 12, 22, 50]), pieces
+
+
+def test_a_tangent_is_kept_over_many_steps():
+    run = prepared(SliderCrank(), "modified", steps=20_000).measure()
+    work = run.work
+    assert run.status == "ok"
+    assert work.factorisations == work.jacobians < 0.08 * work.steps
+    assert work.residuals == work.newton == work.solves < 2.5 * work.steps
+
+
+def test_full_newton_takes_two_iterations_a_step():
+    work = prepared(SliderCrank(), steps=20_000).measure().work
+    assert work.residuals == work.newton == work.jacobians == work.factorisations
+    assert 1.9 * work.steps < work.residuals <= 2 * work.steps
+
+
+class Watched(Pendulum):
+    """A pendulum whose force is counted where it is evaluated and linearised."""
+
+    def force(self, q, v, t):
+        force = watch(lambda t, s, p: p * jnp.array([0.0, -1.0]) + 0.0 * s)
+        return force(t, v, self.m * self.g)
+
+
+@pytest.mark.parametrize("newton", KINDS)
+def test_what_is_counted_is_what_was_done(newton):
+    run = prepared(Watched(), newton, steps=50)
+    work = run.measure().work
+    _, counts = run_counted(run.execute)
+    assert counts == (work.residuals, work.jacobians)
+
+
+def test_schemes_steps_and_parameters_compile_nothing_new():
+    march.kernel.cache_clear()
+    run = prepared(SliderCrank(), "modified")
+    prepared(SliderCrank(l1=0.1, w0=3.0), "modified", steps=123)
+    GeneralizedAlpha(rho_inf=0.3, newton="modified").prepare(
+        SliderCrank(), 2.0, Steps(0.01, (0.3, 0.7))
+    ).measure()
+    assert run._kernel.compilations == 1
