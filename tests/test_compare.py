@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
+import altair
 import msgspec
 import pytest
 from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
@@ -13,6 +15,7 @@ from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
 from bench.compare import compare, read_limits, regressions
 from bench.records import Record, median
 from bench.store import FILE, Store
+from reports import comparison
 
 FREE = {"q": (1.0, 2), "a": (3.0, 2)}
 
@@ -341,6 +344,51 @@ def test_the_pages_hold_every_change_and_the_answer_does(old, stepbench, tmp_pat
     shown = [row["now"] for row in page.rows("Relative errors that changed")]
     poor = [r.errors["a"]["max"] for r in after.values() if r.integrator == "poor"]
     assert shown == [f"{error:.4g}" for error in poor]
+
+
+def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_worse(old):
+    def edit(record):
+        if record.integrator == "poor" and record.h in STEPS[:2]:
+            record.errors["a"] |= {"max": 8 * record.errors["a"]["max"]}
+            record.errors["q"] |= {"end": record.errors["q"]["end"] / 2}
+        elif record.integrator == "poor" and record.h == STEPS[2]:
+            record.errors["x"]["end"] /= 4
+        elif record.integrator == "poor" and record.h == STEPS[3]:
+            record.errors["v"]["rms"] = None
+        double_newton(record)
+
+    found = compare(old, edited(old, "new", edit))
+    count = sum(found.judged.values())
+    charts = comparison.charts(found)
+    assert set(charts) == {"ratio-error", "ratio-work"}
+    same, points = (layer["data"]["values"] for layer in charts["ratio-error"]["layer"])
+    assert [(p["rank"], p["ratio"], p["worse"]) for p in points] == [
+        (1, 0.25, 0),
+        (count - 2, 8.0, 1),
+        (count - 1, 8.0, 1),
+        (count, 1e6, 1),  # no number any more: as far as it goes
+    ]
+    assert [(row["rank"], row["end"]) for row in same] == [(1.5, count - 2.5)]
+    title = charts["ratio-error"]["title"]["text"]
+    assert title == f"errors: 3 worse, 1 better of {count} runs"
+    work = charts["ratio-work"]["layer"][1]["data"]["values"]
+    assert {p["ratio"] for p in work} == {2.0}
+    assert [p["rank"] for p in work] == list(range(count - len(STEPS) + 1, count + 1))
+    for chart in charts.values():
+        altair.Chart.from_dict(chart, validate=True)
+
+
+def test_both_pages_show_the_charts_and_identical_runs_have_none(old, tmp_path):
+    found = compare(old, edited(old, "twice", double_newton))
+    html, markdown = comparison.write(found, [], tmp_path / "pages")
+    assert html.read_text().count("<svg") == 1
+    places = re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown.read_text())
+    assert places == ["comparison_figures/ratio-work.svg"]
+    assert (markdown.parent / places[0]).read_text() in html.read_text()
+    html, markdown = comparison.write(compare(old, old), [], tmp_path / "pages")
+    assert "<svg" not in html.read_text()
+    assert "![" not in markdown.read_text()
+    assert not list((tmp_path / "pages").glob("**/*.svg"))
 
 
 @pytest.mark.parametrize(

@@ -311,8 +311,8 @@ def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
-    # Three over all scenes; per scene one picture of it, motion, convergence, cost, accuracy; a held
-    # scene shows the maximum, too.
+    # Three over all scenes; per scene one picture of it, motion, convergence, cost, accuracy; a
+    # held scene shows the maximum, too.
     assert len(pictures) == len(set(pictures)) == 14
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
