@@ -38,6 +38,7 @@ class AlphaMethod(StepMethod):
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False
+    guarded: ClassVar[bool] = True
 
     newton_tol: float = option(
         1e-12,
@@ -85,7 +86,8 @@ class AlphaMethod(StepMethod):
     def scheme(self) -> Scheme:
         """All that the step is told of this member."""
         corrected = self.start == "corrected"
-        return Scheme(*self.parameters(), corrected, self.newton_tol, self.newton_max)
+        solver = self.newton_tol, self.newton_max
+        return Scheme(*self.parameters(), corrected, *solver, self.guarded)
 
     def numbers(self) -> Any:
         return self.scheme()
@@ -115,14 +117,24 @@ class GeneralizedAlpha(AlphaMethod):
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
-    gamma: str = _gamma_policy()
+    gamma: str = option(
+        "fixed",
+        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would send "
+        "them to infinity; or unguarded, without it",
+        choices=("fixed", "updated", "unguarded"),
+    )
+
+    @property
+    def guarded(self) -> bool:
+        """Whether sharp cuts restart the recurrence."""
+        return self.gamma != "unguarded"
 
     def parameters(self) -> tuple[float, ...]:
         rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
         return (
             *second_order_parameters(self.rho_inf),
             *first_order_parameters(rho_x),
-            self.gamma == "updated",
+            self.gamma != "fixed",
             self.classical,
         )
 

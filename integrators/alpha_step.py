@@ -62,6 +62,7 @@ class Scheme(NamedTuple):
     corrected: bool
     newton_tol: float
     newton_max: int
+    guarded: bool
 
 
 class AlphaState(NamedTuple):
@@ -146,11 +147,12 @@ class Weights(NamedTuple):
 def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
     """Gamma and theta of the next step, by the policy of the scheme.
 
-    A cut below the safe ratio restarts the recurrence (order two is kept) when they are updated.
+    A cut below the safe ratio restarts the recurrence (order two is kept) when they are updated,
+    unless the scheme is unguarded.
     """
-    ratio = h / state.h
-    again = s.updated & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
-    again_x = s.updated & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
+    ratio, guarded = h / state.h, s.updated & s.guarded
+    again = guarded & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
+    again_x = guarded & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
     shift = jnp.where(again, 0.0, state.shift)
     shift_x = jnp.where(again_x, 0.0, state.shift_x)
     gamma, shift_end = updated_weight(s.alpha_m, s.alpha_f, shift, h)
