@@ -26,6 +26,10 @@ _CALLS = {
 _BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan": ("jaxpr",)}
 #: Matrices up to this size are dealt with here; the libraries are faster with larger ones.
 MOST = 32
+#: The same of many matrices side by side.
+MOST_OF_MANY = 12
+#: A power of two above all rows.
+_ROOM = 64
 
 
 def inverse(a: Any) -> Any:
@@ -42,25 +46,48 @@ def solve(a: Any, b: Any) -> Any:
     """Solution of a x = b for one right-hand side."""
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.solve(a, b)
-    return inverse(a) @ b
+    alone = jax.custom_batching.custom_vmap(lambda a, b: inverse(a) @ b)
+    many = jax.vmap(_side_by_side if len(a) <= MOST_OF_MANY else jnp.linalg.solve)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
+        full = (x if b else jnp.stack([x] * size) for x, b in zip(parts, batched, strict=True))
+        return many(*full), True
+
+    return alone(a, b)
 
 
 def _by_elimination(a: Any) -> Any:
     """Gauss-Jordan elimination in place, with the largest pivots of the columns; instead of
     exchanging rows it remembers which row was the pivot's."""
-    n = len(a)
+    n, rows = len(a), jnp.arange(len(a))
     put = jax.lax.dynamic_update_index_in_dim
 
     def eliminate(k: Any, carry: tuple) -> tuple:
         w, row_of, column_of = carry
         column = w[:, k]
-        p = jnp.argmax(jnp.where(column_of == n, jnp.abs(column), -1.0))
+        # Floats without a sign are ordered as their bits are, and integers are compared faster;
+        # the last bits make room for the row. What is not a number comes out largest.
+        size = jax.lax.bitcast_convert_type(jnp.abs(column), jnp.int64) & -_ROOM | rows
+        p = jnp.max(jnp.where(column_of == n, size, -1)) & (_ROOM - 1)
         row = put(w[p], 1.0, k, 0) / column[p]
         w = put(w, jnp.zeros(n), k, 1) - put(column, 0.0, p, 0)[:, None] * row
         return put(w, row, p, 0), put(row_of, p, k, 0), put(column_of, k, p, 0)
 
     w, row_of, column_of = jax.lax.fori_loop(0, n, eliminate, (a, *2 * (jnp.full(n, n),)))
     return w[row_of][:, column_of]
+
+
+def _side_by_side(a: Any, b: Any) -> Any:
+    """Gauss-Jordan elimination without a loop, which processors do for many matrices at once."""
+    n = len(a)
+    w = jnp.concatenate([a, b[:, None]], axis=1)
+    for k in range(n):
+        p = k + jnp.argmax(jnp.abs(w[k:, k]))
+        here, pivot = w[k], w[p]
+        w = w.at[p].set(here).at[k].set(pivot)
+        w = w - (w[:, k] / pivot[k]).at[k].set(0.0)[:, None] * pivot
+    return w[:, n] / jnp.diagonal(w)
 
 
 def without_products(function: Callable) -> Callable:
