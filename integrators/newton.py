@@ -95,7 +95,7 @@ def newton(
             u = jnp.where(anew, old, jnp.where(astray, guess, u))
             size, exact = jnp.where(anew, jnp.inf, size), stale | (k >= most)
             inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
-            du = inverse @ residual(u)
+            du = dense.product(inverse, residual(u))
         else:
             du = dense.solve(jax.jacfwd(residual)(u), residual(u))
         size, before = measure(du, u - du, exact), size

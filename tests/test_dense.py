@@ -33,6 +33,12 @@ def test_a_singular_matrix_has_no_finite_inverse():
     assert not np.isfinite(dense.inverse(np.full((3, 3), np.nan))).any()
 
 
+@pytest.mark.parametrize(("rows", "n"), [(3, 1), (4, 13), (2, dense.MOST + 1)])
+def test_the_product_with_a_vector(rows, n):
+    a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
+    assert np.allclose(dense.product(a, b), a @ b, rtol=1e-13, atol=1e-14)
+
+
 @pytest.mark.parametrize(("n", "called"), [(5, False), (dense.MOST + 1, True)])
 def test_lapack_is_called_for_large_matrices_alone(n, called):
     assert ("lapack" in jax.jit(dense.inverse).lower(jnp.eye(n)).as_text()) is called
