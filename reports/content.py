@@ -117,7 +117,7 @@ def _overview(
     """The charts over all scenes, with more than one integrator to compare."""
     if len({s.label for s in found}) < 2:
         return []
-    which = "(choose below)" if interactive else "(acceleration to 1e-4, residual evaluations)"
+    which = "(choose above)" if interactive else "(acceleration to 1e-4, residual evaluations)"
     made = [
         (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "

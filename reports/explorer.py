@@ -97,12 +97,8 @@ def explorer(
     floors = _floors(series, groups, rows)
     lines = _lines(view, "across", "error", "seconds", tips)
     for channel, numbers in (("x", "~g"), ("y", ".0e")):
-        lines[0]["encoding"][channel]["axis"] = {
-            "format": numbers,
-            "tickCount": 6,
-            "labelOverlap": "greedy",
-            "minExtent": 40,
-        }
+        # The range is the menus' choice: the digits 1, 2, 5 where they fit.
+        lines[0]["encoding"][channel]["axis"] = log_axis((1, 50), numbers, minExtent=40)
     # One view, not a grid of one: the titles have to know its width and height.
     return {
         "datasets": {table.name: table.text for table in (data, floors) if table.rows},

@@ -45,7 +45,7 @@ class View:
 
     @property
     def controls(self) -> list[Spec]:
-        """Buttons below the chart that choose the norm of all its panels."""
+        """Buttons above the chart that choose the norm of all its panels."""
         if not self.interactive:
             return []
         labels = [NORM_NAMES[n] for n in NORMS]

@@ -98,7 +98,7 @@ def heat(found: Sequence[Standing], interactive: bool) -> Spec | None:
                 "encoding": place | {"text": {"field": "text", "type": "nominal"}, "color": ink},
             },
         ],
-        "width": {"step": 62},
+        "width": {"step": 58},
         "height": {"step": 22},
     }
     return chart | {"config": config()}

@@ -236,7 +236,7 @@ class SceneReader:
 
     def _which(self, norms: Sequence[str]) -> str:
         if self.interactive:
-            return "(choose the norm below the chart)"
+            return "(choose the norm above the chart)"
         return words(NORM_NAMES[norm] for norm in norms)
 
     def _floor(self, groups: Iterable[str]) -> str:
