@@ -8,8 +8,7 @@ from pathlib import Path
 
 import vl_convert
 
-from bench.atlas.results import CaseResult, ExperimentResult, PartResult
-from bench.atlas.tables import bounds
+from bench.atlas.results import CaseResult, ExperimentResult, PartResult, bounds
 from reports.marks import Data, Spec, View, arrange, by_series, log_axis, log_scale, quantity, short
 from reports.scenes import Figure
 from reports.series import looks_of, number

@@ -14,7 +14,7 @@ from bench.atlas.conditioning import condition
 from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
 from bench.atlas.laboratory import run_experiments
 from bench.atlas.measures import number_of
-from bench.atlas.tables import bounds
+from bench.atlas.results import bounds
 from bench.registry import Registry
 from bench.store import Store
 from problems.pendulum import Pendulum

@@ -53,3 +53,13 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
     def as_predicted(self) -> bool:
         """Whether every predicted number was found."""
         return all(case.as_predicted is not False for part in self.parts for case in part.cases)
+
+
+def bounds(interval: tuple[float | None, float | None]) -> str:
+    """An interval in words."""
+    low, high = interval
+    if low is None or high is None:
+        return (
+            "any" if low is high else f"at least {low:g}" if high is None else f"at most {high:g}"
+        )
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

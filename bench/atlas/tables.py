@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from bench.atlas.experiments import Experiment
-from bench.atlas.results import CaseResult, ExperimentResult
+from bench.atlas.results import CaseResult, ExperimentResult, bounds
 
 
 def listing(experiments: Sequence[Experiment]) -> Table:
@@ -50,16 +50,6 @@ def _case(case: CaseResult) -> tuple[str, str, str, str]:
         mark[case.as_predicted],
         ("spared" if case.healthy else "hit") if case.x else "does not apply",
     )
-
-
-def bounds(interval: tuple[float | None, float | None]) -> str:
-    """An interval in words."""
-    low, high = interval
-    if low is None or high is None:
-        return (
-            "any" if low is high else f"at least {low:g}" if high is None else f"at most {high:g}"
-        )
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _table(title: str) -> Table:
