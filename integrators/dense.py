@@ -26,6 +26,8 @@ _CALLS = {
 _BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan": ("jaxpr",)}
 #: Matrices up to this size are dealt with here; the libraries are faster with larger ones.
 MOST = 32
+#: The same of many matrices side by side.
+MOST_OF_MANY = 12
 #: A power of two above all rows.
 _ROOM = 64
 
@@ -44,7 +46,15 @@ def solve(a: Any, b: Any) -> Any:
     """Solution of a x = b for one right-hand side."""
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.solve(a, b)
-    return product(inverse(a), b)
+    alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
+    many = jax.vmap(_side_by_side if len(a) <= MOST_OF_MANY else jnp.linalg.solve)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
+        full = (x if b else jnp.stack([x] * size) for x, b in zip(parts, batched, strict=True))
+        return many(*full), True
+
+    return alone(a, b)
 
 
 def product(a: Any, b: Any) -> Any:
@@ -74,6 +84,18 @@ def _by_elimination(a: Any) -> Any:
 
     w, row_of, column_of = jax.lax.fori_loop(0, n, eliminate, (a, *2 * (jnp.full(n, n),)))
     return w[row_of][:, column_of]
+
+
+def _side_by_side(a: Any, b: Any) -> Any:
+    """Gauss-Jordan elimination without a loop, which processors do for many matrices at once."""
+    n = len(a)
+    w = jnp.concatenate([a, b[:, None]], axis=1)
+    for k in range(n):
+        p = k + jnp.argmax(jnp.abs(w[k:, k]))
+        here, pivot = w[k], w[p]
+        w = w.at[p].set(here).at[k].set(pivot)
+        w = w - (w[:, k] / pivot[k]).at[k].set(0.0)[:, None] * pivot
+    return w[:, n] / jnp.diagonal(w)
 
 
 def without_products(function: Callable) -> Callable:
