@@ -1,0 +1,75 @@
+"""Throughput of ensembles against a loop over single runs (``make bench``).
+
+The loop over single runs is the prepared kernel, compiled once, called for one member after the
+other, from start to end without rows; its starts are made before. Ensembles are measured on one
+thread and on all, and include the reading of the results. Nothing is asserted about times.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from bench.axes import axis, number, varied
+from bench.batch import Batch
+from bench.maps import outcome_map
+from bench.registry import Registry
+from integrators import Steps
+
+REGISTRY = Registry()
+MEMBERS, ALONE = 1000, 50
+
+
+def seconds(call, rounds=3):
+    times = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - started)
+    return min(times)
+
+
+@pytest.mark.parametrize(("problem", "name"), [("quarter_car", "k"), ("pendulum", "th0")])
+def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
+    scene, method = REGISTRY.problem(problem), REGISTRY.integrator("generalized_alpha")
+    value = getattr(scene, name)
+    values = np.random.default_rng(0).uniform(0.8 * value, 1.2 * value, MEMBERS)
+    end, steps = scene.interval[1], Steps(scene.nominal_step)
+    runs = varied(scene, method, steps, {number(name, scene, method): values})
+    started = time.perf_counter()
+    batch = Batch(runs, end)
+    prepared = time.perf_counter() - started
+    batch.warm()
+    singles = [method.prepare(run.scene, end, steps) for run in runs[:ALONE]]
+
+    def loop():
+        for single in singles:
+            single.execute()
+
+    loop()
+    alone = seconds(loop) / ALONE
+    one = seconds(lambda: list(batch.blocks(jobs=1))) / MEMBERS
+    blocks = benchmark.pedantic(lambda: list(batch.blocks()), rounds=3, warmup_rounds=1)
+    all_threads = benchmark.stats.stats.min / MEMBERS
+    assert sum(len(block.members) for block in blocks) == MEMBERS
+    with capsys.disabled():
+        print(
+            f"\n{problem}, {MEMBERS} members of {blocks[0].counts[0, 0]:.0f} steps: "
+            f"single run {1e6 * alone:.0f} us; ensemble on one thread {1e6 * one:.0f} us a member "
+            f"({alone / one:.1f} times the throughput), on all threads {1e6 * all_threads:.0f} us "
+            f"({alone / all_threads:.1f} times); starts and tables {prepared:.2f} s"
+        )
+
+
+def test_a_map_of_200_by_200(benchmark, capsys):
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
+    axes = axis("h", scene, method, (1e-3, 0.3)), axis("rho_inf", scene, method)
+    found = benchmark.pedantic(lambda: outcome_map(scene, method, axes, (200, 200)), rounds=1)
+    assert sum(found.counts().values()) == 40_000
+    with capsys.disabled():
+        print(
+            f"\nmap of 200 x 200 on pendulum: {found.run_s:.1f} s, "
+            f"prepared and compiled in {found.compile_s:.1f} s"
+        )
