@@ -12,6 +12,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from benchmarks import opponents
 
 from integrators import Steps, Tolerances, dense, march
 from integrators.alpha_adaptive import GeneralizedAlphaAdaptive
@@ -143,3 +144,12 @@ def test_schemes_steps_and_parameters_compile_nothing_new():
         SliderCrank(), 2.0, Steps(0.01, (0.3, 0.7))
     ).measure()
     assert run._kernel.compilations == 1
+
+
+def test_the_yardstick_in_c_solves_the_same_equations():
+    try:
+        c = opponents.c_program()
+    except opponents.NotHere as reason:
+        pytest.skip(str(reason))
+    ours = prepared(SliderCrank(), steps=opponents.STEPS).measure()
+    assert np.abs(c.q - ours.q[-1]).max() < 1e-11
