@@ -87,9 +87,13 @@ def histories(scene: MechatronicSystem, trajectory: Trajectory) -> dict[str, np.
     return found
 
 
+#: Of groups with more components than this, only the first ones are stored.
+MOST_COMPONENTS = 100
+
+
 def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
     """A trajectory (or a reference's values with "t") as it is stored: up to its first row that is
-    not finite, which could not be read back.
+    not finite, which could not be read back, and of large groups the first components.
     """
     values = trajectory if isinstance(trajectory, dict) else vars(trajectory)
     t = np.asarray(values["t"])
@@ -100,6 +104,6 @@ def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
     keep = len(t) if finite_rows.all() else int(np.argmin(finite_rows))
     return Rows(
         t=t[:keep].tolist(),
-        values={n: rows[:keep].tolist() for n, rows in groups.items()},
+        values={n: rows[:keep, :MOST_COMPONENTS].tolist() for n, rows in groups.items()},
         notes={n: list(map(finite, r[:keep])) for n, r in values.get("notes", {}).items()},
     )

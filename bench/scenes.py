@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench import measure
-from bench.records import SceneRecord
+from bench.records import Rows, SceneRecord
 from bench.registry import fingerprint
 from problems.formulations import ode_rate
 from problems.reference import Reference
@@ -30,9 +30,21 @@ _BLOCKS = {
 
 
 def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
-    """Everything that a report shows of a scene."""
-    t = np.linspace(scene.interval[0], reference.t_end, 301)
-    values = {"t": t} | reference(t)
+    """Everything that a report shows of a scene; less, if it is too large for a reference."""
+    known: dict[str, Any] = {
+        "reference_method": reference.missing,
+        "reference_error": {},
+        "reference": Rows(t=[], values={}),
+    }
+    if not reference.missing:
+        t = np.linspace(scene.interval[0], reference.t_end, 301)
+        known = {
+            "reference_method": reference.method,
+            "reference_error": measure.relative_reference_error(reference),
+            "reference": measure.rows_of({"t": t} | reference(t)),
+            "drawings": drawings(scene, reference, GHOSTS),
+            "rates": rates(scene, reference),
+        }
     return SceneRecord(
         problem=scene.spec,
         t_end=reference.t_end,
@@ -40,16 +52,12 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
         coordinates=list(scene.coordinates),
         sizes=scene.sizes._asdict(),
         t0=scene.interval[0],
-        reference_method=reference.method,
-        reference_error=measure.relative_reference_error(reference),
-        reference=measure.rows_of(values),
-        drawings=drawings(scene, reference, GHOSTS),
         fingerprint=fingerprint(type(scene)),
         tags=list(scene.tags),
         difficulties=list(scene.difficulties),
         equations=equations(scene),
         nominal_step=scene.nominal_step,
-        rates=rates(scene, reference),
+        **known,
         **scene.describe(),
     )
 

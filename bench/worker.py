@@ -57,7 +57,8 @@ class _Bench:
         if key not in self.references:
             self.notify(f"making the reference of {scene.spec}")
             reference = Reference(scene, t_end)
-            reference.error  # noqa: B018 - made now, where the runner knows what takes so long
+            if not reference.missing:
+                reference.error  # noqa: B018 - made now, where the runner knows what takes so long
             self.references[key] = reference
         return self.references[key]
 
@@ -79,7 +80,10 @@ class _Bench:
         if errors:
             try:
                 reference = self.reference(scene, record.t_end)
-                record.errors, record.reference_error = measure.relative_errors(run, reference)
+                if reference.missing:
+                    record.message = f"No errors are known. {reference.missing}"
+                else:
+                    record.errors, record.reference_error = measure.relative_errors(run, reference)
             except Exception as error:
                 record.message = f"No errors are known, the reference failed: {explain(error)}"
         histories = measure.histories(scene, run)

@@ -18,6 +18,8 @@ from integrators.alpha_step import (
 )
 from integrators.contract import option
 from integrators.march import StepMethod
+from problems.formulations import Start, is_large
+from problems.sparsity import NoPattern, require
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -52,6 +54,12 @@ class AlphaMethod(StepMethod):
         "full",
         "full: a new tangent in every iteration; modified: kept over steps while it contracts",
         choices=("full", "modified"),
+    )
+    linear_solver: str = option(
+        "auto",
+        "dense; sparse: KLU on the tangent's pattern (extra [sparse]), with full Newton; auto: by "
+        "size and fill",
+        choices=("auto", "dense", "sparse"),
     )
     formulation: str = option(
         "index3",
@@ -95,6 +103,23 @@ class AlphaMethod(StepMethod):
     def functions(self) -> tuple[Any, ...]:
         return FUNCTIONS[self.formulation, self.newton]
 
+    def on(self, scene: MechatronicSystem, start: Start) -> Any:
+        wanted = self.linear_solver
+        if wanted == "auto" and (self.newton == "modified" or not is_large(scene)):
+            return self
+        if wanted == "dense":
+            return self
+        from integrators.alpha_sparse import SparseAlpha
+
+        require()
+        sparse = SparseAlpha(self.scheme(), self.formulation, scene, start)
+        try:
+            return sparse if sparse.pays() or wanted == "sparse" else self
+        except NoPattern:
+            if wanted == "sparse":
+                raise
+            return self
+
     begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
 
 
@@ -119,8 +144,8 @@ class GeneralizedAlpha(AlphaMethod):
     )
     gamma: str = option(
         "fixed",
-        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would send "
-        "them to infinity; or unguarded, without it",
+        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would "
+        "send them to infinity; or unguarded, without it",
         choices=("fixed", "updated", "unguarded"),
     )
 

@@ -125,7 +125,8 @@ def safe_ratio(alpha_m: Any) -> Any:
     return alpha_m / (1 - alpha_m)
 
 
-def _read(state: AlphaState) -> Reading:
+def read(state: AlphaState) -> Reading:
+    """The variables of a state, and the step's own weights."""
     s = state
     return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))
 
@@ -169,7 +170,7 @@ def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
     )
 
 
-def _begin(
+def begin(
     stabilised: bool,
     modified: bool,
     scene: MechatronicSystem,
@@ -177,19 +178,23 @@ def _begin(
     numbers: Scheme,
     start: Start,
     h: Any,
+    constrained_jerk: Any = None,
 ) -> AlphaState:
     """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
 
     On index 3 the shift alone leaves a first-order transient in lambda; it is gone with
     v0 + C h^2 Q jerk, C = 1/6 - beta - (alpha_m - alpha_f)/2, where Q projects on the range of
-    M^-1 Phi_q^T.
+    M^-1 Phi_q^T; this product may be given as ``constrained_jerk``.
     """
     z, s, on = start.z, numbers, jnp.where(numbers.corrected, 1.0, 0.0)
     shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
     v = z.v
     if sizes.nl and not stabilised:
         c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
-        v = v + on * c * h**2 * formulations.constrained_part(scene, sizes, z.q, z.t, start.jerk)
+        part = constrained_jerk
+        if part is None:
+            part = formulations.constrained_part(scene, sizes, z.q, z.t, start.jerk)
+        v = v + on * c * h**2 * part
     aux = z.a + on * shift * start.jerk
     auxx = start.xdot + on * shift_x * start.xddot
     n = sizes.nq + sizes.nl * (2 if stabilised else 1) + sizes.nx + sizes.ny
@@ -201,20 +206,36 @@ def _begin(
     )  # fmt: skip
 
 
-def _step(
+class Equations(NamedTuple):
+    """What the unknowns u = [a, lam, mu, xdot, y] of a step have to satisfy.
+
+    ``residual(u)``; ``at(u)``, the variables and xdot at the end of the step; ``cuts`` between the
+    groups of u; ``floors`` of rounding per group, below which no Newton update can fall; the
+    auxiliary values of the end without their part of u, and what that part is multiplied by.
+    """
+
+    residual: Any
+    at: Any
+    cuts: Any
+    floors: Any
+    aux_base: Any
+    aux_slope: Any
+    auxx_base: Any
+    auxx_slope: Any
+
+
+def equations(
     stabilised: bool,
-    modified: bool,
     scene: MechatronicSystem,
     sizes: Sizes,
-    numbers: Scheme,
+    s: Scheme,
     state: AlphaState,
+    w: Weights,
     t: Any,
     h: Any,
-) -> tuple[AlphaState, StepReport]:
-    s = numbers
-    w = weights(s, state, h)
+) -> Equations:
+    """The equations of a step of size h to time t."""
     aux, auxx, gamma, theta = w.aux, w.auxx, w.gamma, w.theta
-
     # Every end value is "base + slope * unknown", the unknowns being a and xdot.
     aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
     auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
@@ -259,22 +280,41 @@ def _step(
     # What is rounding in a is rounding in what the controller makes of it.
     part = jnp.minimum(of_a / (largest(state.a) + 1e-300), _MOST_ROUNDING)
     of_control = [part * largest(now, 0.0) for now in (state.xdot, state.y)]
-    floors = (of_a, of_a * largest(scene.mass(q_base)), of_q, *of_control)
+    floors = (of_a, of_a * formulations.largest_inertia(scene, q_base), of_q, *of_control)
+    return Equations(residual, at, cuts, floors, aux_base, aux_slope, auxx_base, auxx_slope)
+
+
+def step(
+    stabilised: bool,
+    modified: bool,
+    scene: MechatronicSystem,
+    sizes: Sizes,
+    numbers: Scheme,
+    state: AlphaState,
+    t: Any,
+    h: Any,
+    solve: Any = None,
+) -> tuple[AlphaState, StepReport]:
+    """A step of size h to time t; ``solve`` as in `newton`."""
+    s = numbers
+    w = weights(s, state, h)
+    e = equations(stabilised, scene, sizes, s, state, w, t, h)
     old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
     ahead = extrapolated(old, state.slopes, h, state.h)
-    no_mu = jnp.zeros(nmu)
-    guesses = [jnp.concatenate([u[: cuts[1]], no_mu, u[cuts[1] :]]) for u in (ahead, old)]
+    no_mu = jnp.zeros(sizes.nl if stabilised else 0)
+    guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
     guess = jnp.where(state.smooth, *guesses)
     u, inverse, report = newton(
-        residual, guess, guesses[1], cuts, s.newton_tol, s.newton_max, floors, state.inverse
-    )
-    z, xdot = at(u)
-    aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
+        e.residual, guess, guesses[1], e.cuts, s.newton_tol, s.newton_max, e.floors, state.inverse,
+        solve,
+    )  # fmt: skip
+    z, xdot = e.at(u)
+    aux_end, auxx_end = e.aux_base + e.aux_slope * z.a, e.auxx_base + e.auxx_slope * xdot
     seen = jnp.where(s.classical, aux_end, z.a)
     new = jnp.concatenate([z.a, z.lam, xdot, z.y])
     return AlphaState(
         z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-        gamma, theta, seen, inverse, differences(new, old, state.slopes, h, state.h),
+        w.gamma, w.theta, seen, inverse, differences(new, old, state.slopes, h, state.h),
         largest(new - ahead) < _SMOOTH * largest(new - old),
     ), report  # fmt: skip
 
@@ -296,9 +336,9 @@ def differences(new: Any, old: Any, slopes: Any, h: Any, h_last: Any) -> Any:
 #: that all members share one kernel.
 FUNCTIONS = {
     (form, kind): (
-        partial(_begin, form == "stabilised_index2", kind == "modified"),
-        partial(_step, form == "stabilised_index2", kind == "modified"),
-        _read,
+        partial(begin, form == "stabilised_index2", kind == "modified"),
+        partial(step, form == "stabilised_index2", kind == "modified"),
+        read,
     )
     for form in ("index3", "stabilised_index2")
     for kind in ("full", "modified")

@@ -119,6 +119,11 @@ class StepMethod(Integrator):
     def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
         return self if self.controls == "step" else None
 
+    def on(self, scene: MechatronicSystem, start: Start) -> Any:
+        """What marches on a scene: an object with ``numbers`` and ``kernel`` as here, which may be
+        another one where the scene's size asks for it."""
+        return self
+
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
         return _March(self, scene, t_end, resolution)
 
@@ -143,9 +148,10 @@ class _March(PreparedRun):
         padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
+        marching = method.on(scene, start)
         self._start, self._noted = start, method.noted
-        self._kernel = method.kernel(scene)
-        self._arguments = self._kernel.pack(scene.parameters(), method.numbers(), start, clock)
+        self._kernel = marching.kernel(scene)
+        self._arguments = self._kernel.pack(scene.parameters(), marching.numbers(), start, clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
         self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
         # A march that keeps no row takes no step: it compiles the kernel and costs nothing else.

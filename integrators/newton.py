@@ -37,6 +37,7 @@ def newton(
     most: Any,
     floors: Any,
     inverse: Any,
+    solve: Callable | None = None,
 ) -> tuple[Any, Any, StepReport]:
     """Solve residual(u) = 0, in the traced loop of a step.
 
@@ -44,7 +45,8 @@ def newton(
     Newton keeps the inverse that it is given while an update is at most ``_CONTRACTION`` times
     the one before, and takes a new one where it is not; what it has not solved after ``most``
     iterations, full Newton tries from the start of the step. Returns the solution, the inverse for
-    the next step, and the report.
+    the next step, and the report. ``solve(residual, u)`` gives the update of full Newton; by
+    default with a dense tangent.
 
     With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
     d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
@@ -97,7 +99,7 @@ def newton(
             inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
             du = dense.product(inverse, residual(u))
         else:
-            du = dense.solve(jax.jacfwd(residual)(u), residual(u))
+            du = (solve or _dense)(residual, u)
         size, before = measure(du, u - du, exact), size
         return _Iteration(u - du, k + 1, size, before, exact, inverse, tangents + exact)
 
@@ -108,3 +110,7 @@ def newton(
     end = jax.lax.while_loop(go_on, iterate, start)
     report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
     return end.u, end.inverse, report
+
+
+def _dense(residual: Callable, u: Any) -> Any:
+    return dense.solve(jax.jacfwd(residual)(u), residual(u))

@@ -7,6 +7,7 @@ scene does not have are left out at trace time.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
@@ -14,10 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from problems import sparsity
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Sizes, State, Variables
 
 FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
+
+#: More unknowns than this are solved for by sparse linear algebra, where it is installed.
+LARGE = 100
 
 #: A start is consistent when its residuals, relative to the size of q or v, are below this.
 CONSISTENCY_TOLERANCE = 1e-9
@@ -49,9 +54,21 @@ def constraint_acceleration(scene: MechatronicSystem, q: Any, v: Any, a: Any, t:
     )[1]
 
 
+def inertia(scene: MechatronicSystem, q: Any, a: Any) -> Any:
+    """M(q) a, shape ``(nq,)``; by the scene's own product where it states one."""
+    return scene.mass_product(q, a) if scene.has("mass_product") else scene.mass(q) @ a
+
+
+def largest_inertia(scene: MechatronicSystem, q: Any) -> Any:
+    """The size of M, scalar: its largest entry, or that of its row sums."""
+    if scene.has("mass_product"):
+        return jnp.max(jnp.abs(scene.mass_product(q, jnp.ones_like(q))))
+    return jnp.max(jnp.abs(scene.mass(q)))
+
+
 def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Any:
     """M a - g + Phi_q^T lam - L y, shape ``(nq,)``."""
-    r = scene.mass(z.q) @ z.a - scene.force(z.q, z.v, z.t)
+    r = inertia(scene, z.q, z.a) - scene.force(z.q, z.v, z.t)
     if scene.has("constraint"):
         r = r + constraint_force(scene, z.q, z.t, z.lam)
     if scene.has("output"):
@@ -293,6 +310,22 @@ class Start(NamedTuple):
     xddot: np.ndarray
 
 
+def _start_of_large(scene: MechatronicSystem, state: State, t: float) -> tuple | None:
+    """The start by sparse algebra; None for a scene that is small, or whose pattern is unknown."""
+    from problems import large
+
+    if is_large(scene):
+        with contextlib.suppress(sparsity.NoPattern):
+            return large.start_of(scene, state, t)
+    return None
+
+
+def is_large(scene: MechatronicSystem) -> bool:
+    """Whether sparse linear algebra pays for a scene, and is there."""
+    sizes = scene.sizes
+    return sizes.nq + sizes.nl + sizes.ny > LARGE and sparsity.available()
+
+
 def consistent_start(scene: MechatronicSystem) -> Start:
     """Check q, v of a scene's initial state and compute a, lam, y, xdot and the jerk from them.
 
@@ -321,7 +354,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
                     f"level by {r:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}); "
                     f"correct the scene's initial_state or its parameters."
                 )
-    z, *rates = functions.start(p, *state, t0)
+    z, *rates = _start_of_large(scene, state, t0) or functions.start(p, *state, t0)
     z = Variables(*(np.asarray(part) for part in z))
     if not all(np.isfinite(part).all() for part in z):
         raise NoConsistentStart(

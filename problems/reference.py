@@ -19,6 +19,9 @@ from problems.system import MechatronicSystem
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")
 _RTOL = 3e-14
+#: Coordinates and multipliers beyond which no reference is made: each of its many evaluations is a
+#: dense solve.
+_MOST_UNKNOWNS = 300
 
 
 class ReferenceFailed(RuntimeError):
@@ -38,6 +41,17 @@ class Reference:
         if self.scene.has("exact"):
             return "closed form"
         return f"DOP853 (scipy), rtol {_RTOL:g}, on the explicit ODE"
+
+    @property
+    def missing(self) -> str:
+        """Why there is none; empty if there is one."""
+        sizes = self.scene.sizes
+        if self.scene.has("exact") or sizes.nq + sizes.nl <= _MOST_UNKNOWNS:
+            return ""
+        return (
+            f"No reference is made of {self.scene.spec}: it has {sizes.nq + sizes.nl} unknowns, "
+            f"more than {_MOST_UNKNOWNS}."
+        )
 
     def __call__(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """Return q, v, a, lam, x, xdot, y at times t, each of shape ``(len(t), n)``."""
@@ -87,6 +101,9 @@ class Reference:
 
     def _integrate(self, rtol: float, cap: float) -> Any:
         from scipy.integrate import solve_ivp
+
+        if self.missing:
+            raise ReferenceFailed(self.missing)
 
         t0 = self.scene.interval[0]
         start = consistent_start(self.scene).z

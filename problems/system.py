@@ -116,6 +116,10 @@ class MechatronicSystem:
         """Mass matrix M(q), shape ``(nq, nq)``."""
         raise NotImplementedError
 
+    def mass_product(self, q: Any, a: Any) -> Any:
+        """M(q) a, shape ``(nq,)``, where M is large and mostly zero; ``mass`` is stated, too."""
+        raise NotImplementedError
+
     def force(self, q: Any, v: Any, t: Any) -> Any:
         """Applied and gyroscopic forces g(q, v, t), shape ``(nq,)``."""
         raise NotImplementedError

@@ -112,6 +112,11 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
             "The matrix [[M, Phi_q^T], [Phi_q, 0]] is singular at the start; remove dependent "
             "constraints, or give every coordinate a mass or a constraint."
         )
+    if scene.has("mass_product"):
+        a = jnp.asarray(np.random.default_rng(1).normal(size=len(q)))
+        difference = np.abs(np.asarray(scene.mass_product(q, a)) - mass @ np.asarray(a)).max()
+        if not difference <= 1e-12 * size * len(q):
+            raise Failed(f"mass_product differs from mass times a vector by {difference:.2g}.")
     return "M is symmetric and the augmented matrix is regular at the start."
 
 

@@ -1,0 +1,193 @@
+"""Sparse tangents: the runs and starts of dense ones, and work that grows like the size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from integrators import alpha_sparse
+from integrators.alpha_family import HHT, GeneralizedAlpha
+from integrators.contract import Steps
+from problems import Variables, formulations, jnp, large, sparsity
+from problems.chain import Chain
+from problems.formulations import NoConsistentStart, consistent_start
+from problems.full_car import FullCar
+from problems.pendulum import Pendulum
+from problems.quarter_car import QuarterCar
+from problems.reference import Reference, ReferenceFailed
+from problems.slider_crank import SliderCrank
+from problems.spec import SpecError
+from problems.spring_mass import SpringMass
+
+pytest.importorskip("klujax")
+SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)]
+
+
+def end(method, scene, steps, h):
+    t0 = scene.interval[0]
+    run = method.prepare(scene, t0 + steps * h, Steps(h)).measure()
+    assert run.status == "ok", run.message
+    return run
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("form", ["index3", "stabilised_index2"])
+def test_sparse_and_dense_runs_are_the_same(scene, form):
+    h = scene.nominal_step / 10
+    sparse, dense = (
+        end(GeneralizedAlpha(linear_solver=kind, formulation=form, start="corrected"), scene, 20, h)
+        for kind in ("sparse", "dense")
+    )
+    for group in ("q", "v", "a", "lam", "x", "y"):
+        one, other = getattr(sparse, group), getattr(dense, group)
+        size = np.abs(other).max(initial=1e-3)
+        assert one == pytest.approx(other, abs=1e-8 * size), group
+    assert abs(sparse.work.newton - dense.work.newton) <= 2
+
+
+def test_the_pattern_holds_every_entry():
+    scene = Chain(links=7)
+    pattern, *_ = alpha_sparse._prepared(scene.template(), True)
+    rng = np.random.default_rng(4)
+
+    def residual(u):
+        z = Variables(u[:14] * 0.01, u[:14], u[:14], u[14:], jnp.zeros(0), jnp.zeros(0), 0.0)
+        rows = [formulations.dynamics_residual(scene, z), scene.constraint(z.q, 0.0)]
+        return jnp.concatenate(rows)
+
+    found = sparsity.Pattern(residual, 21)
+    u = jnp.asarray(rng.normal(size=21))
+    dense = np.zeros((21, 21))
+    dense[found.rows, found.columns] = np.asarray(found.values(residual, u))
+    assert dense == pytest.approx(np.asarray(formulations.jax.jacfwd(residual)(u)), abs=1e-14)
+    assert found.products <= 9
+    assert len(pattern.rows) < 0.5 * pattern.size**2
+
+
+def test_colours_do_not_grow_with_the_chain():
+    ten, hundred = (alpha_sparse._prepared(Chain(links=n), False)[0] for n in (10, 100))
+    assert ten.products == hundred.products
+    assert len(hundred.rows) <= 14 * 100
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
+    start = consistent_start(scene)
+    z, xdot, jerk, xddot = large.start_of(scene, scene.initial_state(), scene.interval[0])
+    for one, other in zip((*z, xdot, jerk, xddot), (*start.z, *start[1:]), strict=True):
+        size = np.abs(other).max(initial=1.0)
+        assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9 * size)
+    if scene.sizes.nl:
+        part = formulations.constrained_part(
+            scene, scene.sizes, jnp.asarray(z.q), jnp.asarray(z.t), jnp.asarray(jerk)
+        )
+        mine = large.projected(scene, jnp.asarray(z.q), float(z.t), jerk)
+        assert mine == pytest.approx(np.asarray(part), abs=1e-8 * np.abs(part).max())
+
+
+def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
+    scene = FullCar()  # it solves equations in its steering
+    start = consistent_start(scene)
+    with pytest.raises(SpecError, match="linear_solver=dense"):
+        GeneralizedAlpha(linear_solver="sparse").on(scene, start)
+    monkeypatch.setattr(formulations, "LARGE", 1)
+    assert GeneralizedAlpha().on(scene, start) == GeneralizedAlpha()
+    assert consistent_start(scene).z.a == pytest.approx(start.z.a)
+
+
+def test_a_start_that_does_not_exist_is_refused(monkeypatch):
+    monkeypatch.setattr(formulations, "LARGE", 1)
+    with pytest.raises(NoConsistentStart, match="singular"):
+        consistent_start(Pendulum(copies=2))
+
+
+def test_size_and_fill_choose_the_solver():
+    start = consistent_start(Chain(links=100))
+    assert type(GeneralizedAlpha().on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
+    assert type(HHT().on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
+    for method in (GeneralizedAlpha(linear_solver="dense"), GeneralizedAlpha(newton="modified")):
+        assert method.on(Chain(links=100), start) is method
+    small = GeneralizedAlpha()
+    assert small.on(Chain(links=8), consistent_start(Chain(links=8))) is small
+
+
+def test_a_thousand_links_keep_their_length_and_energy():
+    scene = Chain(links=1000)
+    run = end(GeneralizedAlpha(rho_inf=0.8), scene, 20, 1e-3)
+    assert np.abs(np.asarray(scene.constraint(jnp.asarray(run.q[-1]), 0.0))).max() < 1e-12
+    energy = [
+        float(scene.energy(jnp.asarray(q), jnp.asarray(v)))
+        for q, v in zip(run.q, run.v, strict=True)
+    ]
+    kinetic = 0.5 * scene.m * (run.v[0] @ run.v[0])
+    assert np.ptp(energy) < 1e-4 * kinetic
+    # The chain begins to turn as one body: each mass on a circle about the pivot.
+    radius = np.hypot(run.q[1, ::2], run.q[1, 1::2])
+    assert radius == pytest.approx(scene.length * np.arange(1, 1001), rel=1e-6)
+
+
+def test_work_is_counted_as_with_dense_tangents():
+    run = end(GeneralizedAlpha(), Chain(links=60), 10, 1e-3)
+    work = run.work
+    assert work.steps == 10
+    assert work.newton == work.residuals == work.jacobians == work.factorisations == work.solves
+    assert 10 <= work.newton <= 40
+
+
+def test_other_parameters_compile_nothing_new():
+    method = GeneralizedAlpha(linear_solver="sparse")
+    scenes = [Chain(links=12), Chain(links=12, m=0.3, th0=0.2)]
+    kernels = [method.on(s, consistent_start(s)).kernel(s) for s in scenes]
+    assert kernels[0] is kernels[1]
+    for scene, rho in zip(scenes, (0.8, 0.5), strict=True):
+        end(GeneralizedAlpha(linear_solver="sparse", rho_inf=rho), scene, 10, 1e-3)
+    assert kernels[0].compilations == 1
+
+
+def test_no_reference_is_made_of_a_large_scene():
+    reference = Reference(Chain(links=200), 0.1)
+    assert "600 unknowns" in reference.missing
+    with pytest.raises(ReferenceFailed, match="600 unknowns"):
+        reference(np.array([0.1]))
+    assert not Reference(Chain(links=100), 0.1).missing
+
+
+def test_without_the_libraries_sparse_is_refused_and_auto_is_dense(monkeypatch):
+    monkeypatch.setattr(sparsity, "_NEEDED", ("no_such_library",))
+    scene = Chain(links=50)
+    start = consistent_start(scene)
+    method = GeneralizedAlpha()
+    assert method.on(scene, start) is method
+    with pytest.raises(SpecError, match=r"stepbench\[sparse\]"):
+        GeneralizedAlpha(linear_solver="sparse").on(scene, start)
+
+
+def test_a_product_that_is_not_the_mass_matrix_is_found(stepbench, tmp_path):
+    (tmp_path / "wrong.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from problems.chain import Chain\n"
+        "@dataclass(frozen=True)\n"
+        "class Wrong(Chain):\n"
+        "    'A chain.'\n"
+        "    def mass_product(self, q, a):\n"
+        "        return 1.01 * self.m * a\n"
+    )
+    result = stepbench("check", tmp_path / "wrong.py")
+    assert result.exit_code == 1
+    assert "mass_product differs" in result.output
+
+
+@dataclass(frozen=True)
+class Dense(Chain):
+    """A chain without its product: the matrix is used."""
+
+    mass_product = Chain.__mro__[1].mass_product
+
+
+def test_a_scene_without_a_product_takes_its_matrix():
+    assert not Dense.has("mass_product")
+    one = end(GeneralizedAlpha(linear_solver="sparse"), Dense(links=4), 5, 1e-3)
+    other = end(GeneralizedAlpha(linear_solver="sparse"), Chain(links=4), 5, 1e-3)
+    assert one.lam == pytest.approx(other.lam, rel=1e-9)
