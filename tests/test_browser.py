@@ -111,7 +111,10 @@ const [name, done] = arguments;
   };
   for (const menu of place.querySelectorAll("select")) {
     const first = menu.selectedIndex;
-    for (const k of [...Array(menu.length).keys(), first]) { menu.selectedIndex = k; await told(menu); }
+    for (const k of [...Array(menu.length).keys(), first]) {
+      menu.selectedIndex = k;
+      await told(menu);
+    }
   }
   for (const button of place.querySelectorAll("input[type=radio]")) {
     button.click();
