@@ -62,26 +62,25 @@ class Axis:
 
 def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
     """The number of a name: ``h``, a float parameter or option, or one with its owner in front, as
-    ``scene.gamma`` and ``integrator.gamma``.
+    ``step.h``, ``scene.gamma`` and ``integrator.gamma``.
 
     Raises
     ------
     SpecError
         If the name is not known or stands for two things.
     """
-    numbers = {"scene": _numbers(scene), "integrator": _numbers(method)}
+    numbers = {"step": [STEP], "scene": _numbers(scene), "integrator": _numbers(method)}
     owner, dot, field = name.partition(".")
     if dot and field in numbers.get(owner, ()):
         return Number(name, owner, field)
     owners = [owner for owner, fields in numbers.items() if name in fields]
-    owners += ["step"] if name == STEP else []
     if len(owners) > 1:
         raise SpecError(
             f"{name} stands for a number of the {' and of the '.join(owners)}; write "
-            f"scene.{name} or integrator.{name}."
+            f"{' or '.join(f'{owner}.{name}' for owner in owners)}."
         )
     if not owners:
-        known = [STEP, *numbers["scene"], *numbers["integrator"]]
+        known = [field for fields in numbers.values() for field in fields]
         raise SpecError(
             f"{name!r} is no number that can vary: neither the step h, nor a float parameter of "
             f"{scene.name}, nor a float option of {method.name}; {suggest(name, known)}."

@@ -103,7 +103,7 @@ def map_(
 
     Each point is a run, which is ok, inaccurate, failed in Newton's method or diverged. Writes a
     page with the map, coloured by outcome and error. Steps and wide ranges are divided evenly in
-    their logarithm. A name that scene and integrator share is written scene.NAME or
+    their logarithm. A name that stands for two things is written step.h, scene.NAME or
     integrator.NAME.
 
     \b

@@ -105,7 +105,7 @@ def ensemble(
     ----------
     vary
         Values by name: ``h`` for the step, a float parameter of the scene or option of the
-        integrator; ``scene.NAME`` and ``integrator.NAME`` where one name stands for two things.
+        integrator; ``step.h``, ``scene.NAME``, ``integrator.NAME`` where one stands for two things.
     steps
         The step of members whose step does not vary; the scene's nominal step if not given.
     t_end

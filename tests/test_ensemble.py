@@ -262,6 +262,10 @@ def test_names_that_stand_for_two_things_need_their_owner():
     assert number("scene.beta", scene, method).owner == "scene"
     runs = varied(scene, method, Steps(0.1), {number("integrator.beta", scene, method): [0.2, 0.3]})
     assert [(run.scene.beta, run.method.beta) for run in runs] == [(1.0, 0.2), (1.0, 0.3)]
+    car = REGISTRY.problem("full_car")  # h is a height of it
+    with pytest.raises(SpecError, match=r"write step.h or scene.h"):
+        number("h", car, method)
+    assert number("step.h", car, method).owner == "step"
 
 
 def test_different_programs_are_refused():
