@@ -20,7 +20,8 @@ test: .venv/installed  ## check the style and pass the tests
 bench: .venv/installed  ## our march against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
 	$(BIN)/python tests/benchmarks/race.py
+	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc
 
 clean:
-	rm -rf .venv build *.egg-info stepbench-results stepbench-bench.json
+	rm -rf .venv build *.egg-info stepbench-results stepbench-bench.json stepbench-sizes.json
