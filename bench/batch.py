@@ -180,8 +180,7 @@ class Batch:
         idle = (np.arange(self._lanes) >= count) | np.isin(pair, list(self._refused))
         answer = self._called(lanes, np.where(idle, 0, row_counts))
         table, end = (np.array(part) for part in answer)
-        # Zeros are where no row was kept.
-        table[(table[:, :, 0] != rows) | (rows == 0)] = np.nan
+        table[table[:, :, 0] != rows] = np.nan
         t, values = table[:, :, 1], _split(table[:, :, 2:], self._sizes)
         if self._states_only:
             values |= self._completed(scene, t, values)

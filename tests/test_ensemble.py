@@ -15,6 +15,7 @@ from bench.batch import Batch, Run
 from bench.ensemble import ensemble
 from bench.registry import Registry
 from integrators import Steps
+from integrators.march import Kernel
 from problems import parameter
 from problems.formulations import consistent_start
 from problems.spec import SpecError
@@ -129,9 +130,23 @@ def test_newton_failures_are_told_as_in_single_runs():
     assert ensemble(scene, method, vary).status == ["ok"] * 4
 
 
+def test_ok_means_finite_values_in_every_group(monkeypatch):
+    plain = Kernel.batched
+
+    def spoiled(self, packed, rows, row_count):
+        table, end = plain(self, packed, rows, row_count)
+        return np.array(table) * np.where(np.arange(table.shape[2]) == 5, np.nan, 1.0), end
+
+    scene, method = REGISTRY.problem("spring_mass"), REGISTRY.integrator("newmark")
+    monkeypatch.setattr(Kernel, "batched", spoiled)
+    found = ensemble(scene, method, {"k": [1.0, 2.0]}, t_end=1.0)  # [n, t, q, v, a, x, ...]
+    assert found.status == ["diverged"] * 2
+    assert found.message[0] == "It ended with values that are not finite."
+
+
 def test_blocks_are_bounded_and_hold_runs_of_like_length():
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
-    steps = np.geomspace(0.01, 0.1, 40)
+    steps = np.random.default_rng(0).permutation(np.geomspace(0.01, 0.1, 40))
     runs = varied(scene, method, Steps(0.1), {number("h", scene, method): steps})
     batch = Batch(runs, 1.35, lanes=16)
     blocks = list(batch.blocks(jobs=2))
