@@ -7,7 +7,7 @@ one worker process, so that times of different machines are never compared.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from bench.plan import Cell
@@ -81,7 +81,9 @@ class ClusterRunner:
         for future in as_completed(sent, loop=self._client.loop):
             yield from self._collect(future, sent[future])
 
-    def time(self, cells: list[Cell], samples: int, have: dict[str, int]) -> Iterator[tuple]:
+    def time(
+        self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
+    ) -> Iterator[tuple]:
         """As Runner.time, on this machine."""
         return self._local.time(cells, samples, have)
 

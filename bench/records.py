@@ -9,6 +9,10 @@ import msgspec
 #: Version of the rows below. A store of another version is refused with a hint.
 SCHEMA = 1
 
+#: A run that is long is timed less often, it averages the machine's noise itself: no more samples
+#: are taken once they have lasted this long, in s.
+TIMING_SECONDS = 1.0
+
 GROUPS = ("q", "v", "a", "lam", "x", "y")
 NORMS = ("end", "max", "rms", "settled")
 LEVELS = ("position", "velocity", "acceleration")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -15,13 +15,11 @@ from typing import Any
 import psutil
 
 from bench.plan import Cell
+from bench.records import TIMING_SECONDS
 from bench.worker import serve
 
 #: How often the memory of a worker is looked at.
 _WATCH_SECONDS = 0.1
-#: A run that is long is timed less often, it averages the machine's noise itself: no more samples
-#: once they have lasted this long.
-_TIMING_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +28,13 @@ class Task:
 
     kind: str
     arguments: tuple
+
+    @property
+    def scene(self) -> str | None:
+        """The scene whose reference it needs, if any."""
+        if self.kind == "scene":
+            return self.arguments[0]
+        return self.arguments[0].problem if self.kind == "measure" else None
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ class _Worker:
     task: Task | None = None
     started: float = 0.0
     phase: str | None = None
+    scenes: set[str | None] = field(default_factory=set)
 
     def end(self) -> None:
         """Kill it; it never holds anything that is not elsewhere."""
@@ -98,23 +104,27 @@ class Runner:
                 if answer is not None and task is not None:
                     yield task, answer
 
-    def time(self, cells: list[Cell], samples: int, have: dict[str, int]) -> Iterator[tuple]:
-        """Yield (cell, number, seconds): samples taken in turn over all cells, one at a time."""
-        spent = {cell.key: 0.0 for cell in cells}
+    def time(
+        self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
+    ) -> Iterator[tuple]:
+        """Yield (cell, number, seconds): samples taken in turn over all cells, one at a time.
+
+        ``have`` are the samples, in s, that were taken before.
+        """
+        spent = {cell.key: sum(have.get(cell.key, ())) for cell in cells}
         for number in range(samples):
             for cell in cells:
-                if number < have.get(cell.key, 0) or spent[cell.key] > _TIMING_SECONDS:
+                if number < len(have.get(cell.key, ())) or spent[cell.key] > TIMING_SECONDS:
                     continue
                 worker = self._owner.get(cell.key)
                 if worker not in self._workers:
                     worker = self._workers[0] if self._workers else self._spawn()
-                began = time.monotonic()
                 answer = self._ask(worker, Task("time", (cell,)))
                 if isinstance(answer, Lost):
                     spent[cell.key] = float("inf")
                     continue
                 self._owner[cell.key] = worker
-                spent[cell.key] += time.monotonic() - began
+                spent[cell.key] += answer
                 yield cell, number, answer
 
     # ---- plumbing ----------------------------------------------------------------------
@@ -139,11 +149,23 @@ class Runner:
             if worker.task:
                 continue
             if not worker.group and queue:
-                worker.group = queue.popleft()
+                worker.group = self._next(queue, worker)
             if worker.group:
                 task = worker.group.popleft()
                 on_start(task)
                 self._start(worker, task)
+
+    def _next(self, queue: deque[deque[Task]], worker: _Worker) -> deque[Task]:
+        """The first group of a scene that the worker has had, else of one that no other has: each
+        worker makes its own references, which can take longer than the runs."""
+        others = set().union(*(w.scenes for w in self._workers if w is not worker))
+        scenes = [group[0].scene for group in queue]
+        ranks = [(scene not in worker.scenes, scene in others) for scene in scenes]
+        best = ranks.index(min(ranks))
+        group = queue[best]
+        del queue[best]
+        worker.scenes.add(scenes[best])
+        return group
 
     def _busy(self) -> int:
         return sum(1 for w in self._workers if w.task or w.group)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from bench import damping
 from bench.cluster import ClusterRunner
 from bench.environment import environment
 from bench.plan import Cell, Suite
-from bench.records import Record, Rows, SceneRecord
+from bench.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.registry import Registry, fingerprint
 from bench.runner import Lost, Runner, Task
 from bench.store import Store
@@ -151,7 +153,7 @@ def _analyse(
 def _time(suite: Suite, store: Store, runner: Runner | ClusterRunner, progress: Progress) -> None:
     records = store.records()
     cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
-    have = {cell.key: len(records[cell.key].run_s) for cell in cells}
+    have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
     due = _due(suite, records)
     if not due:
         return
@@ -165,7 +167,11 @@ def _time(suite: Suite, store: Store, runner: Runner | ClusterRunner, progress: 
 def _due(suite: Suite, records: dict[str, Record]) -> int:
     """Timing samples that the measured cells still lack."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
-    return sum(max(0, suite.plan.samples - len(record.run_s)) for record in good)
+    return sum(
+        max(0, suite.plan.samples - len(record.run_s))
+        for record in good
+        if sum(record.run_s) <= TIMING_SECONDS
+    )
 
 
 def _raised(budget_s: float, record: Record) -> bool:
@@ -175,14 +181,25 @@ def _raised(budget_s: float, record: Record) -> bool:
 def _groups(
     cells: list[Cell], scenes: list[tuple[str, float]], registry: Registry
 ) -> list[list[Task]]:
-    """Cells that share compiled code stay together; the scenes come first."""
+    """Cells that share compiled code stay together. What takes longest comes first, so that no
+    worker is left alone with it in the end; of each scene its record comes first."""
     groups: dict[tuple, list[Task]] = {}
     for problem, t_end in scenes:
         groups[problem, t_end] = [Task("scene", (problem, t_end))]
     for cell in cells:
         key = (cell.problem, registry.integrator(cell.integrator).affinity)
         groups.setdefault(key, []).append(Task("measure", (cell,)))
-    return list(groups.values())
+    weights = {task.scene: _weight(registry.problem(task.scene)) for (task, *_) in groups.values()}
+    return sorted(groups.values(), key=lambda group: -weights[group[0].scene])
+
+
+def _weight(scene: MechatronicSystem) -> float:
+    """How long runs of a scene take, roughly: steps times the square of its states."""
+    try:
+        states = sum(np.size(part) for part in scene.initial_state())
+    except Exception:  # it may be a plugin, and its runs will say what is wrong
+        return 0.0
+    return (scene.interval[1] - scene.interval[0]) / scene.nominal_step * states**2
 
 
 def _words(task: Task) -> str:

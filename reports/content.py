@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.records import Environment, Plan, Record, SceneRecord, Study
+from bench.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord, Study
 from bench.store import Store
-from reports import atlas, damping, front, overview, tables
+from reports import atlas, damping, front, overview, sizes, tables
 from reports.scenes import Figure, ScenePart, SceneReader
 from reports.series import (
     TRUST,
@@ -92,7 +92,10 @@ def read_page(folder: Path, interactive: bool) -> Page:
         missing=_missing(plan, scenes, records, keys, environments),
         verdict=tables.verdict(verdicts(found), ids),
         overall=overall(found),
-        overview=_overview(found, series, looks, interactive),
+        overview=[
+            *_overview(found, series, looks, interactive),
+            *_growth(everything, scenes, looks),
+        ],
         front=front.table(series, ids),
         scenes=parts,
         integrators=tables.integrators(series, found, plan.integrators if plan else {}),
@@ -139,6 +142,23 @@ def _overview(
         ),
     ]
     return [Figure(text, charts) for text, charts in made if all(charts.values())]
+
+
+def _growth(
+    records: Sequence[Record],
+    scenes: Mapping[tuple[str, float], SceneRecord],
+    looks: Mapping[str, Look],
+) -> list[Figure]:
+    """How cost grows with size, for every kind of scene that was run in several sizes."""
+    return [
+        Figure(
+            f"Cost of {kind} against its size (unknowns: coordinates, multipliers, controller "
+            "states, outputs), of the run with the most steps. A flat line on the right is a cost "
+            "that grows like the size.",
+            {f"sizes-{kind}": chart},
+        )
+        for kind, chart in sizes.charts(records, scenes, looks).items()
+    ]
 
 
 # ---- words -------------------------------------------------------------------------------
@@ -211,7 +231,12 @@ def _missing(
     untimed = sum(not r.run_s for r in ok)
     if untimed:
         said.append(f"{untimed} of {len(ok)} runs that reached the end have no timing samples.")
-    short = sum(0 < len(r.run_s) < plan.samples for r in ok) if plan else 0
+    # Long runs are timed less often, and lack nothing.
+    short = (
+        sum(0 < len(r.run_s) < plan.samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
+        if plan
+        else 0
+    )
     if short:
         said.append(f"{short} runs have fewer than the {plan.samples} timing samples planned.")
     if any(error_of(r, g, n) is None for r in ok for g in r.errors for n in r.errors[g]):
