@@ -30,6 +30,8 @@ from reports.series import (
 )
 from reports.tables import Table
 
+#: Rows of a run that a still picture shows.
+STILL_ROWS = 110
 #: A study of at most so many runs shows them all over time, a larger one the finest of each.
 ALL_RUNS = 6
 #: More lines than this cannot be told apart, over time or in a picture that does not answer: the
@@ -258,6 +260,8 @@ class SceneReader:
             if rows:
                 shown.append((record, run_name(record), rows))
         reference = self.scene.reference if self.scene else None
+        if reference and not self.interactive:
+            reference = _thinned(reference)
         if not shown and reference is None:
             return None
         if len({label_of(r) for r, _, _ in shown}) == len(shown):
@@ -285,6 +289,8 @@ class SceneReader:
             rows = self.rows(record.key)
         except (KeyError, StoreError):
             return None
+        if not self.interactive:
+            rows = _thinned(rows)
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
         return _within(rows, self.scene.reference)
@@ -319,6 +325,17 @@ def _left_out(series: Sequence[Series], most: int) -> str:
 def _figure(caption: str, made: dict[str, Spec | None]) -> Figure | None:
     drawn = {name: chart for name, chart in made.items() if chart is not None}
     return Figure(caption, drawn) if drawn else None
+
+
+def _thinned(rows: Rows) -> Rows:
+    """As many rows as a picture can show, the last among them."""
+    stride = -(-len(rows.t) // STILL_ROWS)
+    places = [*range(0, len(rows.t) - 1, stride or 1), len(rows.t) - 1] if rows.t else []
+    return Rows(
+        t=[rows.t[k] for k in places],
+        values={name: [table[k] for k in places] for name, table in rows.values.items()},
+        notes={name: [column[k] for k in places] for name, column in rows.notes.items()},
+    )
 
 
 def _within(rows: Rows, reference: Rows) -> Rows | None:
