@@ -90,7 +90,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
             "force[1] by v[1] is 0, the difference quotient -1",
         ),
         ("crumpled", "drawing", "Line 0 of draw has shape (4, 3), not (points, 2)"),
-        ("oscillator", "traced", "A traced value of m does not act as a plain one"),
+        ("stubborn", "traced", "A traced value of m does not act as a plain one"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),
     ],

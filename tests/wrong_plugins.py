@@ -200,7 +200,7 @@ class Crumpled(Pendulum):
 
 
 @dataclass(frozen=True)
-class Oscillator(MechatronicSystem):
+class Stubborn(MechatronicSystem):
     """A mass on a spring that is computed when the scene is made."""
 
     m: float = parameter(1.0, "kg", "mass", low=1e-9)
