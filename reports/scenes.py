@@ -14,6 +14,7 @@ from reports import charts, explorer, tables
 from reports.findings import Finding, findings
 from reports.marks import Spec
 from reports.panels import MOST_COMPONENTS, component
+from reports.rows import sampled, thinned, within
 from reports.series import (
     NORM_NAMES,
     Look,
@@ -30,8 +31,6 @@ from reports.series import (
 )
 from reports.tables import Table
 
-#: Rows of a run that a still picture shows.
-STILL_ROWS = 110
 #: A study of at most so many runs shows them all over time, a larger one the finest of each.
 ALL_RUNS = 6
 #: More lines than this cannot be told apart, over time or in a picture that does not answer: the
@@ -261,14 +260,14 @@ class SceneReader:
                 shown.append((record, run_name(record), rows))
         reference = self.scene.reference if self.scene else None
         if reference and not self.interactive:
-            reference = _thinned(reference)
+            reference = thinned(reference)
         if not shown and reference is None:
             return None
         if len({label_of(r) for r, _, _ in shown}) == len(shown):
             looks = {label: self.looks[label_of(r)] for r, label, _ in shown}
         else:
             looks = looks_of((label, r.family) for r, label, _ in shown)
-        groups = _sampled([rows for *_, rows in shown] or [reference])
+        groups = sampled([rows for *_, rows in shown] or [reference])
         lines = [(label, rows) for _, label, rows in shown]
         names = self.scene.coordinates if self.scene else []
         chart = charts.trajectory(
@@ -290,10 +289,10 @@ class SceneReader:
         except (KeyError, StoreError):
             return None
         if not self.interactive:
-            rows = _thinned(rows)
+            rows = thinned(rows)
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
-        return _within(rows, self.scene.reference)
+        return within(rows, self.scene.reference)
 
 
 def _components(study: Study) -> list[tuple[str, int]]:
@@ -325,41 +324,6 @@ def _left_out(series: Sequence[Series], most: int) -> str:
 def _figure(caption: str, made: dict[str, Spec | None]) -> Figure | None:
     drawn = {name: chart for name, chart in made.items() if chart is not None}
     return Figure(caption, drawn) if drawn else None
-
-
-def _thinned(rows: Rows) -> Rows:
-    """As many rows as a picture can show, the last among them."""
-    stride = -(-len(rows.t) // STILL_ROWS)
-    places = [*range(0, len(rows.t) - 1, stride or 1), len(rows.t) - 1] if rows.t else []
-    return Rows(
-        t=[rows.t[k] for k in places],
-        values={name: [table[k] for k in places] for name, table in rows.values.items()},
-        notes={name: [column[k] for k in places] for name, column in rows.notes.items()},
-    )
-
-
-def _within(rows: Rows, reference: Rows) -> Rows | None:
-    """The rows before a run leaves all proportion, so that it does not flatten the others."""
-    limits = {
-        name: 5 * max((abs(x) for row in values for x in row), default=0.0)
-        for name, values in reference.values.items()
-    }
-    keep = 0
-    while keep < len(rows.t) and all(
-        abs(x) <= limits.get(name, 0.0)
-        for name, values in rows.values.items()
-        if name in limits
-        for x in values[keep]
-    ):
-        keep += 1
-    if keep < 2:
-        return None
-    return Rows(t=rows.t[:keep], values={name: v[:keep] for name, v in rows.values.items()})
-
-
-def _sampled(tables_of_rows: Iterable[Rows]) -> list[str]:
-    present = {name for rows in tables_of_rows for name, values in rows.values.items() if values}
-    return [group for group in GROUPS if group in present]
 
 
 def facts(scene: SceneRecord) -> list[tuple[str, str]]:

@@ -8,8 +8,8 @@ import io
 import pytest
 from planted import curves, everything
 
-from bench.records import NORMS
-from reports import charts, explorer
+from bench.records import NORMS, Rows
+from reports import charts, explorer, rows
 from reports.series import looks_of, series_of
 
 
@@ -110,3 +110,17 @@ def test_a_study_chooses_what_is_drawn_over_time(looks):
     first = table(chart["datasets"]["runs"])[0]
     assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
     assert "q0" not in first
+
+
+def test_a_still_picture_shows_few_rows_and_the_last_among_them():
+    count = 3 * rows.STILL_ROWS + 1
+    t = [float(k) for k in range(count)]
+    long = Rows(t=t, values={"q": [[2 * x] for x in t]}, notes={"h": t})
+    shown = rows.thinned(long)
+    assert len(shown.t) <= rows.STILL_ROWS + 1
+    assert (shown.t[0], shown.t[-1]) == (0.0, t[-1])
+    assert shown.values["q"] == [[2 * x] for x in shown.t]
+    assert shown.notes["h"] == shown.t
+    few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
+    assert rows.thinned(few) == few
+    assert rows.thinned(Rows(t=[], values={})) == Rows(t=[], values={})
