@@ -92,6 +92,20 @@ def _split(sizes: Sizes, u: Any) -> tuple[Any, Any, Any]:
     return u[:nq], u[nq : nq + nl], u[nq + nl :]
 
 
+def algebraic_residual(
+    scene: MechatronicSystem, sizes: Sizes, u: Any, q: Any, v: Any, x: Any, t: Any
+) -> Any:
+    """The index-1 equations for u = [a, lam, y] at given q, v, x, t; shape ``(nq + nl + ny,)``."""
+    a, lam, y = _split(sizes, u)
+    z = Variables(q, v, a, lam, x, y, t)
+    rows = [dynamics_residual(scene, z)]
+    if sizes.nl:
+        rows.append(constraint_acceleration(scene, q, v, a, t))
+    if sizes.ny:
+        rows.append(y - scene.output(z))
+    return jnp.concatenate(rows)
+
+
 def solve_algebraic(
     scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any
 ) -> tuple[Any, Any, Any]:
@@ -103,14 +117,7 @@ def solve_algebraic(
     """
 
     def residual(u: Any) -> Any:
-        a, lam, y = _split(sizes, u)
-        z = Variables(q, v, a, lam, x, y, t)
-        rows = [dynamics_residual(scene, z)]
-        if sizes.nl:
-            rows.append(constraint_acceleration(scene, q, v, a, t))
-        if sizes.ny:
-            rows.append(y - scene.output(z))
-        return jnp.concatenate(rows)
+        return algebraic_residual(scene, sizes, u, q, v, x, t)
 
     guess = jnp.zeros(sizes.nq + sizes.nl + sizes.ny)
     if not sizes.ny:

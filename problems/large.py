@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from problems.formulations import (
-    constraint_acceleration,
+    algebraic_residual,
     constraint_force,
-    dynamics_residual,
     inertia,
 )
 from problems.runtime import jax, jnp
@@ -93,23 +92,13 @@ def projected(scene: MechatronicSystem, q: np.ndarray, t: float, w: np.ndarray) 
 def _functions(template: MechatronicSystem, sizes: Sizes) -> tuple:
     """Pattern, residual, its values, and its derivative along the motion, compiled."""
 
-    def index1(scene: MechatronicSystem, u: Any, q: Any, v: Any, x: Any, t: Any) -> Any:
-        a, lam, y = jnp.split(u, [sizes.nq, sizes.nq + sizes.nl])
-        z = Variables(q, v, a, lam, x, y, t)
-        rows = [dynamics_residual(scene, z)]
-        if sizes.nl:
-            rows.append(constraint_acceleration(scene, q, v, a, t))
-        if sizes.ny:
-            rows.append(y - scene.output(z))
-        return jnp.concatenate(rows)
-
     def at(p: dict, *state: Any) -> Any:
-        return lambda u: index1(template.with_parameters(p), u, *state)
+        return lambda u: algebraic_residual(template.with_parameters(p), sizes, u, *state)
 
     def total(p: dict, u: Any, q: Any, v: Any, x: Any, t: Any, xdot: Any) -> Any:
         scene, a = template.with_parameters(p), u[: sizes.nq]
         return jax.jvp(
-            lambda q, v, x, t: index1(scene, u, q, v, x, t),
+            lambda q, v, x, t: algebraic_residual(scene, sizes, u, q, v, x, t),
             (q, v, x, t),
             (v, a, xdot, jnp.ones_like(t)),
         )[1]
