@@ -121,6 +121,13 @@ class AdaptiveMethod(StepMethod):
         the order p
         """
 
+    def kernel(self, scene: MechatronicSystem) -> Kernel:
+        return kernel(*self.functions(), scene.template(), scene.sizes)
+
+    def span(self, t0: float, t_end: float, tolerances: Tolerances) -> Span:
+        """What a run's kernel takes last."""
+        return Span(t0, t_end, tolerances.rtol, tolerances.atol, self.max_steps)
+
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
@@ -131,16 +138,15 @@ class _AdaptiveRun(PreparedRun):
     def __init__(
         self, method: AdaptiveMethod, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
-        self._method, self._t_end = method, float(t_end)
-        self._start = consistent_start(scene)
+        self._method, self._start = method, consistent_start(scene)
         t0 = scene.interval[0]
-        self._kernel = kernel(*method.functions(), scene.template(), scene.sizes)
-        span = Span(t0, self._t_end, resolution.rtol, resolution.atol, method.max_steps)
+        self._span = method.span(t0, float(t_end), resolution)
+        self._kernel = method.kernel(scene)
         packs = [scene.parameters(), method.numbers(), self._start]
-        self._arguments = self._kernel.pack(*packs, span)
+        self._arguments = self._kernel.pack(*packs, self._span)
         self._keep, self._drop = jnp.asarray(1), jnp.asarray(0)
         # A march over no time compiles the kernel and costs nothing else.
-        nothing = self._kernel.pack(*packs, span._replace(t_end=t0))
+        nothing = self._kernel.pack(*packs, self._span._replace(t_end=t0))
         jax.block_until_ready(self._kernel(nothing, self._drop))
 
     def execute(self) -> Any:
@@ -149,44 +155,51 @@ class _AdaptiveRun(PreparedRun):
     def measure(self) -> Trajectory:
         early, spread, last, end = map(np.asarray, self._kernel(self._arguments, self._keep))
         ending, t, *counts = end
-        work = Work(*map(int, counts))
-        kept = {int(row[0]): row for row in (*early, *spread, last) if row[0] > 0}
-        rows = np.array([kept[n] for n in sorted(kept)]).reshape(len(kept), last.size)
-        status, message = self._outcome(int(ending), float(t))
+        status, message = outcome(int(ending), float(t), self._span)
+        rows = in_order(np.concatenate([early, spread, last[None]]))
         values = with_start(self._start, rows[:, 1:], self._method.noted)
+        work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
 
-    def _outcome(self, ending: int, t: float) -> tuple[str, str]:
-        if ending == _OK:
-            return "ok", ""
-        status, reason, cure = {
-            _MOST_STEPS: (
-                "budget_exceeded",
-                f"{self._method.max_steps} steps were used up",
-                "raise max_steps or use a larger rtol",
-            ),
-            _ERROR: (
-                "step_too_small",
-                "the error test kept failing down to the smallest step",
-                "use a larger rtol, or look for a jump in the scene's equations",
-            ),
-            _NEWTON: (
-                "newton_failed",
-                "Newton's method kept failing down to the smallest step",
-                "use another rtol or a larger newton_max",
-            ),
-            _NOT_FINITE: (
-                "diverged",
-                "the equations are not finite from here on",
-                "check the scene's equations beyond this time",
-            ),
-            _DIVERGED: (
-                "diverged",
-                "the solution grew beyond all bounds",
-                "use a smaller rtol or check the scene's forces",
-            ),
-        }[ending]
-        return status, f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
+
+def in_order(rows: np.ndarray) -> np.ndarray:
+    """The rows of a kernel that are there, each once, step by step."""
+    _, places = np.unique(rows[:, 0], return_index=True)
+    return rows[places[rows[places, 0] > 0]]
+
+
+def outcome(ending: int, t: float, span: Span) -> tuple[str, str]:
+    """Status and message of the ending that a kernel gave at t."""
+    if ending == _OK:
+        return "ok", ""
+    status, reason, cure = {
+        _MOST_STEPS: (
+            "budget_exceeded",
+            f"{span.max_steps} steps were used up",
+            "raise max_steps or use a larger rtol",
+        ),
+        _ERROR: (
+            "step_too_small",
+            "the error test kept failing down to the smallest step",
+            "use a larger rtol, or look for a jump in the scene's equations",
+        ),
+        _NEWTON: (
+            "newton_failed",
+            "Newton's method kept failing down to the smallest step",
+            "use another rtol or a larger newton_max",
+        ),
+        _NOT_FINITE: (
+            "diverged",
+            "the equations are not finite from here on",
+            "check the scene's equations beyond this time",
+        ),
+        _DIVERGED: (
+            "diverged",
+            "the solution grew beyond all bounds",
+            "use a smaller rtol or check the scene's forces",
+        ),
+    }[ending]
+    return status, f"Ended at t={t:.6g} s of {span.t_end:g} s: {reason}; {cure}."
 
 
 @cache
@@ -204,7 +217,8 @@ def kernel(
 
     It returns the first rows, rows spread over the run, and the last row, each ``[step, t, ...]``
     as in the march of fixed steps (step 0: no row), and ``[ending, t, steps, rejected,
-    newton, ...]``.
+    newton, ...]``. With ``wanted`` 0 the last row is the only one; with None the program has no
+    room for others, which many runs side by side would copy in every step.
     """
 
     def size_of(errors: Errors, old: Reading, new: Reading, peaks: Any, span: Span) -> Any:
@@ -278,7 +292,9 @@ def kernel(
 
         def try_step(m: _March) -> _March:
             left = span.t_end - m.t
-            h = fitted(m.h, left)
+            # Among many runs those that have ended step on, too, and the step is dropped. It is
+            # made one that Newton's method leaves at once.
+            h = jnp.where(going(m), fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
             now = read(state)
@@ -306,7 +322,8 @@ def kernel(
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
 
             row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat(now)])
-            m = keep(m, counts[0], row, accepted & (wanted > 0))
+            if wanted is not None:
+                m = keep(m, counts[0], row, accepted & (wanted > 0))
 
             def choose(new: Any, old: Any) -> Any:
                 return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
@@ -315,11 +332,11 @@ def kernel(
                 (t, state, error, peaks), (m.t, m.state, m.error, m.peaks)
             )
             return m._replace(
-                t=t, state=state, h=jnp.maximum(h_next, smallest), error=error,
+                t=t, state=state, h=jnp.maximum(h_next, smallest), error=error, peaks=peaks,
                 ending=ending, counts=counts,
             )  # fmt: skip
 
-        width = 2 + flat(first).size
+        width, room = 2 + flat(first).size, 0 if wanted is None else 1
         m = jax.lax.while_loop(
             going,
             try_step,
@@ -331,8 +348,8 @@ def kernel(
                 peaks=sizes_of(first),
                 ending=jnp.asarray(_OK),
                 counts=(jnp.asarray(0),) * (1 + len(StepReport._fields)),
-                early=jnp.zeros((FIRST_ROWS, width)),
-                spread=jnp.zeros((_SPREAD_SLOTS, width)),
+                early=jnp.zeros((room * FIRST_ROWS, width)),
+                spread=jnp.zeros((room * _SPREAD_SLOTS, width)),
                 stride=jnp.asarray(1),
             ),
         )

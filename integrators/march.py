@@ -208,8 +208,8 @@ class Kernel:
 
     Each array that is handed to a compiled program or back costs as much as a step.
 
-    It returns rows ``(row, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])`` and
-    ``[status, t, counts...]``.
+    At constant steps it returns rows ``(row, [steps done or -1, t, q, v, a, lam, x, xdot, y,
+    notes])``, as many as it takes step numbers, and ``[status, t, counts...]``.
     """
 
     def __init__(self, march: Callable) -> None:
@@ -218,12 +218,8 @@ class Kernel:
         def run(packed: Any, *rows: Any) -> Any:
             return march(*self._unpack(packed), *rows)
 
-        def kept(packed: Any, rows: Any, row_count: Any) -> Any:
-            table, end = run(packed, rows, row_count)
-            return table[: len(rows)], end
-
         self._compiled = jax.jit(run)
-        self._many = jax.jit(jax.vmap(kept))
+        self._many = jax.jit(jax.vmap(run))
 
     def pack(self, *arguments: Any) -> Any:
         """Pack parameters, numbers, start and clock (floats, and integers below 2^53)."""
@@ -247,12 +243,9 @@ class Kernel:
     def __call__(self, packed: Any, *rows: Any) -> Any:
         return self._compiled(packed, *rows)
 
-    def batched(self, packed: Any, rows: Any, row_count: Any) -> Any:
-        """Many runs in one program: every argument has one more axis in front.
-
-        As many rows are returned of each run as ``rows`` has columns.
-        """
-        return self._many(packed, rows, row_count)
+    def batched(self, packed: Any, *rows: Any) -> Any:
+        """Many runs in one program: every argument has one more axis in front."""
+        return self._many(packed, *rows)
 
     @property
     def compilations(self) -> int:
@@ -313,7 +306,7 @@ def kernel(
         _, kept, progress = jax.lax.while_loop(
             lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
             to_row,
-            (jnp.asarray(0), jnp.zeros((_ROW_SLOTS, width)), progress),
+            (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
         )
         _, _, status, counts, t = progress
         return kept, jnp.stack([status, t, *counts])
