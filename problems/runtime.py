@@ -10,7 +10,9 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import platformdirs
@@ -45,6 +47,15 @@ def configure() -> None:
         sys.modules["jax"].config.update("jax_enable_x64", True)
 
 
+@cache
+def _loaded(name: str) -> ModuleType:
+    """JAX or a module of it; programs run where they are called: handing each over to a thread of
+    JAX's, as it does by default, costs more than a short one takes."""
+    module = importlib.import_module(name)
+    sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
+    return module
+
+
 def joins_loops() -> bool:
     """Whether XLA was told to compile loops over little data to one function each."""
     return _JOINED in os.environ["XLA_FLAGS"]
@@ -57,7 +68,7 @@ class _LateModule:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        return getattr(importlib.import_module(self._name), attribute)
+        return getattr(_loaded(self._name), attribute)
 
 
 configure()
