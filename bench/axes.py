@@ -1,4 +1,4 @@
-"""What can differ between many runs: the step, parameters of the scene, options of the method."""
+"""What can differ between many runs: step or tolerance, parameters of the scene, options."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.batch import Run
-from integrators.contract import Integrator, Steps
+from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, build, split_spec, suggest
 from problems.system import MechatronicSystem
 
-#: The name under which the step varies.
-STEP = "h"
+#: What varies of the time of a run, by the owner of its name, and tolerances' usual ranges.
+_TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}
+_TOLERANCES = {"rtol": (1e-6, 1e-1), "atol": (1e-8, 1e-2)}
 #: A range whose ends differ by this factor is divided evenly in its logarithm.
 _LOGARITHMIC = 10.0
 _RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
@@ -41,9 +42,9 @@ class Axis:
 
     @property
     def logarithmic(self) -> bool:
-        """Whether equal factors are equal distances; for a step they always are."""
+        """Whether equal factors are equal distances; for steps and tolerances they always are."""
         wide = self.low > 0 and self.high >= _LOGARITHMIC * self.low
-        return wide or (self.number.owner == "step" and self.low > 0)
+        return wide or (self.number.owner in _TIME and self.low > 0)
 
     def even(self, count: int) -> np.ndarray:
         """``count`` values from end to end."""
@@ -61,15 +62,17 @@ class Axis:
 
 
 def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
-    """The number of a name: ``h``, a float parameter or option, or one with its owner in front, as
-    ``step.h``, ``scene.gamma`` and ``integrator.gamma``.
+    """The number of a name: ``h``, or for a method that chooses its steps ``rtol`` or ``atol``, a
+    float parameter or option, or one with its owner in front, as ``step.h``, ``tolerance.rtol``,
+    ``scene.gamma`` and ``integrator.gamma``.
 
     Raises
     ------
     SpecError
         If the name is not known or stands for two things.
     """
-    numbers = {"step": [STEP], "scene": _numbers(scene), "integrator": _numbers(method)}
+    time = {method.controls: _TIME[method.controls]}
+    numbers = time | {"scene": _numbers(scene), "integrator": _numbers(method)}
     owner, dot, field = name.partition(".")
     if dot and field in numbers.get(owner, ()):
         return Number(name, owner, field)
@@ -82,8 +85,9 @@ def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
     if not owners:
         known = [field for fields in numbers.values() for field in fields]
         raise SpecError(
-            f"{name!r} is no number that can vary: neither the step h, nor a float parameter of "
-            f"{scene.name}, nor a float option of {method.name}; {suggest(name, known)}."
+            f"{name!r} is no number that can vary: not {' or '.join(_TIME[method.controls])}, no "
+            f"float parameter of {scene.name}, and no float option of {method.name}; "
+            f"{suggest(name, known)}."
         )
     return Number(name, owners[0], name)
 
@@ -97,8 +101,8 @@ def axis(
     """The axis of a name, over the range that is given or a sensible one.
 
     A step goes from a twentieth of the scene's nominal one to its fifteenfold, or a third of the
-    interval; an option over the values that are allowed; a parameter of the scene from a tenth of
-    its value to tenfold.
+    interval; rtol from 1e-6 to 1e-1; an option over the values that are allowed; a parameter of the
+    scene from a tenth of its value to tenfold.
 
     Raises
     ------
@@ -112,17 +116,24 @@ def axis(
             f"The range {low:g}..{high:g} of {name} is not allowed; give two finite numbers, the "
             f"smaller one first."
         )
-    varied(scene, method, Steps(scene.nominal_step), {found: [low, high]})  # says what is wrong
+    varied(scene, method, usual(scene, method), {found: [low, high]})  # says what is wrong
     return Axis(found, low, high)
+
+
+def usual(scene: MechatronicSystem, method: Integrator) -> Steps | Tolerances:
+    """The steps or tolerances of a run to which none are given."""
+    return Steps(scene.nominal_step) if method.controls == "step" else Tolerances()
 
 
 def varied(
     scene: MechatronicSystem,
     method: Integrator,
-    steps: Steps,
+    resolution: Steps | Tolerances,
     values: Mapping[Number, Sequence[float]],
 ) -> list[Run]:
     """The runs with these values, of which each number has as many as there are runs.
+
+    Where rtol varies and atol is rtol/100, it stays so.
 
     Raises
     ------
@@ -130,7 +141,7 @@ def varied(
         If a value is not allowed.
     """
     made: dict[tuple, Any] = {}
-    base = {"scene": scene, "integrator": method, "step": steps}
+    base = {"scene": scene, "integrator": method, method.controls: resolution}
 
     def part(owner: str, settings: tuple[tuple[str, float], ...]) -> Any:
         if (owner, settings) not in made:
@@ -176,6 +187,9 @@ def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
         return base
     if isinstance(base, Steps):
         return replace(base, h=settings[0][1])
+    if isinstance(base, Tolerances):
+        follows = base.atol == Tolerances(base.rtol).atol
+        return replace(base, **({"atol": None} if follows else {}) | dict(settings))
     now = {f.name: getattr(base, f.name) for f in dataclasses.fields(base) if "type" in f.metadata}
     return build(type(base), now | dict(settings), base.name)
 
@@ -191,6 +205,8 @@ def _default_range(
     if owner == "step":
         length = scene.interval[1] - scene.interval[0]
         return scene.nominal_step / 20, min(15 * scene.nominal_step, length / 3)
+    if owner == "tolerance":
+        return _TOLERANCES[field]
     of = scene if owner == "scene" else method
     meta, value = _numbers(of)[field].metadata, getattr(of, field)
     low, high = (-math.inf if meta["low"] is None else meta["low"],

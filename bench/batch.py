@@ -1,14 +1,14 @@
 """Many runs in one compiled program, in blocks of bounded memory.
 
-Side by side, runs wait for the one with the most steps, so they are sorted by their number of steps
-first; one that fails costs the others nothing. Blocks are shared out to threads, as the compiled
+Side by side, runs wait for the one with the most steps, so the longest are begun first, together;
+one that fails costs the others nothing. Blocks are shared out to threads, as the compiled
 program needs no Python. Nothing calls back, so that the same code runs on a GPU.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import Integrator, Steps
-from integrators.march import StepReport, grid, outcome
+from bench.pace import ChosenSteps, ConstantSteps, Pace, distinct
+from integrators.adaptive import AdaptiveMethod
+from integrators.contract import Integrator, Steps, Tolerances
+from integrators.march import StepMethod
 from problems.formulations import complete
 from problems.runtime import jax
 from problems.spec import SpecError
@@ -30,8 +32,6 @@ _MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
 _MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
 #: Rows that a kernel has room for, about.
 _ROWS = 256
-#: Names of a kernel's counts.
-COUNTS = ("steps", *StepReport._fields[1:])
 
 
 class Run(NamedTuple):
@@ -39,7 +39,7 @@ class Run(NamedTuple):
 
     scene: MechatronicSystem
     method: Integrator
-    steps: Steps
+    resolution: Steps | Tolerances
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,19 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
     reason = method.supports(scene)
     if reason:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
-    if method.stepped(scene) is None:
+    if _marching(method, scene) is None:
         constant = method.at_constant_steps()
         able = constant is not None and constant.stepped(scene) is not None
         raise SpecError(
-            f"{method.spec} cannot run many members in one program: that takes constant steps "
-            f"written as JAX functions of a state; take "
+            f"{method.spec} cannot run many members in one program: that takes steps written as "
+            f"JAX functions of a state; take "
             f"{constant.spec if able else 'a StepMethod such as generalized_alpha'}."
         )
+
+
+def _marching(method: Integrator, scene: MechatronicSystem) -> StepMethod | None:
+    """What marches in numbers, at constant steps or at steps of its own."""
+    return method if isinstance(method, AdaptiveMethod) else method.stepped(scene)
 
 
 class Batch:
@@ -82,7 +87,7 @@ class Batch:
     Parameters
     ----------
     runs
-        Float parameters, numeric options and steps may differ between them.
+        Float parameters, numeric options and steps or tolerances may differ between them.
     t_end
         The end of all of them, in s.
     every_row
@@ -99,19 +104,19 @@ class Batch:
     def __init__(
         self, runs: Sequence[Run], t_end: float, every_row: bool = False, lanes: int | None = None
     ) -> None:
-        scenes, self._of_scene = _distinct(run.scene for run in runs)
-        steps, self._of_steps = _distinct(run.steps for run in runs)
-        pairs, self._of_pair = _distinct((run.method, run.scene) for run in runs)
-        steppers = [method.stepped(scene) for method, scene in pairs]
+        scenes, self._of_scene = distinct(run.scene for run in runs)
+        pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)
+        steppers = [_marching(method, scene) for method, scene in pairs]
         kinds = {stepper.functions() for stepper in steppers}, {s.template() for s in scenes}
         if any(len(kind) > 1 for kind in kinds):
             raise SpecError(
                 "The members need different compiled programs; only float parameters of the "
-                "scene, numeric options of the integrator and steps can differ between them."
+                "scene, numeric options of the integrator and steps or tolerances can differ."
             )
         self._kernel = steppers[0].kernel(scenes[0])
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
         self._states_only, self._every_row = steppers[0].states_only, every_row
+        self._pace = _pace(runs, t_end, every_row)
         self._starts, without = consistent_starts(scenes)
         refused = {
             k: ("unsupported", reason)
@@ -123,21 +128,15 @@ class Batch:
             for k, scene in enumerate(self._of_scene)
             if scene in without
         }
-        clocks, rows = zip(*(grid(scenes[0].interval[0], t_end, s) for s in steps), strict=True)
         parts = (
             ([scene.parameters() for scene in scenes], self._of_scene),
             ([stepper.numbers() for stepper in steppers], self._of_pair),
             ([_entry(self._starts, k) for k in range(len(scenes))], self._of_scene),
-            (clocks, self._of_steps),
         )
         # Packing one tells the kernel how its numbers are arranged: one part after the other.
-        self._kernel.pack(*(values[0] for values, _ in parts))
-        self._tables = [(np.array([_numbers(v) for v in values]), of) for values, of in parts]
-        rows = [numbers if every_row else numbers[-1:] for numbers in rows]
-        self._row_counts = np.array([len(numbers) for numbers in rows])
-        self._rows = np.zeros((len(steps), self._row_counts.max()), dtype=np.int64)
-        for table, numbers in zip(self._rows, rows, strict=True):
-            table[: len(numbers)] = numbers
+        self._kernel.pack(*(values[0] for values, _ in parts), self._pace.numbers[0])
+        self._tables = [(_table(values), of) for values, of in parts]
+        self._times = _table(self._pace.numbers)
         self._lanes = lanes or _lanes(self._sizes, len(runs))
 
     def blocks(self, jobs: int | None = None) -> Iterator[Block]:
@@ -145,7 +144,7 @@ class Batch:
 
         The longest runs come first, so that the last block to end is a short one.
         """
-        order = np.argsort(-self._rows.max(axis=1)[self._of_steps], kind="stable")
+        order = self._pace.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
         jobs = jobs or _processors()
         pool = ThreadPoolExecutor(jobs)
@@ -163,41 +162,40 @@ class Batch:
 
     def warm(self) -> None:
         """Compile, and take no step."""
-        nothing = np.zeros(self._lanes, dtype=np.int64)
-        jax.block_until_ready(self._called(nothing, 0 * nothing))
+        nobody = np.zeros(self._lanes, dtype=np.int64)
+        jax.block_until_ready(self._called(nobody, nobody == 0))
 
-    def _called(self, lanes: np.ndarray, row_counts: np.ndarray) -> tuple[Any, Any]:
-        packed = np.concatenate([table[of[lanes]] for table, of in self._tables], axis=1)
-        return self._kernel.batched(packed, self._rows[self._of_steps[lanes]], row_counts)
+    def _called(self, lanes: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
+        tables = [table[of[lanes]] for table, of in self._tables]
+        packed = np.concatenate([*tables, self._times[self._pace.of(lanes, idle)]], axis=1)
+        return self._kernel.batched(packed, *self._pace.wanted(lanes, idle))
 
     def _block(self, members: np.ndarray) -> Block:
         # The last member fills the block up, so that one size is compiled; it takes no step there.
         count = len(members)
         lanes = np.concatenate([members, np.repeat(members[-1:], self._lanes - count)])
-        scene, rows = self._of_scene[lanes], self._rows[self._of_steps[lanes]]
-        row_counts = self._row_counts[self._of_steps[lanes]]
-        pair = self._of_pair[lanes]
+        scene, pair = self._of_scene[lanes], self._of_pair[lanes]
         idle = (np.arange(self._lanes) >= count) | np.isin(pair, list(self._refused))
-        answer = self._called(lanes, np.where(idle, 0, row_counts))
-        table, end = (np.array(part) for part in answer)
-        table[table[:, :, 0] != rows] = np.nan
-        t, values = table[:, :, 1], _split(table[:, :, 2:], self._sizes)
+        answer = tuple(np.array(part) for part in self._called(lanes, idle))
+        t, table, row_counts, ends, counts = self._pace.read(lanes, answer)
+        values = _split(table, self._sizes)
         if self._states_only:
             values |= self._completed(scene, t, values)
         last = [v[np.arange(self._lanes), row_counts - 1] for v in values.values()]
         finite = np.isfinite(np.concatenate(last, axis=1)).all(axis=1)
-        endings = [self._ending(*e) for e in zip(pair[:count], end[:count], finite, strict=False)]
+        endings = [self._ending(*e) for e in zip(members, ends, finite, strict=False)]
         if self._every_row:
             t, values, row_counts = self._with_start(scene, t, values, row_counts)
         status, message = map(list, zip(*endings, strict=True))
-        t, t_last, row_counts = t[:count], end[:count, 1], row_counts[:count]
         values = {name: value[:count] for name, value in values.items()}
-        return Block(members, status, message, t_last, end[:count, 2:], t, values, row_counts)
+        t, t_last, row_counts = t[:count], ends[:count, 1], row_counts[:count]
+        return Block(members, status, message, t_last, counts[:count], t, values, row_counts)
 
-    def _ending(self, pair: int, end: np.ndarray, finite: bool) -> tuple[str, str]:
-        if pair in self._refused:
-            return self._refused[pair]
-        status, message = outcome(int(end[0]), float(end[1]))
+    def _ending(self, member: int, end: np.ndarray, finite: bool) -> tuple[str, str]:
+        refused = self._refused.get(int(self._of_pair[member]))
+        if refused:
+            return refused
+        status, message = self._pace.outcome(member, end)
         if status == "ok" and not finite:
             return "diverged", "It ended with values that are not finite."
         return status, message
@@ -224,14 +222,19 @@ class Batch:
     @property
     def counts(self) -> tuple[str, ...]:
         """Names of the counts that mean something."""
-        return COUNTS[:1] if self._states_only else COUNTS
+        return self._pace.counts[:1] if self._states_only else self._pace.counts
 
 
-def _distinct(values: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
-    """The different ones in their order, and the place of each among them."""
-    places: dict[Any, int] = {}
-    of = [places.setdefault(value, len(places)) for value in values]
-    return list(places), np.array(of)
+def _pace(runs: Sequence[Run], t_end: float, every_row: bool) -> Pace:
+    t0, resolutions = runs[0].scene.interval[0], [run.resolution for run in runs]
+    if isinstance(runs[0].method, AdaptiveMethod):
+        methods = [run.method for run in runs]
+        return ChosenSteps(resolutions, methods, t0, t_end, every_row)
+    return ConstantSteps(resolutions, t0, t_end, every_row)
+
+
+def _table(trees: Sequence[Any]) -> np.ndarray:
+    return np.array([_numbers(tree) for tree in trees])
 
 
 def _numbers(tree: Any) -> np.ndarray:

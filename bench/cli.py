@@ -6,7 +6,6 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -26,11 +25,8 @@ from bench.plan import Cell, check_end, make_suite, read_profile
 from bench.records import Record, Rows, flatten
 from bench.registry import Registry, explain
 from bench.store import Store
-from integrators.contract import Steps, Tolerances
+from integrators.contract import Steps
 from problems.spec import SpecError
-
-#: What `stepbench solve` takes for an adaptive method if --rtol is not given.
-DEFAULT_RTOL = 1e-6
 
 
 @click.group(
@@ -96,8 +92,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
 @click.argument("integrator")
 @click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
 @options.with_pattern
-@click.option("--rtol", type=float, help=f"Relative tolerance; {DEFAULT_RTOL:g} if not given.")
-@click.option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given.")
+@options.with_tolerances
 @options.with_t_end
 @options.with_set
 @cli_maps.with_ensemble
@@ -136,18 +131,15 @@ def solve(
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
     if ensemble is not None:
-        _refuse(method.spec, "constant steps in an ensemble", rtol=rtol, atol=atol)
+        given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
         cli_maps.solve_ensemble(
-            scene, method, step, pattern, t_end, ensemble, vary, seed, budget, out, as_json
+            scene, method, given, t_end, ensemble, vary, seed, budget, out, as_json
         )
         return
     cli_maps.refuse_alone(vary, seed, out)
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    if method.controls == "step":
-        _refuse(method.spec, "fixed steps; give --step", rtol=rtol, atol=atol)
-        resolution: Steps | Tolerances = Steps(
-            scene.nominal_step if step is None else step, pattern or (1.0,)
-        )
+    resolution = options.resolution(scene, method, step, pattern, rtol, atol)
+    if isinstance(resolution, Steps):
         count = resolution.count(scene.interval[0], end)
         used = (end - scene.interval[0]) / count
         if abs(used - resolution.h) > 1e-9 * used:
@@ -156,9 +148,6 @@ def solve(
                 f"{used:.9g} s are taken.",
                 err=True,
             )
-    else:
-        _refuse(method.spec, "steps of its own; give --rtol", step=step, pattern=pattern)
-        resolution = Tolerances(DEFAULT_RTOL if rtol is None else rtol, atol)
     cell = Cell(scene.spec, method.spec, end, resolution)
     ((record, rows),) = _solve([cell], registry, samples=5, budget=budget)
     if as_json:
@@ -360,12 +349,6 @@ for command in (
 
 
 # ---- helpers ---------------------------------------------------------------------------
-def _refuse(name: str, takes: str, **given: Any) -> None:
-    for option, value in given.items():
-        if value is not None:
-            raise SpecError(f"{name} takes {takes} instead of --{option}.")
-
-
 def _solve(
     cells: list[Cell], registry: Registry, samples: int, budget: float
 ) -> list[tuple[Record, Rows]]:

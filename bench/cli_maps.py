@@ -16,7 +16,7 @@ from bench import options
 from bench.cli_scenes import view
 from bench.plan import check_end
 from bench.registry import Registry
-from integrators.contract import Integrator, Steps
+from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -38,7 +38,8 @@ _MOST_MEMBERS = 1_000_000
     "--over",
     required=True,
     metavar="X,Y",
-    help="Two numbers: the step h, an option of the integrator, or a parameter of the scene.",
+    help="Two numbers: the step h (or rtol or atol of a method that chooses its steps), an option "
+    "of the integrator, or a parameter of the scene.",
 )
 @click.option(
     "--range",
@@ -46,7 +47,8 @@ _MOST_MEMBERS = 1_000_000
     multiple=True,
     metavar="NAME:LOW..HIGH",
     help="Range of one of them; repeatable. An option is taken over all allowed values, a "
-    "parameter over a tenth to tenfold, h around the scene's nominal step, if not given.",
+    "parameter over a tenth to tenfold, h around the scene's nominal step, rtol from 1e-6 to "
+    "1e-1, if not given.",
 )
 @click.option(
     "--grid",
@@ -56,6 +58,7 @@ _MOST_MEMBERS = 1_000_000
 )
 @click.option("--step", type=float, help="Step size h in s, where h is not an axis.")
 @options.with_pattern
+@options.with_tolerances
 @click.option(
     "--error",
     metavar="GROUP:NORM",
@@ -90,6 +93,8 @@ def map_(
     grid: str | None,
     step: float | None,
     pattern: tuple[float, ...] | None,
+    rtol: float | None,
+    atol: float | None,
     error: str,
     threshold: float,
     t_end: float | None,
@@ -110,24 +115,28 @@ def map_(
     Examples:
       stepbench map pendulum generalized_alpha --over h,rho_inf
       stepbench map stiff_bar newmark --over h,stiffness --range h:1e-3..0.1 --grid 60x40
+      stepbench map soft_impact generalized_alpha_adaptive --over rtol,stiffness
       stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
     """
     from bench.axes import axis, read_ranges
+    from bench.batch import refuse
     from bench.maps import outcome_map
 
     registry = Registry(plugins)
     registry.require_files()
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
+    refuse(method, scene)
     names = [name.strip() for name in over.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
-    given = read_ranges(ranges, "--range")
-    stray = next((name for name in given if name not in names), None)
+    spans = read_ranges(ranges, "--range")
+    stray = next((name for name in spans if name not in names), None)
     if stray:
         raise SpecError(f"--range {stray} is of no axis; the axes are {names[0]} and {names[1]}.")
-    x, y = (axis(name, scene, method, given.get(name)) for name in names)
-    steps = _steps(scene, step, pattern, t_end, (x, y))
+    x, y = (axis(name, scene, method, spans.get(name)) for name in names)
+    given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
+    resolution = _resolution(scene, method, given, t_end, (x, y))
     points = [
         _POINTS_INTEGRATED if a.number.owner == "scene" and not scene.has("exact") else _POINTS
         for a in (x, y)
@@ -137,7 +146,7 @@ def map_(
         method,
         (x, y),
         _read_grid(grid) if grid else (points[0], points[1]),
-        steps,
+        resolution,
         t_end,
         error,
         threshold,
@@ -169,23 +178,26 @@ def _read_grid(text: str) -> tuple[int, int]:
     return counts[0], counts[1]
 
 
-def _steps(
+def _resolution(
     scene: MechatronicSystem,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
+    method: Integrator,
+    given: dict[str, Any],
     t_end: float | None,
     axes: Iterable[Axis],
-) -> Steps:
-    """The steps of runs whose step does not vary, and the pattern of all."""
+) -> Steps | Tolerances:
+    """What does not vary of the runs' steps, pattern or tolerances, of which are ``given`` --step,
+    --pattern, --rtol and --atol."""
     t0, own_end = scene.interval
     end = check_end(t0, own_end if t_end is None else t_end)
     for along in axes:
-        if along.number.owner == "step":
-            if step is not None:
-                raise SpecError("The step varies itself; leave --step out.")
+        _, owner, field = along.number
+        option = {"step": "step", "tolerance": field}.get(owner)
+        if given.get(option) is not None:
+            raise SpecError(f"The {owner} varies itself; leave --{option} out.")
+        if owner == "step":
             for h in (along.low, along.high):
                 Steps(h).count(t0, end)  # says what is wrong
-    return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
+    return options.resolution(scene, method, **given)
 
 
 # ---- ensembles ---------------------------------------------------------------------------
@@ -228,8 +240,7 @@ def refuse_alone(vary: tuple[str, ...], seed: int | None, out: Path | None) -> N
 def solve_ensemble(
     scene: MechatronicSystem,
     method: Integrator,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
+    given: dict[str, Any],
     t_end: float | None,
     count: int,
     vary: tuple[str, ...],
@@ -251,10 +262,10 @@ def solve_ensemble(
     if out and out.suffix not in (".csv", ".json"):
         raise SpecError(f"{out.name} is no table; give a name that ends in .csv or .json.")
     axes = {n: axis(n, scene, method, ends) for n, ends in read_ranges(vary, "--vary").items()}
-    steps = _steps(scene, step, pattern, t_end, axes.values())
+    resolution = _resolution(scene, method, given, t_end, axes.values())
     generator = np.random.default_rng(seed or 0)
     values = {name: along.random(count, generator) for name, along in axes.items()}
-    found = ensemble(scene, method, values, steps, t_end, budget)
+    found = ensemble(scene, method, values, resolution, t_end, budget)
     rows, statuses = found.rows(), found.statuses()
     if as_json:
         answer = {

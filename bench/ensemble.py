@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.axes import apart_from, number, varied
+from bench.axes import apart_from, number, usual, varied
 from bench.batch import Batch, Block, refuse
 from bench.plan import check_end
-from integrators.contract import Integrator, Steps
+from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -94,7 +94,7 @@ def ensemble(
     scene: MechatronicSystem,
     method: Integrator,
     vary: Mapping[str, Sequence[float]],
-    steps: Steps | None = None,
+    resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
     budget: float = float("inf"),
     jobs: int | None = None,
@@ -104,10 +104,12 @@ def ensemble(
     Parameters
     ----------
     vary
-        Values by name: ``h`` for the step, a float parameter of the scene or option of the
-        integrator; ``step.h``, ``scene.NAME``, ``integrator.NAME`` where one stands for two things.
-    steps
-        The step of members whose step does not vary; the scene's nominal step if not given.
+        Values by name: ``h`` for the step, ``rtol`` or ``atol`` of a method that chooses its steps,
+        a float parameter of the scene or option of the integrator; ``step.h``, ``scene.NAME``,
+        ``integrator.NAME`` where one stands for two things.
+    resolution
+        The step or the tolerances of members where they do not vary; if not given, the scene's
+        nominal step, or rtol=1e-6.
     t_end
         End time in s; the scene's own if not given.
     budget
@@ -126,12 +128,11 @@ def ensemble(
     if len(shapes) != 1 or (shape := shapes.pop()) == (0,) or len(shape) != 1:
         raise SpecError("An ensemble takes equally many values, at least one, of each that varies.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    base = steps or Steps(scene.nominal_step)
     if not np.isfinite(np.concatenate(list(values.values()))).all():
         raise SpecError("A value of an ensemble is not a finite number.")
     started = time.perf_counter()
     numbers = {number(name, scene, method): v for name, v in values.items()}
-    batch = Batch(varied(scene, method, base, numbers), end)
+    batch = Batch(varied(scene, method, resolution or usual(scene, method), numbers), end)
     batch.warm()
     compiled = time.perf_counter()
     count = shape[0]

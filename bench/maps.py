@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 
 from bench import measure
-from bench.axes import Axis, apart_from, varied
+from bench.axes import Axis, apart_from, usual, varied
 from bench.batch import Batch, Block, Run, refuse
 from bench.ensemble import within
 from bench.plan import check_end
 from bench.records import GROUPS, NORMS
-from integrators.contract import Integrator, Steps
+from integrators.contract import Integrator, Steps, Tolerances
 from problems.reference import Reference
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 
 #: What can come of a point; the last are points that say nothing of the method.
-OUTCOMES = ("ok", "inaccurate", "newton_failed", "diverged", "not_run", "no_reference")
+OUTCOMES = (
+    "ok", "inaccurate", "newton_failed", "step_too_small", "diverged", "not_run", "no_reference",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def outcome_map(
     method: Integrator,
     axes: tuple[Axis, Axis],
     counts: tuple[int, int],
-    steps: Steps | None = None,
+    resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
     error: str = "a:end",
     threshold: float = 0.1,
@@ -117,8 +119,9 @@ def outcome_map(
     ----------
     axes, counts
         The two numbers with their ranges, and how many values of each.
-    steps
-        The step where it is not an axis; the scene's nominal step if not given.
+    resolution
+        The step or the tolerances where they are no axis; if not given, the scene's nominal step,
+        or rtol=1e-6.
     error
         Group and norm of the relative error that is looked at, as `relative_errors` measures it.
     threshold
@@ -143,7 +146,7 @@ def outcome_map(
     grid = dict(
         zip((a.number for a in axes), (g.ravel() for g in np.meshgrid(*values)), strict=True)
     )
-    runs = varied(scene, method, steps or Steps(scene.nominal_step), grid)
+    runs = varied(scene, method, resolution or usual(scene, method), grid)
     batch = Batch(runs, end, every_row=norm != "end")
     batch.warm()
     compiled = time.perf_counter()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import click
 
 from bench.store import StoreError
+from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, suggest
+from problems.system import MechatronicSystem
 
 _INTERRUPTED = 130
 
@@ -77,6 +79,28 @@ def not_nan(_: click.Context, parameter: click.Parameter, value: float) -> float
     return value
 
 
+def resolution(
+    scene: MechatronicSystem,
+    method: Integrator,
+    step: float | None,
+    pattern: tuple[float, ...] | None,
+    rtol: float | None,
+    atol: float | None,
+) -> Steps | Tolerances:
+    """The steps or tolerances of a run, as far as the options of the other kind are not given."""
+
+    def refuse(takes: str, **given: Any) -> None:
+        for option, value in given.items():
+            if value is not None:
+                raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
+
+    if method.controls == "step":
+        refuse("fixed steps; give --step", rtol=rtol, atol=atol)
+        return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
+    refuse("steps of its own; give --rtol", step=step, pattern=pattern)
+    return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)
+
+
 with_plugins = click.option(
     "--plugins",
     multiple=True,
@@ -89,6 +113,18 @@ with_pattern = click.option(
     metavar="F1,F2,...",
     help="Divide each macro step into these fractions, for example 0.3,0.7.",
 )
+
+
+def with_tolerances(command: Callable) -> Callable:
+    """Add --rtol and --atol."""
+    for name, words in (
+        ("--atol", "Absolute tolerance; rtol/100 if not given."),
+        ("--rtol", f"Relative tolerance; {Tolerances().rtol:g} if not given."),
+    ):
+        command = click.option(name, type=float, help=words)(command)
+    return command
+
+
 with_t_end = click.option(
     "--t-end", type=float, help="End time in s; the scene's own if not given."
 )

@@ -137,7 +137,7 @@ class Tolerances:
         If one of them is not positive and finite.
     """
 
-    rtol: float
+    rtol: float = 1e-6
     atol: float | None = None
 
     def __post_init__(self) -> None:

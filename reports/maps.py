@@ -23,6 +23,7 @@ _OK: tuple[_Color, _Color] = (8, 62, 120), (178, 226, 190)
 _INACCURATE: tuple[_Color, _Color] = (255, 226, 140), (235, 120, 20)
 _PLAIN: dict[str, _Color] = {
     "newton_failed": (122, 60, 160),
+    "step_too_small": (200, 90, 170),
     "diverged": (160, 16, 28),
     "not_run": (150, 150, 150),
     "no_reference": (190, 190, 190),
@@ -31,6 +32,7 @@ _WORDS = {
     "ok": "ok",
     "inaccurate": "inaccurate",
     "newton_failed": "Newton failed",
+    "step_too_small": "step too small",
     "diverged": "diverged",
     "not_run": "not run",
     "no_reference": "no reference",

@@ -14,7 +14,7 @@ from bench.axes import number, varied
 from bench.batch import Batch, Run
 from bench.ensemble import ensemble
 from bench.registry import Registry
-from integrators import Steps
+from integrators import Steps, Tolerances
 from integrators.march import Kernel
 from problems import parameter
 from problems.formulations import consistent_start
@@ -117,6 +117,44 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     blown = alone("spring_mass[b=0]", "newmark[beta=0,newton_max=1000]", 2.5, 200.0)
     assert blown.status == "diverged"
     assert blown.work.newton <= 3 * blown.work.steps
+
+
+@pytest.mark.parametrize(
+    ("problem", "vary"),
+    [
+        ("pendulum", {"rtol": [1e-5, 1e-2, 1e-3], "th0": [2.0, 0.5, 1.0]}),
+        ("quarter_car", {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]}),
+        ("spring_mass", {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}),
+    ],
+)
+def test_members_that_choose_their_steps_are_single_runs(problem, vary):
+    scene, method = REGISTRY.problem(problem), REGISTRY.integrator("generalized_alpha_adaptive")
+    found = ensemble(scene, method, vary, t_end=0.5)
+    assert set(found.work) >= {"steps", "rejected", "newton"}
+    for k, values in enumerate(zip(*vary.values(), strict=True)):
+        settings = dict(zip(vary, values, strict=True))
+        tolerances = Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
+        specs = {"scene": scene.spec, "integrator": method.name}
+        for name, value in settings.items():
+            specs[number(name, scene, method).owner] += f"[{name}={value}]"
+        single = REGISTRY.integrator(specs["integrator"])
+        run = single.prepare(REGISTRY.problem(specs["scene"]), 0.5, tolerances).measure()
+        check_member(found, k, run, 1e-8)
+
+
+def test_a_member_that_ends_early_leaves_the_others_as_they_are():
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha_adaptive")
+    short = REGISTRY.integrator("generalized_alpha_adaptive[max_steps=500]")
+    tolerances = [1e-2, 1e-3, 1e-7]
+    found = ensemble(scene, short, {"rtol": tolerances})
+    assert found.status == ["ok", "ok", "budget_exceeded"]
+    assert "500 steps were used up" in found.message[2]
+    assert np.isnan(found.ends["q"][2]).all()
+    assert found.work["steps"][2] + found.work["rejected"][2] == 500
+    # What it steps on with the others is left at once.
+    assert found.work["newton"][2] < 5 * 500
+    for k, whole in enumerate(ensemble(scene, method, {"rtol": tolerances[:2]}).ends["q"]):
+        assert (found.ends["q"][k] == whole).all()
 
 
 def test_newton_failures_are_told_as_in_single_runs():
@@ -255,7 +293,7 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
         (["spring_mass", "kvaerno5", "--ensemble", "3", "--vary", "k:1..2"],
          "take kvaerno5[steps=constant"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:1..2", "--rtol", "1e-3"],
-         "constant steps in an ensemble"),
+         "takes fixed steps"),
         (["pendulum", "newmark[beta=0]", "--ensemble", "3", "--vary", "g:1..2"], "does not take"),
     ],
 )  # fmt: skip

@@ -16,17 +16,26 @@ from bench.axes import axis
 from bench.maps import OUTCOMES, outcome_map
 from bench.measure import relative_errors
 from bench.registry import Registry
-from integrators import Steps
+from integrators import Steps, Tolerances
 from problems.reference import Reference
 from reports.maps import _between, _png, _ticks
 
 REGISTRY = Registry()
+ADAPTIVE = "generalized_alpha_adaptive[newton=modified]"
 
 
 def made(problem, integrator, over, counts, **more):
     scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
     axes = tuple(axis(name, scene, method, ends) for name, ends in over.items())
     return outcome_map(scene, method, axes, counts, **more)
+
+
+def step_of(scene, settings):
+    return Steps(settings.pop("h", scene.nominal_step))
+
+
+def tolerances_of(scene, settings):
+    return Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
 
 
 @pytest.mark.parametrize(
@@ -37,6 +46,9 @@ def made(problem, integrator, over, counts, **more):
         ("pendulum", "generalized_alpha", {"th0": (0.5, 3.0), "h": (0.01, 0.1)}, "q:max"),
         ("spring_mass", "newmark", {"k": (0.5, 20.0), "m": (0.5, 2.0)}, "a:rms"),
         ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end"),
+        ("pendulum", ADAPTIVE, {"rtol": (1e-5, 1e-2), "th0": (0.5, 3.0)}, "a:end"),
+        ("pendulum", ADAPTIVE, {"th0": (0.5, 3.0), "rtol": (1e-5, 1e-2)}, "lam:rms"),
+        ("soft_impact", ADAPTIVE, {"rtol": (1e-5, 1e-2), "atol": (1e-6, 1e-2)}, "q:max"),
     ],
 )
 def test_a_point_is_a_single_run(problem, integrator, over, error):
@@ -45,11 +57,11 @@ def test_a_point_is_a_single_run(problem, integrator, over, error):
     for i, j in ((0, 0), (3, 1), (1, 2)):
         settings = dict(zip(over, (found.values[0][i], found.values[1][j]), strict=True))
         scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
-        h = settings.pop("h", scene.nominal_step)
+        resolution = (step_of if method.controls == "step" else tolerances_of)(scene, settings)
         for of in (scene, method):
             for name in settings.keys() & vars(of).keys():
                 object.__setattr__(of, name, float(settings[name]))  # both were made here
-        run = method.prepare(scene, scene.interval[1], Steps(h)).measure()
+        run = method.prepare(scene, scene.interval[1], resolution).measure()
         errors, _ = relative_errors(run, Reference(scene, scene.interval[1]))
         wanted = errors[group][norm]
         assert found.error[j, i] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
@@ -69,7 +81,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
         f"newmark[beta={beta!r}]",
         over,
         (21, 2),
-        steps=Steps(limit),
+        resolution=Steps(limit),
         t_end=steps * limit,
         error="q:end",
         threshold=1e300,
@@ -234,7 +246,13 @@ def test_ticks_stand_at_the_middle_of_their_point(side, places):
          "give --range sigma:A..B"),
         (["pendulum", "ida", "--over", "h,th0"], "cannot run many members in one program"),
         (["pendulum", "kvaerno5", "--over", "h,th0"], "take kvaerno5[steps=constant"),
-        (["pendulum", "generalized_alpha_adaptive", "--over", "h,th0"], "constant steps"),
+        (["pendulum", "generalized_alpha_adaptive", "--over", "h,th0"], "not rtol or atol"),
+        (["pendulum", "generalized_alpha_adaptive", "--over", "rtol,th0", "--rtol", "1e-3"],
+         "The tolerance varies itself; leave --rtol out"),
+        (["pendulum", "generalized_alpha_adaptive", "--over", "rtol,th0", "--step", "0.1"],
+         "steps of its own; give --rtol"),
+        (["pendulum", "generalized_alpha_adaptive", "--over", "rtol,th0", "--range", "rtol:-1..1"],
+         "rtol=-1 is not allowed"),
     ],
 )  # fmt: skip
 def test_it_refuses_in_one_sentence(stepbench, arguments, words):
