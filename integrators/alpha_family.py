@@ -57,8 +57,7 @@ class AlphaMethod(StepMethod):
     )
     linear_solver: str = option(
         "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]), with full Newton; auto: by "
-        "size and fill",
+        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
         choices=("auto", "dense", "sparse"),
     )
     formulation: str = option(
@@ -105,14 +104,12 @@ class AlphaMethod(StepMethod):
 
     def on(self, scene: MechatronicSystem, start: Start) -> Any:
         wanted = self.linear_solver
-        if wanted == "auto" and (self.newton == "modified" or not is_large(scene)):
-            return self
-        if wanted == "dense":
+        if wanted == "dense" or (wanted == "auto" and not is_large(scene)):
             return self
         from integrators.alpha_sparse import SparseAlpha
 
         require()
-        sparse = SparseAlpha(self.scheme(), self.formulation, scene, start)
+        sparse = SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
         try:
             return sparse if sparse.pays() or wanted == "sparse" else self
         except NoPattern:

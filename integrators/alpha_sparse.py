@@ -1,21 +1,25 @@
 """The generalized-alpha step on large scenes: sparse tangents, factorised inside the compiled loop.
 
-The tangent's pattern is found once per kind of scene, and analysed once by KLU; every Newton
-iteration then takes a few Jacobian-vector products (one per colour of the pattern) and one
-factorisation on the known pattern. Work and memory of a step grow with the entries of the tangent.
+The tangent's pattern is found once per kind of scene, and analysed once by KLU; a new tangent then
+takes a few Jacobian-vector products (one per colour of the pattern) and one factorisation on the
+known pattern. Full Newton does so in every iteration; modified Newton keeps the factorisation over
+iterations and steps while it contracts, and an iteration is one residual and two triangular
+solves. Work and memory of a step grow with the entries of the tangent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators import alpha_step
+from integrators import alpha_step, klu
 from integrators.alpha_step import AlphaState, Scheme
 from integrators.march import Kernel, StepReport, kernel
+from integrators.newton import Linear
 from problems.formulations import Start
 from problems.large import projected
 from problems.runtime import jnp
@@ -27,14 +31,10 @@ _MOST_FILL = 0.1
 
 
 class SparseNumbers(NamedTuple):
-    """A scheme; rows and columns of the tangent's entries, which may not be constants of the
-    program (XLA would sort them while compiling), and the address of KLU's analysis of them;
-    the part of the jerk that the constraints cause."""
+    """A scheme, the tangent's analysis, and the part of the jerk that the constraints cause."""
 
     scheme: Scheme
-    rows: Any
-    columns: Any
-    analysis: Any
+    analysis: klu.Analysis
     constrained_jerk: Any
 
 
@@ -44,28 +44,29 @@ class SparseAlpha:
 
     scheme: Scheme
     formulation: str
+    newton: str
     scene: MechatronicSystem
     start: Start
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
 
     def pays(self) -> bool:
         """Whether the tangent has few entries."""
-        pattern, *_ = _prepared(self.scene.template(), self._stabilised)
+        pattern, _ = _analysed(self.scene.template(), self._stabilised)
         return len(pattern.rows) < _MOST_FILL * pattern.size**2
 
     def numbers(self) -> SparseNumbers:
         """What is traced."""
-        pattern, analysis, _ = _prepared(self.scene.template(), self._stabilised)
+        pattern, symbolic = _analysed(self.scene.template(), self._stabilised)
         z, jerk = self.start.z, self.start.jerk
         if self.scheme.corrected and self.scene.sizes.nl and not self._stabilised:
             jerk = projected(self.scene, z.q, float(z.t), jerk)
-        address = np.asarray(analysis.raw)
-        return SparseNumbers(self.scheme, pattern.rows, pattern.columns, address, jerk)
+        analysis = klu.Analysis(pattern.rows, pattern.columns, np.asarray(symbolic.raw))
+        return SparseNumbers(self.scheme, analysis, jerk)
 
     def kernel(self, scene: MechatronicSystem) -> Kernel:
         """The compiled march."""
-        _, _, functions = _prepared(scene.template(), self._stabilised)
-        return kernel(*functions, scene.template(), scene.sizes)
+        functions = _functions(scene.template(), self._stabilised, self.newton == "modified")
+        return kernel(*functions, scene.template(), scene.sizes, finish=_finish)
 
     @property
     def _stabilised(self) -> bool:
@@ -73,8 +74,8 @@ class SparseAlpha:
 
 
 @cache
-def _prepared(template: MechatronicSystem, stabilised: bool) -> tuple:
-    """Pattern and analysis of a scene's tangents, and the functions of the march."""
+def _analysed(template: MechatronicSystem, stabilised: bool) -> tuple[Pattern, Any]:
+    """Pattern of a scene's tangents, and KLU's analysis of it."""
     import klujax
 
     sizes, h = template.sizes, jnp.asarray(template.nominal_step)
@@ -91,22 +92,33 @@ def _prepared(template: MechatronicSystem, stabilised: bool) -> tuple:
     equations = alpha_step.equations(stabilised, template, sizes, scheme, state, weights, t, h)
     n = sizes.nq + sizes.nl * (2 if stabilised else 1) + sizes.nx + sizes.ny
     pattern = Pattern(equations.residual, n)
-    analysis = klujax.analyze(jnp.asarray(pattern.rows), jnp.asarray(pattern.columns), n)
-    begin, step = partial(_begin, stabilised), partial(_step, stabilised, pattern)
-    return pattern, analysis, (begin, step, alpha_step.read)
+    return pattern, klujax.analyze(jnp.asarray(pattern.rows), jnp.asarray(pattern.columns), n)
+
+
+@cache
+def _functions(template: MechatronicSystem, stabilised: bool, modified: bool) -> tuple:
+    """``begin``, ``step`` and ``read`` of the march."""
+    pattern, _ = _analysed(template, stabilised)
+    return (
+        partial(_begin, stabilised, modified),
+        partial(_step, stabilised, pattern),
+        alpha_step.read,
+    )
 
 
 def _begin(
     stabilised: bool,
+    modified: bool,
     scene: MechatronicSystem,
     sizes: Sizes,
     numbers: SparseNumbers,
     start: Start,
     h: Any,
 ) -> AlphaState:
-    return alpha_step.begin(
+    state = alpha_step.begin(
         stabilised, False, scene, sizes, numbers.scheme, start, h, numbers.constrained_jerk
     )
+    return state._replace(kept=klu.none()) if modified else state
 
 
 def _step(
@@ -119,11 +131,26 @@ def _step(
     t: Any,
     h: Any,
 ) -> tuple[AlphaState, StepReport]:
-    import klujax
+    linear = _linear(pattern, numbers.analysis)
+    return alpha_step.step(stabilised, False, scene, sizes, numbers.scheme, state, t, h, linear)
 
-    def solve(residual: Any, u: Any) -> Any:
-        values = pattern.values(residual, u)
-        at = numbers.rows, numbers.columns
-        return klujax.solve_with_symbol(*at, values, residual(u), numbers.analysis)
 
-    return alpha_step.step(stabilised, False, scene, sizes, numbers.scheme, state, t, h, solve)
+def _linear(pattern: Pattern, analysis: klu.Analysis) -> Linear:
+    """Updates by KLU; what modified Newton keeps is a factorisation."""
+
+    def once(residual: Callable, u: Any) -> Any:
+        return klu.solve(analysis, pattern.values(residual, u), residual(u))
+
+    def renewed(residual: Callable, u: Any, kept: Any) -> Any:
+        return klu.factorised(analysis, pattern.values(residual, u), instead_of=kept)
+
+    def update(kept: Any, r: Any) -> Any:
+        return klu.solve_by(kept, analysis, r)
+
+    return Linear(once, renewed, update, known=lambda kept: kept[0] > 0, patient=True)
+
+
+def _finish(state: AlphaState) -> None:
+    """After the last step, nobody else frees what modified Newton has kept."""
+    if state.kept.size:
+        klu.free(state.kept)

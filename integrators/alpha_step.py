@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.march import Reading, StepReport, largest
-from integrators.newton import newton
+from integrators.newton import DENSE, Linear, newton
 from problems import formulations
 from problems.formulations import Start
 from problems.runtime import jnp
@@ -69,7 +69,7 @@ class AlphaState(NamedTuple):
     """Everything that a step hands to the next; ``shift`` and ``shift_x`` are the times by which
     the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
     is the last step and ``gamma``, ``theta`` were its weights, ``seen`` is the acceleration that is
-    reported, ``inverse`` the inverted tangent that modified Newton keeps (empty in full Newton),
+    reported, ``kept`` what modified Newton keeps of a tangent (empty in full Newton),
     ``slopes`` are the first and second divided differences of the unknowns, for the next guess,
     and ``smooth`` says whether guessing by them would have been right the last time."""
 
@@ -88,7 +88,7 @@ class AlphaState(NamedTuple):
     gamma: Any
     theta: Any
     seen: Any
-    inverse: Any
+    kept: Any
     slopes: Any
     smooth: Any
 
@@ -293,9 +293,9 @@ def step(
     state: AlphaState,
     t: Any,
     h: Any,
-    solve: Any = None,
+    linear: Linear = DENSE,
 ) -> tuple[AlphaState, StepReport]:
-    """A step of size h to time t; ``solve`` as in `newton`."""
+    """A step of size h to time t; ``linear`` as in `newton`."""
     s = numbers
     w = weights(s, state, h)
     e = equations(stabilised, scene, sizes, s, state, w, t, h)
@@ -304,9 +304,9 @@ def step(
     no_mu = jnp.zeros(sizes.nl if stabilised else 0)
     guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
     guess = jnp.where(state.smooth, *guesses)
-    u, inverse, report = newton(
-        e.residual, guess, guesses[1], e.cuts, s.newton_tol, s.newton_max, e.floors, state.inverse,
-        solve,
+    u, kept, report = newton(
+        e.residual, guess, guesses[1], e.cuts, s.newton_tol, s.newton_max, e.floors, state.kept,
+        linear,
     )  # fmt: skip
     z, xdot = e.at(u)
     aux_end, auxx_end = e.aux_base + e.aux_slope * z.a, e.auxx_base + e.auxx_slope * xdot
@@ -314,7 +314,7 @@ def step(
     new = jnp.concatenate([z.a, z.lam, xdot, z.y])
     return AlphaState(
         z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-        w.gamma, w.theta, seen, inverse, differences(new, old, state.slopes, h, state.h),
+        w.gamma, w.theta, seen, kept, differences(new, old, state.slopes, h, state.h),
         largest(new - ahead) < _SMOOTH * largest(new - old),
     ), report  # fmt: skip
 

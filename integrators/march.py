@@ -255,9 +255,15 @@ class Kernel:
 
 @cache
 def kernel(
-    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
+    begin: Callable,
+    step: Callable,
+    read: Callable,
+    template: MechatronicSystem,
+    sizes: Sizes,
+    finish: Callable | None = None,
 ) -> Kernel:
-    """The compiled march of a method on a scene, for any numbers and parameters."""
+    """The compiled march of a method on a scene, for any numbers and parameters; ``finish`` frees
+    what the last state holds."""
 
     def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
         macro, j = n // clock.slots, n % clock.slots
@@ -308,7 +314,9 @@ def kernel(
             to_row,
             (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
         )
-        _, _, status, counts, t = progress
+        _, state, status, counts, t = progress
+        if finish:
+            finish(state)
         return kept, jnp.stack([status, t, *counts])
 
     return Kernel(march)

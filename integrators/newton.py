@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from integrators import dense
@@ -15,16 +16,42 @@ _STAGNANT = 1e-7
 _CONTRACTION = 0.1
 
 
+class Linear(NamedTuple):
+    """How updates are computed from tangents.
+
+    ``once(residual, u)`` is the update by the tangent at u, which full Newton takes. Of modified
+    Newton, ``renewed(residual, u, kept)`` is what is kept of the tangent at u in place of
+    ``kept``, ``update(kept, r)`` the update by it for a residual r, and ``known(kept)`` says
+    whether anything is kept yet. Who is ``patient``, because a new tangent is dear, judges an old
+    one by its third update at the earliest.
+    """
+
+    once: Callable
+    renewed: Callable
+    update: Callable
+    known: Callable
+    patient: bool = False
+
+
+#: Small matrices: full Newton eliminates, modified Newton keeps the inverse (NaN if not known).
+DENSE = Linear(
+    once=lambda residual, u: dense.solve(jax.jacfwd(residual)(u), residual(u)),
+    renewed=lambda residual, u, kept: dense.inverse(jax.jacfwd(residual)(u)),
+    update=dense.product,
+    known=lambda inverse: ~jnp.isnan(inverse[0, 0]),
+)
+
+
 class _Iteration(NamedTuple):
     """The iterate after k updates, the size of the last and of the one before, whether the last
-    came from a new tangent, the inverted tangent, and how many tangents were taken."""
+    came from a new tangent, what is kept of a tangent, and how many tangents were taken."""
 
     u: Any
     k: Any
     size: Any
     before: Any
     exact: Any
-    inverse: Any
+    kept: Any
     tangents: Any
 
 
@@ -36,17 +63,16 @@ def newton(
     tol: Any,
     most: Any,
     floors: Any,
-    inverse: Any,
-    solve: Callable | None = None,
+    kept: Any,
+    linear: Linear = DENSE,
 ) -> tuple[Any, Any, StepReport]:
     """Solve residual(u) = 0, in the traced loop of a step.
 
-    Full Newton (an empty ``inverse`` comes) takes a new tangent in every iteration. Modified
-    Newton keeps the inverse that it is given while an update is at most ``_CONTRACTION`` times
-    the one before, and takes a new one where it is not; what it has not solved after ``most``
-    iterations, full Newton tries from the start of the step. Returns the solution, the inverse for
-    the next step, and the report. ``solve(residual, u)`` gives the update of full Newton; by
-    default with a dense tangent.
+    Full Newton (an empty ``kept`` comes) takes a new tangent in every iteration. Modified Newton
+    keeps the one that it is given while an update is at most ``_CONTRACTION`` times the one
+    before, and takes a new one where it is not; what it has not solved after ``most`` iterations,
+    full Newton tries from the start of the step. Returns the solution, what is kept for the next
+    step, and the report.
 
     With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
     d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
@@ -54,7 +80,7 @@ def newton(
     its entry of ``floors``; or when updates by a new tangent no longer shrink and are tiny:
     round-off then forbids more.
     """
-    keeps = bool(inverse.size)
+    keeps = bool(kept.size)
 
     def measure(du: Any, u: Any, exact: Any) -> Any:
         # What an old tangent leaves behind points the same way in every step and adds up; a new
@@ -88,29 +114,30 @@ def newton(
         return (now.k < (2 * most if keeps else most)) & ~settled(now) & ~lost
 
     def iterate(now: _Iteration) -> _Iteration:
-        u, k, size, before, exact, inverse, tangents = now
+        u, k, size, before, exact, kept, tangents = now
         if keeps:
             anew = k == most
             # Before the first update both sizes are infinite; a NaN never contracts.
-            stale = jnp.where(k == 0, jnp.isnan(inverse[0, 0]), ~(size <= _CONTRACTION * before))
+            # The first update takes away the error of the guess, which is spread over the unknowns
+            # otherwise than what an old tangent leaves behind; the second shows the difference.
+            undecided = linear.patient & (k == 2)
+            limit = jnp.where(undecided, 1 / _CONTRACTION, _CONTRACTION)
+            stale = jnp.where(k == 0, ~linear.known(kept), ~(size <= limit * before))
             astray = stale & ~exact & ~(size <= before)
             u = jnp.where(anew, old, jnp.where(astray, guess, u))
             size, exact = jnp.where(anew, jnp.inf, size), stale | (k >= most)
-            inverse = jax.lax.cond(exact, invert, lambda u: inverse, u)
-            du = dense.product(inverse, residual(u))
+            kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
+            du = linear.update(kept, residual(u))
         else:
-            du = (solve or _dense)(residual, u)
+            du = linear.once(residual, u)
         size, before = measure(du, u - du, exact), size
-        return _Iteration(u - du, k + 1, size, before, exact, inverse, tangents + exact)
+        return _Iteration(u - du, k + 1, size, before, exact, kept, tangents + exact)
 
-    def invert(u: Any) -> Any:
-        return dense.inverse(jax.jacfwd(residual)(u))
-
-    start = _Iteration(guess, 0, jnp.inf, jnp.inf, not keeps, inverse, 0)
+    start = _Iteration(guess, 0, jnp.inf, jnp.inf, not keeps, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
     report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
-    return end.u, end.inverse, report
+    return end.u, end.kept, report
 
 
-def _dense(residual: Callable, u: Any) -> Any:
-    return dense.solve(jax.jacfwd(residual)(u), residual(u))
+def _as_it_is(_: Any, kept: Any) -> Any:
+    return kept

@@ -54,7 +54,7 @@ def test_an_old_tangent_is_given_up_where_it_stops_contracting():
     state, first = step(scene, sizes, numbers, state, 0.05, h)
     assert first.jacobians >= 1  # none was there
     _, with_kept = step(scene, sizes, numbers, state, 0.1, h)
-    wrong = state._replace(inverse=-3.0 * state.inverse)
+    wrong = state._replace(kept=-3.0 * state.kept)
     spoiled, report = step(scene, sizes, numbers, wrong, 0.1, h)
     assert report.converged
     assert report.jacobians > with_kept.jacobians

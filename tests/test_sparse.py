@@ -49,7 +49,7 @@ def test_sparse_and_dense_runs_are_the_same(scene, form):
 
 def test_the_pattern_holds_every_entry():
     scene = Chain(links=7)
-    pattern, *_ = alpha_sparse._prepared(scene.template(), True)
+    pattern, *_ = alpha_sparse._analysed(scene.template(), True)
     rng = np.random.default_rng(4)
 
     def residual(u):
@@ -67,7 +67,7 @@ def test_the_pattern_holds_every_entry():
 
 
 def test_colours_do_not_grow_with_the_chain():
-    ten, hundred = (alpha_sparse._prepared(Chain(links=n), False)[0] for n in (10, 100))
+    ten, hundred = (alpha_sparse._analysed(Chain(links=n), False)[0] for n in (10, 100))
     assert ten.products == hundred.products
     assert len(hundred.rows) <= 14 * 100
 
@@ -105,9 +105,11 @@ def test_a_start_that_does_not_exist_is_refused(monkeypatch):
 
 def test_size_and_fill_choose_the_solver():
     start = consistent_start(Chain(links=100))
-    assert type(GeneralizedAlpha().on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
     assert type(HHT().on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
-    for method in (GeneralizedAlpha(linear_solver="dense"), GeneralizedAlpha(newton="modified")):
+    for newton in ("full", "modified"):
+        method = GeneralizedAlpha(newton=newton)
+        assert type(method.on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
+        method = GeneralizedAlpha(newton=newton, linear_solver="dense")
         assert method.on(Chain(links=100), start) is method
     small = GeneralizedAlpha()
     assert small.on(Chain(links=8), consistent_start(Chain(links=8))) is small
