@@ -1,14 +1,18 @@
-"""What solvers share that call the equations back in Python: counting, budget, ways to end."""
+"""What solvers share that call the equations back in Python: how compiled functions are called
+with few conversions, counting, budget, ways to end."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from integrators.contract import Work
+from problems.runtime import jax
 
 NOT_FINITE = "the equations gave a value that is not finite"
 
@@ -30,6 +34,67 @@ def cure(status: str) -> str:
     return "use a larger rtol, or a smaller one if the solution changes abruptly here"
 
 
+def all_finite(values: np.ndarray) -> bool:
+    """Whether every entry of a vector is finite, at a third of what looking at each costs."""
+    return _zeros(len(values)).dot(values) == 0.0  # 0 times what is not finite is NaN
+
+
+@cache
+def _zeros(n: int) -> np.ndarray:
+    return np.zeros(n)
+
+
+class Packed:
+    """A function of numbers and vectors, compiled once, and called with NumPy arrays.
+
+    JAX makes arrays of its own of the arrays that it is given, at a microsecond each. Here all
+    arguments are copied side by side into memory that JAX has been given once and for all. A
+    program is done with them when it returns, as programs run in the calling thread (see
+    `problems.runtime`) or else are waited for by who reads the result; results are new arrays.
+
+    Parameters
+    ----------
+    function
+        Traceable function of arrays.
+    lengths
+        Lengths of its arguments, which are vectors; None for a scalar.
+    """
+
+    def __init__(self, function: Callable, *lengths: int | None) -> None:
+        ends = np.cumsum([0, *(1 if n is None else n for n in lengths)]).tolist()
+        self._places = [slice(a, b) for a, b in pairwise(ends)]
+
+        def unpack(numbers: Any) -> Any:
+            parts = [numbers[place] for place in self._places]
+            pairs = zip(parts, lengths, strict=True)
+            return function(*(part[0] if n is None else part for part, n in pairs))
+
+        self.program = jax.jit(unpack)
+
+    def at(self, *first: np.ndarray) -> Callable:
+        """The function of the remaining arguments, with memory of its own: for one thread."""
+        memory = _aligned(self._places[-1].stop)
+        views = [memory[place] for place in self._places]
+        for view, value in zip(views, first, strict=False):
+            view[:] = value
+        views, program = views[len(first) :], self.program
+        numbers = jax.dlpack.from_dlpack(memory, copy=False)
+
+        def call(*arguments: Any) -> Any:
+            for view, value in zip(views, arguments, strict=True):
+                view[:] = value
+            return program(numbers)
+
+        return call
+
+
+def _aligned(n: int) -> np.ndarray:
+    """Memory for n floats that XLA takes as it is: it begins at a multiple of 64 bytes."""
+    room = np.zeros(n + 8)
+    first = -room.ctypes.data % 64 // 8
+    return room[first : first + n]
+
+
 class Calls:
     """The equations as a stepping solver calls them, counted; one object for each run.
 
@@ -40,16 +105,13 @@ class Calls:
     Parameters
     ----------
     value, jacobian
-        Compiled functions of (p, t, ...).
-    p
-        Their parameters.
+        Functions of (t, ...).
     max_calls
         After so many calls of ``value`` the run ends as budget_exceeded.
     """
 
-    def __init__(self, value: Callable, jacobian: Callable, p: Any, max_calls: int) -> None:
-        self._value, self._jacobian = value, jacobian
-        self._p, self._max_calls = p, max_calls
+    def __init__(self, value: Callable, jacobian: Callable, max_calls: int) -> None:
+        self._value, self._jacobian, self._max_calls = value, jacobian, max_calls
         self._residuals = self._jacobians = self._newton = self._attempts = 0
         self._factorisations = self._solves = 0
         self._now = self._earliest = math.inf
@@ -68,10 +130,8 @@ class Calls:
             self._newton += 1
             self._attempts += int(t < self._earliest)
             self._earliest = t
-        # A float of numpy's own would be compiled for once more.
-        value = np.asarray(self._value(self._p, float(t), *at))
-        # The sum is finite only if every entry is, and is cheaper to form than the test of each.
-        if not math.isfinite(value.sum()):
+        value = np.asarray(self._value(t, *at))
+        if not all_finite(value):
             self.finite = False
             # Solvers answer to such a value by a smaller step, unless it made the time NaN.
             if not math.isfinite(t):
@@ -80,7 +140,7 @@ class Calls:
 
     def jacobian(self, t: float, *at: np.ndarray) -> Any:
         self._jacobians += 1
-        return self._jacobian(self._p, float(t), *at)
+        return self._jacobian(t, *at)
 
     def watch(self, solver: Any) -> None:
         """Count the factorisations and solves of a solver of scipy's kind."""

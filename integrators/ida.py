@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import io
-import math
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.callbacks import NOT_FINITE, Stop, cure
+from integrators import dae
+from integrators.callbacks import NOT_FINITE, Stop, all_finite, cure
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -23,13 +24,12 @@ from integrators.contract import (
     spread_rows,
 )
 from integrators.rows import rows_from_states
-from problems.formulations import FORMULATIONS, Layout, consistent_start, dae_layout, dae_residual
-from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes
+from problems import sparsity
+from problems.formulations import FORMULATIONS, dae_layout, is_large
+from problems.system import MechatronicSystem
 
-#: Absolute tolerance that takes a variable out of the error test: IDA's own switch for it
-#: (suppressalg) is not reachable through the Python bindings, and others have none.
-_NOT_TESTED = 1e6
+#: IDA's own limit of steps, out of the way: calls are limited here.
+_NO_LIMIT = 2**31 - 1
 
 #: IDA's return flags by what they mean here; any other negative flag is a crash.
 _ENDINGS = {
@@ -73,6 +73,12 @@ class IDA(Integrator):
     multipliers_in_error_test: bool = option(
         False, "test the errors of multipliers like those of q, v and x"
     )
+    linear_solver: str = option(
+        "auto",
+        "dense; sparse: SuperLU_MT on the Jacobian's pattern (extra [sparse]); auto: by size and "
+        "fill",
+        choices=("auto", "dense", "sparse"),
+    )
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
 
@@ -82,64 +88,11 @@ class IDA(Integrator):
         return _IDARun(self, scene, t_end, resolution)
 
 
-@cache
-def compiled_residual(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Callable:
-    """F(p, t, w, wdot) for any parameter values.
-
-    p is one array, because a call costs a microsecond for every array that it is given.
-    """
-    names = list(template.parameters())
-
-    def residual(p: Any, t: Any, w: Any, wdot: Any) -> Any:
-        scene = template.with_parameters(dict(zip(names, p, strict=True)))
-        return dae_residual(scene, sizes, formulation, t, w, wdot)
-
-    return jax.jit(residual)
-
-
-@cache
-def _compiled(
-    template: MechatronicSystem, sizes: Sizes, formulation: str
-) -> tuple[Callable, Callable]:
-    """F(p, t, w, wdot) and dF/dw + cj dF/dwdot at (p, t, w, wdot, cj) for any parameter values."""
-    residual = compiled_residual(template, sizes, formulation)
-
-    def jacobian(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
-        # Along w and wdot together: one sweep over n directions instead of two.
-        return jax.jacfwd(lambda d: residual(p, t, w + d, wdot + cj * d))(jnp.zeros_like(w))
-
-    return residual, jax.jit(jacobian)
-
-
-def start_vectors(scene: MechatronicSystem, at: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Consistent w and wdot; the rates of lam, y and mu do not enter the equations."""
-    start = consistent_start(scene)
-    w, wdot = np.zeros(at.size), np.zeros(at.size)
-    for name in ("q", "v", "x", "lam", "y"):
-        w[getattr(at, name)] = getattr(start.z, name)
-    wdot[at.q], wdot[at.v], wdot[at.x] = start.z.v, start.z.a, start.xdot
-    return w, wdot
-
-
-def absolute_tolerances(
-    sizes: Sizes, formulation: str, atol: float, multipliers_tested: bool
-) -> np.ndarray:
-    """An atol for each entry of w, with which the multipliers are tested or not."""
-    at = dae_layout(sizes, formulation)
-    atols = np.full(at.size, atol)
-    if not multipliers_tested:
-        atols[at.lam] = atols[at.mu] = _NOT_TESTED
-        if sizes.nl and formulation != "index1":
-            atols[at.y] = _NOT_TESTED
-    return atols
-
-
 class _Equations:
     """Residual and Jacobian as IDA calls them, counted; one object for each run."""
 
-    def __init__(self, functions: tuple[Callable, Callable], p: Any, max_calls: int) -> None:
-        self._residual, self._jacobian = functions
-        self._p, self._max_calls = p, max_calls
+    def __init__(self, residual: Callable, jacobian: Callable, max_calls: int) -> None:
+        self._residual, self._jacobian, self._max_calls = residual, jacobian, max_calls
         self.residuals = self.jacobians = 0
 
     # IDA checks the signatures and passes t, w, wdot, then what is to be filled in place.
@@ -147,59 +100,81 @@ class _Equations:
         if self.residuals == self._max_calls:
             raise Stop("budget_exceeded", f"{self._max_calls} residual calls were used up")
         self.residuals += 1
-        res[:] = self._residual(self._p, t, w, wdot)
-        # IDA would take a NaN for a failed step and try again without end. The sum is finite
-        # only if every entry is, and is cheaper to form than the test of each.
-        if not math.isfinite(res.sum()):
+        res[:] = self._residual(t, w, wdot)
+        # IDA would take a NaN for a failed step and try again without end.
+        if not all_finite(res):
             raise Stop("diverged", NOT_FINITE)
 
     def jacobian(
         self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
     ) -> None:
+        jac.T[:] = self._jacobian(t, w, wdot, cj)  # a vector of entries is its own transpose
         self.jacobians += 1
-        jac[:] = self._jacobian(self._p, t, w, wdot, cj)
 
 
 class _IDARun(PreparedRun):
     def __init__(
         self, method: IDA, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
-        sizes = scene.sizes
+        sizes, form = scene.sizes, method.formulation
         self._method, self._scene, self._t_end = method, scene, float(t_end)
         self._t0 = scene.interval[0]
-        self._at = dae_layout(sizes, method.formulation)
-        self._w, self._wdot = start_vectors(scene, self._at)
+        self._at = dae_layout(sizes, form)
+        self._w, self._wdot = dae.start_vectors(scene, self._at)
         tested = method.multipliers_in_error_test
-        atol = absolute_tolerances(sizes, method.formulation, resolution.atol, tested)
-        self._tolerances = {"rtol": resolution.rtol, "atol": atol}
-        self._functions = _compiled(scene.template(), sizes, method.formulation)
-        self._p = jax.device_put(np.array(list(scene.parameters().values())))
-        warm_up = (self._p, self._t0, self._w, self._wdot)
-        self._functions[0](*warm_up)
-        self._functions[1](*warm_up, 1.0)
+        atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
+        self._options = {
+            "max_order": method.max_order,
+            "max_num_steps": _NO_LIMIT,
+            "rtol": resolution.rtol,
+            "atol": atol,
+        }
+        of = scene.template(), sizes, form
+        p = np.array(list(scene.parameters().values()))
+        if sparsity.is_chosen(method.linear_solver, is_large(scene), lambda: dae.pattern(*of)):
+            from scipy.sparse import csc_matrix
 
-    def _new(self) -> tuple[Any, _Equations]:
-        """A new solver: a used one keeps counters and history."""
+            values, rows, starts = dae.sparse_jacobian(*of)
+            entries = csc_matrix((np.ones(len(rows)), rows, starts), 2 * (self._at.size,))
+            self._options |= {"linsolver": "sparse", "sparsity": entries}
+        else:
+            values = dae.packed_jacobian(*of)
+        self._functions = dae.packed_residual(*of).at(p), values.at(p)
+        self._functions[0](self._t0, self._w, self._wdot)  # compiles
+        self._functions[1](self._t0, self._w, self._wdot, 1.0)
+
+    @contextlib.contextmanager
+    def _solver(self) -> Iterator[tuple[Any, _Equations]]:
+        """A new solver at the start: a used one keeps counters and history."""
         from sksundae import ida
 
-        equations = _Equations(self._functions, self._p, self._method.max_calls)
-        options = {"max_order": self._method.max_order, **self._tolerances}
-        return ida.IDA(equations.residual, jacfn=equations.jacobian, **options), equations
+        equations = _Equations(*self._functions, self._method.max_calls)
+        # SUNDIALS writes its complaints to standard output; the status says the same.
+        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
+            with warnings.catch_warnings():
+                # It warns that the sparse Jacobian comes from where it is to come from.
+                warnings.simplefilter("ignore")
+                solver = ida.IDA(equations.residual, jacfn=equations.jacobian, **self._options)
+            solver.init_step(self._t0, self._w, self._wdot)
+            try:
+                yield solver, equations
+            finally:
+                if "sparsity" in self._options and not equations.jacobians:
+                    # SuperLU_MT's memory cannot be freed before its first factorisation: the
+                    # process would crash (scikit-sundae 1.2.0).
+                    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
 
     def execute(self) -> Any:
-        with contextlib.suppress(Stop, RuntimeError), _silence():
-            solver, _ = self._new()
-            # With two times given, IDA stops at each of its own steps and never interpolates.
-            return solver.solve([self._t0, self._t_end], self._w, self._wdot)
+        with contextlib.suppress(Stop, RuntimeError), self._solver() as (solver, _):
+            # Up to the end, where IDA stops exactly: nothing is interpolated.
+            return solver.step(self._t_end, "normal", self._t_end)
 
     def measure(self) -> Trajectory:
         """The same steps as ``execute``, asked for one by one so that none is lost in a failure."""
         t, w = [self._t0], [self._w]
         flag, failure = 0, None
-        with _silence():
-            solver, equations = self._new()
+        with self._solver() as (solver, equations):
             try:
-                solver.init_step(self._t0, self._w, self._wdot)
                 while t[-1] < self._t_end and flag >= 0:
                     step = solver.step(self._t_end, "onestep", self._t_end)
                     flag = step.status
@@ -241,8 +216,3 @@ class _IDARun(PreparedRun):
         else:
             advice = cure(status)
         return f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {advice}."
-
-
-def _silence() -> contextlib.redirect_stdout:
-    """SUNDIALS writes its complaints to standard output; the status says the same."""
-    return contextlib.redirect_stdout(io.StringIO())

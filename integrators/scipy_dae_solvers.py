@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -11,9 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.callbacks import Calls, cure
+from integrators.callbacks import Calls, Packed, cure
 from integrators.contract import Integrator, PreparedRun, Tolerances, option
-from integrators.ida import absolute_tolerances, compiled_residual, start_vectors
+from integrators.dae import absolute_tolerances, equations, packed_residual, start_vectors
 from integrators.rows import rows_from_states
 from integrators.scipy_solvers import SteppedRun
 from problems.formulations import FORMULATIONS, dae_layout
@@ -101,12 +100,11 @@ class BDFDAE(ScipyDAESolver):
 
 
 @cache
-def _compiled(
-    template: MechatronicSystem, sizes: Sizes, formulation: str
-) -> tuple[Callable, Callable]:
+def _compiled(template: MechatronicSystem, sizes: Sizes, formulation: str) -> tuple[Packed, Packed]:
     """F and (dF/dw, dF/dwdot) at (p, t, w, wdot) for any parameter values."""
-    residual = compiled_residual(template, sizes, formulation)
-    return residual, jax.jit(jax.jacfwd(residual, argnums=(2, 3)))
+    residual, lengths = equations(template, sizes, formulation)
+    jacobians = Packed(jax.jacfwd(residual, argnums=(2, 3)), *lengths)
+    return packed_residual(template, sizes, formulation), jacobians
 
 
 class _ScipyDAERun(SteppedRun):
@@ -120,13 +118,14 @@ class _ScipyDAERun(SteppedRun):
         tested = method.multipliers_in_error_test
         atol = absolute_tolerances(sizes, method.formulation, resolution.atol, tested)
         self._tolerances = {"rtol": resolution.rtol, "atol": atol}
-        self._functions = _compiled(scene.template(), sizes, method.formulation)
-        self._p = jax.device_put(np.array(list(scene.parameters().values())))
+        p = np.array(list(scene.parameters().values()))
+        packed = _compiled(scene.template(), sizes, method.formulation)
+        self._functions = [f.at(p) for f in packed]
         for function in self._functions:
-            function(self._p, self._t0, w, self._wdot)  # compiles
+            function(self._t0, w, self._wdot)  # compiles
 
     def _calls(self) -> Calls:
-        return Calls(*self._functions, self._p, self._method.max_calls)
+        return Calls(*self._functions, self._method.max_calls)
 
     def _new(self, calls: Calls) -> Any:
         return self._method.solver()(

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.callbacks import NOT_FINITE, Calls, Stop, cure
+from integrators.callbacks import NOT_FINITE, Calls, Packed, Stop, cure
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -161,15 +161,16 @@ class SteppedRun(PreparedRun):
 
 
 @cache
-def _compiled(template: MechatronicSystem, sizes: Sizes) -> tuple[Callable, Callable]:
-    """f(p, t, s) and df/ds for any parameter values; p is one array, as in IDA's functions."""
+def _compiled(template: MechatronicSystem, sizes: Sizes) -> tuple[Packed, Packed]:
+    """f(p, t, s) and df/ds for any parameter values p, an array."""
     names = list(template.parameters())
+    lengths = len(names), None, 2 * sizes.nq + sizes.nx
 
     def rate(p: Any, t: Any, s: Any) -> Any:
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
         return ode_rate(scene, sizes, t, s)
 
-    return jax.jit(rate), jax.jit(jax.jacfwd(rate, argnums=2))
+    return Packed(rate, *lengths), Packed(jax.jacfwd(rate, argnums=2), *lengths)
 
 
 class _ScipyRun(SteppedRun):
@@ -179,13 +180,13 @@ class _ScipyRun(SteppedRun):
         z = consistent_start(scene).z
         super().__init__(scene, t_end, np.concatenate([z.q, z.v, z.x]))
         self._method, self._resolution = method, resolution
-        self._functions = _compiled(scene.template(), scene.sizes)
-        self._p = jax.device_put(np.array(list(scene.parameters().values())))
+        p = np.array(list(scene.parameters().values()))
+        self._functions = [f.at(p) for f in _compiled(scene.template(), scene.sizes)]
         for function in self._functions:
-            function(self._p, self._t0, self._start)  # compiles
+            function(self._t0, self._start)  # compiles
 
     def _calls(self) -> Calls:
-        return Calls(*self._functions, self._p, self._method.max_calls)
+        return Calls(*self._functions, self._method.max_calls)
 
     def _new(self, calls: Calls) -> Any:
         return self._method.solver()(

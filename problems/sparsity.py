@@ -17,6 +17,8 @@ from problems.spec import SpecError
 
 #: Libraries of the extra.
 _NEEDED = ("asdex", "klujax")
+#: A tangent with more than this part of its entries is no sparse one.
+_MOST_FILL = 0.1
 
 
 def available() -> bool:
@@ -75,3 +77,24 @@ class Pattern:
 
         compressed = asdex.compressed_jacobian_from_coloring(function, self._coloring)(u)
         return asdex.decompress_data(compressed, self._coloring)
+
+
+def is_chosen(linear_solver: str, large: bool, pattern: Callable[[], Pattern]) -> bool:
+    """Whether tangents are sparse, by the option ``linear_solver``: "sparse", "dense", or "auto",
+    by size and fill.
+
+    Raises
+    ------
+    SpecError
+        If they are to be and cannot: without the extra, or without a pattern.
+    """
+    if linear_solver == "dense" or (linear_solver == "auto" and not large):
+        return False
+    require()
+    try:
+        found = pattern()
+    except NoPattern:
+        if linear_solver == "sparse":
+            raise
+        return False
+    return linear_solver == "sparse" or len(found.rows) < _MOST_FILL * found.size**2

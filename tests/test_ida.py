@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from probe import Probe, worst
 
-from integrators import Tolerances, Trajectory, ida
+from integrators import Tolerances, Trajectory, dae
 from integrators.ida import IDA
 from problems import MechatronicSystem
 from problems.formulations import dae_layout
@@ -105,21 +105,19 @@ def test_another_end_and_other_parameters_are_taken():
 )
 def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(scene, formulation):
     at = dae_layout(scene.sizes, formulation)
-    w, wdot = ida.start_vectors(scene, at)
-    residual, jacobian = ida._compiled(scene.template(), scene.sizes, formulation)
-    p, t0, cj = np.array(list(scene.parameters().values())), scene.interval[0], 37.0
-    assert np.abs(residual(p, t0, w, wdot)).max() < 1e-12
+    w, wdot = dae.start_vectors(scene, at)
+    of, p = (scene.template(), scene.sizes, formulation), np.array([*scene.parameters().values()])
+    residual, transposed = dae.packed_residual(*of).at(p), dae.packed_jacobian(*of).at(p)
+    t0, cj = scene.interval[0], 37.0
+    assert np.abs(residual(t0, w, wdot)).max() < 1e-12
 
     generator = np.random.default_rng(1)
     w, wdot = w + generator.normal(size=at.size), wdot + generator.normal(size=at.size)
     e = 1e-6 * np.eye(at.size)
     differences = [
-        (residual(p, t0, w + d, wdot + cj * d) - residual(p, t0, w - d, wdot - cj * d)) / 2e-6
-        for d in e
+        (residual(t0, w + d, wdot + cj * d) - residual(t0, w - d, wdot - cj * d)) / 2e-6 for d in e
     ]
-    assert jacobian(p, t0, w, wdot, cj) == pytest.approx(
-        np.stack(differences, axis=1), rel=1e-6, abs=1e-5
-    )
+    assert transposed(t0, w, wdot, cj) == pytest.approx(np.stack(differences), rel=1e-6, abs=1e-5)
 
 
 # ---- work ------------------------------------------------------------------------------
@@ -128,15 +126,11 @@ def test_counts_agree_with_idas_own_and_the_timed_solve_takes_the_same_steps(sce
     prepared = IDA().prepare(scene, 1.0, Tolerances(1e-7))
     trajectory, timed = prepared.measure(), prepared.execute()
     work = trajectory.work
-    assert (work.steps, work.residuals, work.jacobians) == (
-        len(timed.t) - 1,
-        timed.nfev,
-        timed.njev,
-    )
+    assert (work.residuals, work.jacobians) == (timed.nfev, timed.njev)
     assert work.residuals > work.steps > work.jacobians == work.factorisations > 0
     assert work.rejected is work.newton is work.solves is None
     at = dae_layout(scene.sizes, "stabilised_index2")
-    assert trajectory.q[-1].tolist() == timed.y[-1, at.q].tolist()
+    assert trajectory.q[-1].tolist() == timed.y[at.q].tolist()
 
 
 def test_runs_are_equal_to_the_bit():
