@@ -114,8 +114,8 @@ def map_(
     \b
     Examples:
       stepbench map pendulum generalized_alpha --over h,rho_inf
-      stepbench map stiff_bar newmark --over h,stiffness --range h:1e-3..0.1 --grid 60x40
-      stepbench map soft_impact generalized_alpha_adaptive --over rtol,stiffness
+      stepbench map stiff_bar newmark --over h,ea --range h:1e-3..0.1 --grid 60x40
+      stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
       stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
     """
     from bench.axes import axis, read_ranges

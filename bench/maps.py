@@ -22,7 +22,8 @@ from problems.system import MechatronicSystem
 
 #: What can come of a point; the last are points that say nothing of the method.
 OUTCOMES = (
-    "ok", "inaccurate", "newton_failed", "step_too_small", "diverged", "not_run", "no_reference",
+    "ok", "inaccurate", "newton_failed", "step_too_small", "budget_exceeded", "diverged", "not_run",
+    "no_reference",
 )  # fmt: skip
 
 

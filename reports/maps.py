@@ -24,6 +24,7 @@ _INACCURATE: tuple[_Color, _Color] = (255, 226, 140), (235, 120, 20)
 _PLAIN: dict[str, _Color] = {
     "newton_failed": (122, 60, 160),
     "step_too_small": (200, 90, 170),
+    "budget_exceeded": (110, 100, 90),
     "diverged": (160, 16, 28),
     "not_run": (150, 150, 150),
     "no_reference": (190, 190, 190),
@@ -33,10 +34,13 @@ _WORDS = {
     "inaccurate": "inaccurate",
     "newton_failed": "Newton failed",
     "step_too_small": "step too small",
+    "budget_exceeded": "out of steps",
     "diverged": "diverged",
     "not_run": "not run",
     "no_reference": "no reference",
 }
+#: Logarithm of the error below which there is nothing to see.
+_ROUND_OFF = -16.0
 #: Decades of error over which the colours of inaccurate runs change.
 _DECADES_BEYOND = 2.0
 #: Lines of the table, and stretches in each.
@@ -47,7 +51,7 @@ def write(found: Mapping[str, Any], folder: Path) -> Path:
     """Write map.html into a folder, from a map as plain values (`bench.maps.Map.plain`)."""
     known = [e for row in found["log10_error"] for e in row if e is not None]
     threshold = math.log10(found["threshold"])
-    best = min([*known, threshold - 1])
+    best = max(min([*known, threshold - 1]), _ROUND_OFF)
     names = list(_WORDS)
     legend = [
         (_WORDS[name], count, _legend_color(name), found["reasons"].get(name, ""))

@@ -123,6 +123,13 @@ def test_newton_failures_and_unsupported_points_are_told():
     assert "constraints act like infinite frequencies" in partly.reasons["not_run"]
 
 
+def test_steps_that_are_used_up_are_told_apart_from_points_that_were_not_begun():
+    method = "generalized_alpha_adaptive[max_steps=100]"
+    found = made("pendulum", method, {"rtol": (1e-6, 1e-2), "th0": (1.0, 1.1)}, (2, 2))
+    assert [[OUTCOMES[k] for k in row] for row in found.outcome] == [["budget_exceeded", "ok"]] * 2
+    assert "100 steps were used up" in found.reasons["budget_exceeded"]
+
+
 def test_a_scene_without_a_reference_is_told_apart(monkeypatch):
     def fails(self, t):
         if self.scene.k > 1.0:
