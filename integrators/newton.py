@@ -14,6 +14,8 @@ from problems.runtime import jax, jnp
 _STAGNANT = 1e-7
 #: Modified Newton keeps a tangent while its updates shrink at least so fast.
 _CONTRACTION = 0.1
+#: ... and updates are at most so many times as large as the unknowns.
+_WILD = 10.0
 
 
 class Linear(NamedTuple):
@@ -43,11 +45,13 @@ DENSE = Linear(
 
 
 class _Iteration(NamedTuple):
-    """The iterate after k updates, the size of the last and of the one before, whether the last
-    came from a new tangent, what is kept of a tangent, and how many tangents were taken."""
+    """The iterate after k updates, how many more are allowed, the size of the last and of the one
+    before, whether the last came from a new tangent, what is kept of a tangent, and how many
+    tangents were taken."""
 
     u: Any
     k: Any
+    room: Any
     size: Any
     before: Any
     exact: Any
@@ -70,7 +74,8 @@ def newton(
 
     Full Newton (an empty ``kept`` comes) takes a new tangent in every iteration. Modified Newton
     keeps the one that it is given while an update is at most ``_CONTRACTION`` times the one
-    before, and takes a new one where it is not; what it has not solved after ``most`` iterations,
+    before, and takes a new one where it is not, or where the update dwarfs what is known of the
+    unknowns. What it has not solved after ``most`` iterations, or has lost to what is not a number,
     full Newton tries from the start of the step. Returns the solution, what is kept for the next
     step, and the report.
 
@@ -86,7 +91,8 @@ def newton(
         # What an old tangent leaves behind points the same way in every step and adds up; a new
         # one leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
-        split = [jnp.split(part, cuts) for part in (du, u, old)]
+        # An old tangent that leads far astray must not set the scale.
+        split = [jnp.split(part, cuts) for part in (du, jnp.where(exact, u, guess), old)]
         return jnp.max(
             jnp.stack(
                 [
@@ -110,30 +116,35 @@ def newton(
         # An old tangent may lead to what is not a number, but a new one leads back.
         lost = now.exact & jnp.isnan(now.size)
         if keeps:
-            lost = lost & (now.k > most)
-        return (now.k < (2 * most if keeps else most)) & ~settled(now) & ~lost
+            lost = lost & (now.room < most)
+        return (now.room > 0) & ~settled(now) & ~lost
 
     def iterate(now: _Iteration) -> _Iteration:
-        u, k, size, before, exact, kept, tangents = now
+        u, k, room, size, before, exact, kept, tangents = now
         if keeps:
-            anew = k == most
+            anew = (room == most) | (exact & jnp.isnan(size))
+            room = jnp.where(anew, most, room)
             # Before the first update both sizes are infinite; a NaN never contracts.
             # The first update takes away the error of the guess, which is spread over the unknowns
             # otherwise than what an old tangent leaves behind; the second shows the difference.
             undecided = linear.patient & (k == 2)
             limit = jnp.where(undecided, 1 / _CONTRACTION, _CONTRACTION)
             stale = jnp.where(k == 0, ~linear.known(kept), ~(size <= limit * before))
-            astray = stale & ~exact & ~(size <= before)
+            wild = ~exact & (k > 0) & (size * tol > _WILD)
+            astray = ~exact & ((stale & ~(size <= before)) | wild)
             u = jnp.where(anew, old, jnp.where(astray, guess, u))
-            size, exact = jnp.where(anew, jnp.inf, size), stale | (k >= most)
+            # What led astray is nothing to compare with.
+            size = jnp.where(anew | astray, jnp.inf, size)
+            exact = stale | wild | (room <= most)
             kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
             du = linear.update(kept, residual(u))
         else:
             du = linear.once(residual, u)
         size, before = measure(du, u - du, exact), size
-        return _Iteration(u - du, k + 1, size, before, exact, kept, tangents + exact)
+        return _Iteration(u - du, k + 1, room - 1, size, before, exact, kept, tangents + exact)
 
-    start = _Iteration(guess, 0, jnp.inf, jnp.inf, not keeps, kept, 0)
+    room = 2 * most if keeps else most
+    start = _Iteration(guess, 0, room, jnp.inf, jnp.inf, not keeps, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
     report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
     return end.u, end.kept, report

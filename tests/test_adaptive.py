@@ -262,3 +262,27 @@ def test_the_accelerations_scale_is_their_largest_value_so_far():
         for test in ("states", "all")
     }
     assert steps["all"] < 2.2 * steps["states"]
+
+
+@pytest.mark.parametrize("rtol", [0.05, 1e-2, 1e-4])
+def test_an_old_tangent_from_within_a_wall_is_not_believed(rtol):
+    # A step far into the wall meets forces of e^300, and comes back to where they are none: what
+    # such a tangent makes of the residual there is as good as nothing, and no sign of a solution.
+    scene = SoftImpact(d=1e-4)
+    full, modified = (
+        run_of(GeneralizedAlphaAdaptive(newton=newton), scene, rtol)
+        for newton in ("full", "modified")
+    )
+    assert modified.work.steps == full.work.steps
+    assert modified.work.factorisations < full.work.factorisations
+    assert modified.q[-1] == pytest.approx(full.q[-1], rel=1e-6)
+
+
+def test_what_is_not_a_number_is_left_at_once():
+    class Broken(SoftImpact):
+        def force(self, q, v, t):
+            return jnp.where(t > 0.1, jnp.nan, super().force(q, v, t))
+
+    run = GeneralizedAlpha(newton="modified").prepare(Broken(), 1.0, Steps(0.01)).measure()
+    assert run.status in ("diverged", "newton_failed")
+    assert run.work.newton <= 3 * run.work.steps
