@@ -65,6 +65,9 @@ class ClusterRunner:
         self._client.close()
         self._local.__exit__(*details)
 
+    def expect(self, groups: int) -> None:
+        """As Runner.expect; the workers of a cluster are there."""
+
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
     ) -> Iterator[tuple[Task, Any]]:

@@ -331,7 +331,9 @@ def _expand(
 
 
 def _components(file: StudyFile, scene: MechatronicSystem) -> list[str]:
-    sizes = scene.sizes
+    if not file.components:
+        return []
+    sizes = scene.sizes  # needs JAX, which takes a while to load
     count = {**dict.fromkeys("qva", sizes.nq), "lam": sizes.nl, "x": sizes.nx, "y": sizes.ny}
     for text in file.components:
         match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", text)

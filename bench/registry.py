@@ -227,8 +227,13 @@ def _kind_of(cls: Any, module: str) -> str | None:
 
 
 def _from_entry_point(kind: str, entry: Any) -> Plugin:
-    origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
+    origin = _package(entry.dist) if entry.dist else entry.value
     return _checked(kind, entry.name, origin, entry.load)
+
+
+@cache  # a package reads its metadata anew each time, and has many entry points
+def _package(dist: Any) -> str:
+    return f"{dist.name} {dist.version}"
 
 
 def _checked(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:

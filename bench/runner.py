@@ -92,6 +92,11 @@ class Runner:
             worker.end()
         self._workers.clear()
 
+    def expect(self, groups: int) -> None:
+        """Start the workers that so many groups will need: they load what they need meanwhile."""
+        while len(self._workers) < min(self._jobs, groups):
+            self._spawn()
+
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
     ) -> Iterator[tuple[Task, Any]]:

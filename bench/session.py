@@ -80,6 +80,8 @@ def run_suite(
     with who or Runner(registry.paths, jobs, *limits) as runner:
         if missing or scenes:
             groups = _groups(missing, sorted(scenes), registry)
+            runner.expect(len(groups))
+            groups = _longest_first(groups, registry)
             progress.phase("measuring", sum(len(group) for group in groups))
             for task, answer in runner.run(groups, lambda t: progress.working(_words(t))):
                 if task.kind == "scene":
@@ -181,16 +183,20 @@ def _raised(budget_s: float, record: Record) -> bool:
 def _groups(
     cells: list[Cell], scenes: list[tuple[str, float]], registry: Registry
 ) -> list[list[Task]]:
-    """Cells that share compiled code stay together. What takes longest comes first, so that no
-    worker is left alone with it in the end; of each scene its record comes first."""
+    """Cells that share compiled code stay together; of each scene its record comes first."""
     groups: dict[tuple, list[Task]] = {}
     for problem, t_end in scenes:
         groups[problem, t_end] = [Task("scene", (problem, t_end))]
     for cell in cells:
         key = (cell.problem, registry.integrator(cell.integrator).affinity)
         groups.setdefault(key, []).append(Task("measure", (cell,)))
-    weights = {task.scene: _weight(registry.problem(task.scene)) for (task, *_) in groups.values()}
-    return sorted(groups.values(), key=lambda group: -weights[group[0].scene])
+    return list(groups.values())
+
+
+def _longest_first(groups: list[list[Task]], registry: Registry) -> list[list[Task]]:
+    """So that no worker is left alone with what takes longest in the end."""
+    weights = {task.scene: _weight(registry.problem(task.scene)) for task, *_ in groups}
+    return sorted(groups, key=lambda group: -weights[group[0].scene])
 
 
 def _weight(scene: MechatronicSystem) -> float:

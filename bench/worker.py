@@ -6,6 +6,7 @@ work and nothing else. It never writes to the store; it answers the runner throu
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -32,6 +33,9 @@ from problems.system import MechatronicSystem
 
 #: A timing sample repeats short runs until it has lasted this long.
 SAMPLE_SECONDS = 2e-3
+#: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
+#: them as often as Python does by itself takes a tenth of the time.
+_GARBAGE = 100_000
 #: A run that lasts longer warms its caches itself.
 _LONG_SECONDS = 1e-3
 
@@ -51,6 +55,13 @@ class _Bench:
     prepared: dict[str, PreparedRun] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     references: dict[tuple[str, float], Reference] = field(default_factory=dict)
+    scenes: dict[str, MechatronicSystem] = field(default_factory=dict)
+
+    def problem(self, text: str) -> MechatronicSystem:
+        """A scene, made once: it finds its dimensions by tracing and then knows them."""
+        if text not in self.scenes:
+            self.scenes[text] = self.registry.problem(text)
+        return self.scenes[text]
 
     def reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
         key = (scene.spec, t_end)
@@ -64,7 +75,7 @@ class _Bench:
 
     def measure(self, cell: Cell, errors: bool = True) -> Measured:
         """Run a cell once; without ``errors`` no reference is made."""
-        scene = self.registry.problem(cell.problem)
+        scene = self.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
         record = cell.record(self.registry, trajectory.status, trajectory.message)
         record.work = asdict(trajectory.work)
@@ -93,7 +104,7 @@ class _Bench:
         run.notes |= histories
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
-        scene = self.registry.problem(cell.problem)
+        scene = self.problem(cell.problem)
         integrator = self.registry.integrator(cell.integrator)
         reason = integrator.supports(scene)
         if reason:
@@ -149,7 +160,7 @@ class _Bench:
         """Condition number of a scene's index-3 tangent at its start, for each step."""
         from bench.atlas.conditioning import condition
 
-        return [condition(self.registry.problem(problem), h, scaling) for h in steps]
+        return [condition(self.problem(problem), h, scaling) for h in steps]
 
     def damping(self, integrator: str, omega_h: tuple[float, ...]) -> Damping:
         """What a method at constant steps makes of the undamped oscillator, as it is stored."""
@@ -165,7 +176,7 @@ class _Bench:
 
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Everything that a report shows of a scene."""
-        scene = self.registry.problem(problem)
+        scene = self.problem(problem)
         return scene_record(scene, self.reference(scene, t_end))
 
 
@@ -189,6 +200,7 @@ def serve(pipe: Connection, plugin_paths: list[str]) -> None:
     """Answer jobs (a method of the bench, arguments...) until the pipe closes."""
     os.dup2(2, 1)  # what a plugin prints must not mix with an answer in JSON
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the runner's business
+    gc.set_threshold(_GARBAGE)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     bench = _Bench(Registry(plugin_paths), lambda phase: pipe.send(("phase", phase)))
     pipe.send(("ready", None))

@@ -373,13 +373,21 @@ def consistent_start(scene: MechatronicSystem) -> Start:
 
 def _check_dimensions(scene: MechatronicSystem, state: State) -> None:
     nq = len(state.q)
+    mass, force = _block_shapes(scene.template(), nq)
     shapes = {
         "v": (np.shape(state.v), (nq,)),
-        "mass": (jax.eval_shape(scene.mass, state.q).shape, (nq, nq)),
-        "force": (jax.eval_shape(scene.force, state.q, state.v, 0.0).shape, (nq,)),
+        "mass": (mass, (nq, nq)),
+        "force": (force, (nq,)),
     }
     if scene.has("output"):
         shapes["actuation"] = (np.shape(scene.actuation())[:1], (nq,))
     for block, (came, wanted) in shapes.items():
         if came != wanted:
             raise ValueError(f"{scene.spec}: {block} has shape {came}, expected {wanted}.")
+
+
+@cache  # they are found by tracing, and every run asks for them
+def _block_shapes(template: MechatronicSystem, nq: int) -> tuple[tuple, tuple]:
+    q = np.zeros(nq)
+    mass, force = jax.eval_shape(template.mass, q), jax.eval_shape(template.force, q, q, 0.0)
+    return mass.shape, force.shape

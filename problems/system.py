@@ -17,6 +17,7 @@ import dataclasses
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -168,7 +169,7 @@ class MechatronicSystem:
         """The printed name with the parameters that are not default."""
         return spec.format_spec(self.name, self)
 
-    @property
+    @cached_property  # copies with other parameter values keep it: they have the same dimensions
     def sizes(self) -> Sizes:
         """Dimensions, read off the blocks."""
         start = self.initial_state()

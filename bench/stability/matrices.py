@@ -161,26 +161,32 @@ def _program(
             return ravel_pytree(state)[0], jnp.concatenate([shown.q, shown.v, shown.x]), converged
 
         # One loop does two things, so that the step is compiled once: it takes patterns from rest
-        # until all numbers repeat themselves, and then one more from rest and all deviations.
+        # until all numbers repeat themselves, and then one more from rest and all deviations. One
+        # after the other, as below: side by side, loops in loops take twice as long to trace.
         units = jnp.concatenate([jnp.zeros((1, rest.size)), jnp.eye(rest.size)])
 
         def again(carry: tuple) -> tuple:
             rest, settled, k, _ = carry
-            after, shown, converged = jax.vmap(lambda e: advance(rest + settled * e))(units)
+            after, shown, converged = jax.lax.map(lambda e: advance(rest + settled * e), units)
             moved = jnp.abs(after[0] - rest) > 1e-14 * jnp.abs(after[0])  # false for what is NaN
             still = ~jnp.any(moved) | (k >= _MOST_PATTERNS)
             columns = after[1:] - after[0], shown[1:] - shown[0], converged[1:]
             return after[0], jnp.where(settled > 0, 2.0, 1.0 * still), k + 1, columns
 
-        nothing = jax.eval_shape(again, (rest, 0.0, 0, None))[3]
-        nothing = jax.tree.map(lambda like: jnp.zeros(like.shape, like.dtype), nothing)
+        n, shown = rest.size, 2 * sizes.nq + sizes.nx
+        nothing = jnp.zeros((n, n)), jnp.zeros((n, shown)), jnp.zeros(n, dtype=bool)
         a, c, converged = jax.lax.while_loop(
             lambda carry: carry[1] < 2, again, (rest, 0.0, 0, nothing)
         )[3]
         b = jax.vmap(lambda s: ravel_pytree(started(s))[0])(deviations) - ravel_pytree(first)[0]
         return a.T, b.T, c.T, converged
 
-    return jax.jit(jax.vmap(one, in_axes=(*5 * (None,), 0)))
+    @jax.jit
+    def each(*arguments: Any) -> tuple:
+        *fixed, macros = arguments
+        return jax.lax.map(lambda macro: one(*fixed, macro), macros)
+
+    return each
 
 
 # ---- all other methods at constant steps -------------------------------------------------

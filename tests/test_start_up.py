@@ -1,0 +1,107 @@
+"""What a run has to do before its first result, and what it does not do twice."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import jax
+import pytest
+
+from bench.plan import Cell, make_suite, read_profile
+from bench.registry import Registry
+from bench.runner import Runner, Task
+from bench.stability.matrices import matrices
+from bench.stability.systems import Oscillator
+from bench.worker import _Bench
+from integrators import Steps, Tolerances
+from integrators.alpha_family import GeneralizedAlpha
+
+
+def test_help_lists_and_plans_are_made_without_a_compiler():
+    code = (
+        "import sys; from bench import cli; from bench.plan import *; "
+        "from bench.registry import Registry; registry = Registry(); "
+        "assert len(make_suite(*read_profile('quick'), registry).cells) > 100; "
+        "print(*sys.modules.keys() & {'jax', 'scipy', 'diffrax', 'vl_convert'})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout.strip(), done.stderr) == ("", "")
+
+
+def test_workers_that_are_expected_load_while_it_is_decided_what_they_do(monkeypatch):
+    started = []
+    spawn = Runner._spawn
+    monkeypatch.setattr(Runner, "_spawn", lambda self: started.append(1) or spawn(self))
+    tasks = [
+        Task("measure", (Cell("pendulum", "newmark", 1.0, Steps(h)),)) for h in (0.1, 0.05, 0.025)
+    ]
+    with Runner([], jobs=2, budget_s=60.0, memory_gib=4.0) as runner:
+        runner.expect(0)
+        assert len(started) == 0
+        runner.expect(3)
+        assert len(started) == 2
+        answers = dict(runner.run([[task] for task in tasks]))
+        assert len(started) == 2
+        runner.expect(3)
+        assert len(started) == 2
+    assert [answers[task].record.status for task in tasks] == ["ok"] * 3
+
+
+@pytest.mark.parametrize(
+    ("integrator", "first", "others"),
+    [
+        ("generalized_alpha[rho_inf=0.5]", Steps(0.05), [Steps(0.1), Steps(0.2, (0.3, 0.7))]),
+        ("kvaerno5", Tolerances(1e-3), [Tolerances(1e-5)]),
+        ("ida", Tolerances(1e-3), [Tolerances(1e-5)]),
+    ],
+)
+@pytest.mark.parametrize("problem", ["pendulum", "spring_mass"])
+def test_what_one_cell_traced_no_other_traces_again(problem, integrator, first, others):
+    """Not even to find out the dimensions of the scene."""
+    registry = Registry()
+    bench, spec = _Bench(registry, lambda phase: None), registry.integrator(integrator).spec
+    cells = [Cell(problem, spec, 1.0, resolution) for resolution in (first, *others)]
+    assert bench.measure(cells[0]).record.status == "ok"
+    events = []
+
+    def note(event: str, seconds: float, **_: object) -> None:
+        events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        jax.eval_shape(lambda x: x + 1, 1.0)
+        seen = len(events)
+        assert seen > 0
+        for cell in cells[1:]:
+            assert bench.measure(cell).record.status == "ok"
+        assert events[seen:] == []
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
+
+
+def test_an_amplification_matrix_traces_its_step_once():
+    calls = []
+    begin, step, read = GeneralizedAlpha().functions()
+
+    def watched(*arguments):
+        calls.append(1)
+        return step(*arguments)
+
+    class Watched(GeneralizedAlpha):
+        def functions(self):
+            return begin, watched, read
+
+    matrices(Watched(rho_inf=0.5), Oscillator(), [0.1, 1.0])
+    assert len(calls) == 1
+    matrices(Watched(rho_inf=0.8), Oscillator(), [0.2] * 100)
+    assert len(calls) == 1
+
+
+def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
+    suite = make_suite(*read_profile("quick"), Registry())
+    scenes = {cell.problem for cell in suite.cells.values()}
+    controls = {Registry().integrator(c.integrator).controls for c in suite.cells.values()}
+    assert (len(suite.cells), scenes) == (115, {"spring_mass", "pendulum"})
+    assert controls == {"step", "tolerance"}
+    assert suite.plan.samples == 5
