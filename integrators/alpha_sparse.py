@@ -18,11 +18,11 @@ import numpy as np
 
 from integrators import alpha_step, klu
 from integrators.alpha_step import AlphaState, Scheme
-from integrators.march import Kernel, StepReport, kernel
+from integrators.march import DIVERGED, Kernel, StepReport, kernel, step_times
 from integrators.newton import Linear
 from problems.formulations import Start
 from problems.large import projected
-from problems.runtime import jnp
+from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes
 
@@ -63,10 +63,9 @@ class SparseAlpha:
         analysis = klu.Analysis(pattern.rows, pattern.columns, np.asarray(symbolic.raw))
         return SparseNumbers(self.scheme, analysis, jerk)
 
-    def kernel(self, scene: MechatronicSystem) -> Kernel:
+    def kernel(self, scene: MechatronicSystem) -> GuardedKernel:
         """The compiled march."""
-        functions = _functions(scene.template(), self._stabilised, self.newton == "modified")
-        return kernel(*functions, scene.template(), scene.sizes, finish=_finish)
+        return _kernel(scene.template(), self._stabilised, self.newton == "modified")
 
     @property
     def _stabilised(self) -> bool:
@@ -95,15 +94,49 @@ def _analysed(template: MechatronicSystem, stabilised: bool) -> tuple[Pattern, A
     return pattern, klujax.analyze(jnp.asarray(pattern.rows), jnp.asarray(pattern.columns), n)
 
 
+class GuardedKernel:
+    """A march that ends with a status where a tangent is exactly singular.
+
+    KLU ends the program there, and with it go all results. Which step it was is then found by
+    halving the number of steps.
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel, self.pack = kernel, kernel.pack
+
+    @property
+    def compilations(self) -> int:
+        """As in `march.Kernel`."""
+        return self._kernel.compilations
+
+    def __call__(self, packed: Any, rows: Any, row_count: Any) -> Any:
+        result = self._try(packed, rows, row_count)
+        if result is not None:
+            return result
+        fine, wrong = 0, int(rows[row_count - 1])
+        while wrong - fine > 1:
+            middle = (fine + wrong) // 2
+            done = self._try(packed, jnp.full_like(rows, middle), jnp.ones_like(row_count))
+            fine, wrong = (fine, middle) if done is None else (middle, wrong)
+        kept, _ = self._kernel(packed, rows, (rows[:row_count] <= fine).sum())
+        _, end = self._kernel(packed, jnp.full_like(rows, fine), jnp.ones_like(row_count))
+        t, _ = step_times(self._kernel.clock(packed), fine)
+        return kept, jnp.concatenate([jnp.stack([DIVERGED, t]), end[2:]])
+
+    def _try(self, *arguments: Any) -> Any:
+        try:
+            return jax.block_until_ready(self._kernel(*arguments))
+        except (ValueError, RuntimeError) as error:
+            if klu.FAILURE in str(error):
+                return None
+            raise
+
+
 @cache
-def _functions(template: MechatronicSystem, stabilised: bool, modified: bool) -> tuple:
-    """``begin``, ``step`` and ``read`` of the march."""
+def _kernel(template: MechatronicSystem, stabilised: bool, modified: bool) -> GuardedKernel:
     pattern, _ = _analysed(template, stabilised)
-    return (
-        partial(_begin, stabilised, modified),
-        partial(_step, stabilised, pattern),
-        alpha_step.read,
-    )
+    begin, step = partial(_begin, stabilised, modified), partial(_step, stabilised, pattern)
+    return GuardedKernel(kernel(begin, step, alpha_step.read, template, template.sizes, _finish))
 
 
 def _begin(

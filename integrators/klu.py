@@ -18,6 +18,8 @@ import numpy as np
 
 from problems.runtime import jax, jnp
 
+#: KLU's complaint about a singular matrix; the compiled program ends with it.
+FAILURE = "klu_factor"
 _FREE = "stepbench_klu_free"
 _ADDRESS = jax.ShapeDtypeStruct((1,), np.uint64)
 

@@ -37,7 +37,7 @@ GROWTH_LIMIT = 1e12
 _PATTERN_SLOTS = 16
 #: The first steps, the first macro steps and the spread: as many rows as a run can ask for.
 _ROW_SLOTS = 2 * FIRST_ROWS + SPREAD_ROWS + 1
-_OK, _NEWTON_FAILED, _DIVERGED = 0, 1, 2
+_OK, _NEWTON_FAILED, DIVERGED = 0, 1, 2
 
 
 class StepReport(NamedTuple):
@@ -61,6 +61,13 @@ class Clock(NamedTuple):
     fractions: Any
     ends: Any
     slots: Any
+
+
+def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
+    """Time at the end of the n-th step (from zero), and its size."""
+    macro, j = n // clock.slots, n % clock.slots
+    t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
+    return t, clock.length / clock.macro_steps * clock.fractions[j]
 
 
 class Reading(NamedTuple):
@@ -194,7 +201,7 @@ def outcome(status: int, t: float) -> tuple[str, str]:
             f"Newton's method did not converge in the step to t={t:.6g} s; take a smaller step "
             f"or more numerical damping."
         )
-    if status == _DIVERGED:
+    if status == DIVERGED:
         return "diverged", (
             f"The solution grew beyond all bounds or was no longer finite in the step to "
             f"t={t:.6g} s; take a smaller step or more numerical damping, or check the scene's "
@@ -243,6 +250,10 @@ class Kernel:
     def __call__(self, packed: Any, *rows: Any) -> Any:
         return self._compiled(packed, *rows)
 
+    def clock(self, packed: Any) -> Any:
+        """The clock among packed arguments."""
+        return self._unpack(packed)[-1]
+
     def batched(self, packed: Any, *rows: Any) -> Any:
         """Many runs in one program: every argument has one more axis in front."""
         return self._many(packed, *rows)
@@ -264,11 +275,6 @@ def kernel(
 ) -> Kernel:
     """The compiled march of a method on a scene, for any numbers and parameters; ``finish`` frees
     what the last state holds."""
-
-    def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
-        macro, j = n // clock.slots, n % clock.slots
-        t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
-        return t, clock.length / clock.macro_steps * clock.fractions[j]
 
     @dense.without_products
     def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
@@ -292,7 +298,7 @@ def kernel(
             now = read(state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
             sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))
-            status = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
+            status = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), DIVERGED)
             counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
             return n + 1, state, status, counts, t
 

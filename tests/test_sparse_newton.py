@@ -1,0 +1,233 @@
+"""Newton's method with sparse tangents: what modified Newton keeps, counts, frees and gives up."""
+
+from __future__ import annotations
+
+import ctypes
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from integrators import alpha_sparse, klu
+from integrators.alpha_family import GeneralizedAlpha
+from integrators.contract import Steps
+from problems import MechatronicSystem, State, jnp
+from problems.chain import Chain
+from problems.formulations import consistent_start
+from problems.quarter_car import QuarterCar
+from problems.runtime import jax
+from problems.slider_crank import SliderCrank
+from problems.spring_mass import SpringMass
+
+klujax_cpp = pytest.importorskip("klujax_cpp")
+GROUPS = ("q", "v", "a", "lam", "x", "y")
+
+
+def run_of(scene, steps, h, **options):
+    method = GeneralizedAlpha(linear_solver=options.pop("linear_solver", "sparse"), **options)
+    t0 = scene.interval[0]
+    return method.prepare(scene, t0 + steps * h, Steps(h))
+
+
+def assert_agree(run, other, steps, h):
+    """Newton leaves newton_tol, or what rounding of q (and, stabilised, of v) makes of a; the
+    recurrences of a stable method add up what is left in each of the steps."""
+    s, eps, largest = GeneralizedAlpha().scheme(), np.finfo(float).eps, {}
+    for group in GROUPS:
+        largest[group] = np.abs(getattr(other, group)).max(initial=1.0 if group in "qv" else 1e-3)
+    slope = (1 - s.alpha_f) / (1 - s.alpha_m)
+    rounding = largest["q"] / (h**2 * s.beta * slope) + largest["v"] / (h * s.gamma * slope)
+    of_a = 1e-12 * largest["a"] + 16 * eps * rounding
+    for group, size in largest.items():
+        left = {"q": h**2 * of_a, "v": h * of_a}.get(group, of_a / largest["a"] * size)
+        gap = np.abs(getattr(run, group) - getattr(other, group)).max(initial=0)
+        assert gap <= steps * left + 4 * eps * size, group
+
+
+@pytest.mark.parametrize("form", ["index3", "stabilised_index2"])
+@pytest.mark.parametrize(
+    "scene", [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)], ids=lambda s: s.name
+)
+def test_kept_factorisations_give_the_run_of_dense_tangents(scene, form):
+    steps, h = 40, scene.nominal_step / 10
+    dense = run_of(scene, steps, h, linear_solver="dense", formulation=form).measure()
+    sparse = run_of(scene, steps, h, newton="modified", formulation=form).measure()
+    assert sparse.status == "ok"
+    assert_agree(sparse, dense, steps, h)
+
+
+def test_a_factorisation_serves_many_steps_of_a_long_chain():
+    full, modified = (
+        run_of(Chain(links=300), 100, 1e-3, newton=kind).measure() for kind in ("full", "modified")
+    )
+    assert_agree(modified, full, 100, 1e-3)
+    work = modified.work
+    assert work.jacobians == work.factorisations <= 0.25 * work.steps
+    assert work.newton == work.residuals == work.solves <= 4.5 * work.steps
+    assert full.work.jacobians == full.work.solves >= 2 * work.steps
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """How often the functions of `klu` are called at run time by programs that are new."""
+    count = Counter()
+
+    def counted(name, original):
+        def call(*args, **kwargs):
+            jax.debug.callback(lambda: count.update([name]))
+            return original(*args, **kwargs)
+
+        return call
+
+    for name in ("solve", "solve_by", "factorised"):
+        monkeypatch.setattr(klu, name, counted(name, getattr(klu, name)))
+    alpha_sparse._kernel.cache_clear()
+    yield count
+    alpha_sparse._kernel.cache_clear()
+
+
+@pytest.mark.parametrize("newton", ["full", "modified"])
+def test_what_is_counted_is_what_klu_does(calls, newton):
+    run = run_of(Chain(links=11), 30, 2e-3, newton=newton)
+    jax.effects_barrier()
+    calls.clear()
+    work = run.measure().work
+    jax.effects_barrier()
+    assert work.solves == calls["solve" if newton == "full" else "solve_by"]
+    assert work.factorisations == calls["solve" if newton == "full" else "factorised"]
+    assert work.newton >= 60
+
+
+@pytest.fixture
+def held():
+    """Blocks of memory that KLU holds at this moment, by address."""
+    blocks, library, c = {}, ctypes.CDLL(klujax_cpp.__file__), ctypes.CDLL(None)
+    address, size = ctypes.c_void_p, ctypes.c_size_t
+    for function, result, *arguments in (
+        (c.malloc, address, size),
+        (c.calloc, address, size, size),
+        (c.realloc, address, address, size),
+        (c.free, None, address),
+    ):
+        function.restype, function.argtypes = result, arguments
+
+    def note(block, *gone):
+        for one in gone:
+            blocks.pop(one, None)
+        if block:
+            blocks[block] = True
+        return block
+
+    hooks = {
+        "malloc": ctypes.CFUNCTYPE(address, size)(lambda n: note(c.malloc(n))),
+        "calloc": ctypes.CFUNCTYPE(address, size, size)(lambda n, m: note(c.calloc(n, m))),
+        "realloc": ctypes.CFUNCTYPE(address, address, size)(lambda p, n: note(c.realloc(p, n), p)),
+        "free": ctypes.CFUNCTYPE(None, address)(lambda p: (note(None, p), c.free(p))[1]),
+    }
+    before = {}
+    for name, hook in hooks.items():
+        get = getattr(library, f"SuiteSparse_config_{name}_func_get")
+        get.restype, before[name] = address, None
+        before[name] = get()
+        getattr(library, f"SuiteSparse_config_{name}_func_set")(ctypes.cast(hook, address))
+    yield blocks
+    for name, old in before.items():
+        getattr(library, f"SuiteSparse_config_{name}_func_set")(address(old))
+
+
+def test_a_long_run_frees_every_factorisation(held):
+    """At this step an old tangent is soon too old, so that there are many."""
+    run = run_of(Chain(links=9), 3000, 0.01, newton="modified")
+    analysis = set(held)
+    assert run.measure().work.factorisations > 1000
+    assert set(held) == analysis
+    run.execute()
+    assert set(held) == analysis
+
+
+def test_without_the_finish_of_a_run_its_last_factorisation_would_stay(held, monkeypatch):
+    monkeypatch.setattr(alpha_sparse, "_finish", lambda state: None)
+    alpha_sparse._kernel.cache_clear()
+    run = run_of(Chain(links=6), 20, 0.001, newton="modified")
+    analysis = set(held)
+    run.execute()
+    assert set(held) > analysis
+    alpha_sparse._kernel.cache_clear()
+
+
+@dataclass(frozen=True)
+class Failing(MechatronicSystem):
+    """A mass on a line through the origin; from t = 0.05 on its two constraints are one (twice),
+    or its force is not a number."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.01
+    singular: bool = True
+
+    def mass(self, q):
+        return jnp.eye(3)
+
+    def force(self, q, v, t):
+        return -q if self.singular else jnp.where(t < 0.05, -q, jnp.nan)
+
+    def constraint(self, q, t):
+        late = self.singular & (t >= 0.05)
+        return jnp.stack([q[0] + q[2] ** 2 / 8 - 1 / 8, jnp.where(late, q[0] - 1 / 8, q[1])])
+
+    def initial_state(self):
+        return State(q=np.array([0.0, 0.0, 1.0]), v=np.zeros(3))
+
+
+@pytest.mark.parametrize("pattern", [(1.0,), (0.3, 0.7)], ids=["constant", "pattern"])
+@pytest.mark.parametrize("newton", ["full", "modified"])
+@pytest.mark.parametrize("singular", [True, False], ids=["singular", "nan"])
+def test_a_step_that_fails_ends_the_run_with_its_time(held, singular, newton, pattern):
+    scene = Failing(singular=singular)
+    sparse, dense = (
+        GeneralizedAlpha(linear_solver=kind, newton=newton).prepare(
+            scene, 1.0, Steps(0.01, pattern)
+        )
+        for kind in ("sparse", "dense")
+    )
+    analysis = set(held)
+    one, other = sparse.measure(), dense.measure()
+    assert one.status == other.status == "diverged"
+    assert one.message == other.message
+    assert "t=0.05 s" in one.message
+    assert one.t.tolist() == other.t.tolist()
+    assert one.q == pytest.approx(other.q, abs=1e-13)
+    sparse.execute()
+    assert set(held) == analysis
+
+
+@pytest.mark.parametrize("newton", ["full", "modified"])
+def test_too_few_iterations_are_a_status(held, newton):
+    run = run_of(Chain(links=10), 10, 1e-3, newton=newton, newton_max=1)
+    analysis = set(held)
+    end = run.measure()
+    assert (end.status, end.work.steps) == ("newton_failed", 1)
+    assert end.work.newton == (2 if newton == "modified" else 1)  # once more, by full Newton
+    assert set(held) == analysis
+
+
+def test_a_factorisation_of_another_matrix_is_given_up():
+    scene, h = Chain(links=8), 1e-3
+    start = consistent_start(scene)
+    sparse = GeneralizedAlpha(linear_solver="sparse", newton="modified").on(scene, start)
+    pattern, _ = alpha_sparse._analysed(scene, False)
+    numbers = jax.tree.map(jnp.asarray, sparse.numbers())
+    state = alpha_sparse._begin(False, True, scene, scene.sizes, numbers, start, jnp.asarray(h))
+    random = np.random.default_rng(3).normal(size=len(pattern.rows))
+    wrong = klu.factorised(numbers.analysis, jnp.asarray(random), instead_of=klu.none())
+    good, bad = (
+        alpha_sparse._step(False, pattern, scene, scene.sizes, numbers, begun, h, h)
+        for begun in (state, state._replace(kept=wrong))
+    )
+    assert good[1].converged
+    assert bad[1].converged
+    assert 1 == good[1].jacobians <= bad[1].jacobians
+    assert bad[1].newton > good[1].newton
+    assert bad[0].a == pytest.approx(np.asarray(good[0].a), rel=1e-8, abs=1e-8)
+    for state in (good[0], bad[0]):
+        alpha_sparse._finish(state)
