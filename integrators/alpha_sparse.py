@@ -180,7 +180,7 @@ def _linear(pattern: Pattern, analysis: klu.Analysis) -> Linear:
     def update(kept: Any, r: Any) -> Any:
         return klu.solve_by(kept, analysis, r)
 
-    return Linear(once, renewed, update, known=lambda kept: kept[0] > 0, patient=True)
+    return Linear(once, renewed, update, known=lambda kept: kept[0] > 0)
 
 
 def _finish(state: AlphaState) -> None:

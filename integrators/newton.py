@@ -24,15 +24,13 @@ class Linear(NamedTuple):
     ``once(residual, u)`` is the update by the tangent at u, which full Newton takes. Of modified
     Newton, ``renewed(residual, u, kept)`` is what is kept of the tangent at u in place of
     ``kept``, ``update(kept, r)`` the update by it for a residual r, and ``known(kept)`` says
-    whether anything is kept yet. Who is ``patient``, because a new tangent is dear, judges an old
-    one by its third update at the earliest.
+    whether anything is kept yet.
     """
 
     once: Callable
     renewed: Callable
     update: Callable
     known: Callable
-    patient: bool = False
 
 
 #: Small matrices: full Newton eliminates, modified Newton keeps the inverse (NaN if not known).
@@ -73,11 +71,11 @@ def newton(
     """Solve residual(u) = 0, in the traced loop of a step.
 
     Full Newton (an empty ``kept`` comes) takes a new tangent in every iteration. Modified Newton
-    keeps the one that it is given while an update is at most ``_CONTRACTION`` times the one
-    before, and takes a new one where it is not, or where the update dwarfs what is known of the
-    unknowns. What it has not solved after ``most`` iterations, or has lost to what is not a number,
-    full Newton tries from the start of the step. Returns the solution, what is kept for the next
-    step, and the report.
+    keeps the one that it is given while, from the third on, an update is at most ``_CONTRACTION``
+    times the one before, and takes a new one where it is not, or where the update dwarfs what is
+    known of the unknowns. What it has not solved after ``most`` iterations, or has lost to what is
+    not a number, full Newton tries from the start of the step. Returns the solution, what is kept
+    for the next step, and the report.
 
     With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
     d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
@@ -126,9 +124,8 @@ def newton(
             room = jnp.where(anew, most, room)
             # Before the first update both sizes are infinite; a NaN never contracts.
             # The first update takes away the error of the guess, which is spread over the unknowns
-            # otherwise than what an old tangent leaves behind; the second shows the difference.
-            undecided = linear.patient & (k == 2)
-            limit = jnp.where(undecided, 1 / _CONTRACTION, _CONTRACTION)
+            # otherwise than what an old tangent leaves behind: the second is no measure of it.
+            limit = jnp.where(k == 2, 1 / _CONTRACTION, _CONTRACTION)
             stale = jnp.where(k == 0, ~linear.known(kept), ~(size <= limit * before))
             wild = ~exact & (k > 0) & (size * tol > _WILD)
             astray = ~exact & ((stale & ~(size <= before)) | wild)
