@@ -127,6 +127,9 @@ class Registry:
         plugin = plugins[name]
         if plugin.cls is None:
             raise PluginError(f"The {word} {name!r} is unavailable: {plugin.reason}")
+        twice = next((key for key in more if key in options), None)
+        if twice:
+            raise SpecError(f"{twice!r} is given in {text!r} and again by itself; give it once.")
         return spec.build(plugin.cls, options | more, name)
 
     def _add(self, kind: str, plugin: Plugin) -> None:

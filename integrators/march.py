@@ -199,12 +199,12 @@ def outcome(status: int, t: float) -> tuple[str, str]:
     if status == _NEWTON_FAILED:
         return "newton_failed", (
             f"Newton's method did not converge in the step to t={t:.6g} s; take a smaller step "
-            f"or more numerical damping."
+            f"or a method that damps more."
         )
     if status == DIVERGED:
         return "diverged", (
             f"The solution grew beyond all bounds or was no longer finite in the step to "
-            f"t={t:.6g} s; take a smaller step or more numerical damping, or check the scene's "
+            f"t={t:.6g} s; take a smaller step or a method that damps more, or check the scene's "
             f"forces there."
         )
     return "ok", ""

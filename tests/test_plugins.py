@@ -111,6 +111,12 @@ def test_an_option_with_a_gap_or_a_contradiction_is_refused(stepbench, option, w
     assert words in " ".join(result.output.split())
 
 
+def test_a_parameter_in_the_name_and_again_by_itself_is_refused(stepbench):
+    result = stepbench("solve", "pendulum[m=2]", "hht", "--set", "m=1")
+    assert isinstance(result.exception, SystemExit)
+    assert "'m' is given in 'pendulum[m=2]' and again by itself" in result.output
+
+
 @pytest.mark.parametrize(("command", "stored"), [("run", True), ("solve", False)])
 def test_ctrl_c_promises_to_go_on_only_where_results_are_stored(command, stored):
     def interrupted():
