@@ -52,6 +52,22 @@ def count_work(method: DiffraxSolver, counts: Counts, steps: int, rejected: int)
 
 
 # ---- adaptive steps --------------------------------------------------------------------
+@cache
+def _traced_once(kind: type) -> type:
+    """The same solver with a compiled step, so that JAX remembers its trace: diffrax traces a step
+    three times to find out which of its results are constant. XLA makes the same program of it."""
+    import equinox
+
+    @equinox.filter_jit
+    def compiled_step(solver: Any, *arguments: Any) -> Any:
+        return kind.step(solver, *arguments)
+
+    def step(self: Any, *arguments: Any) -> Any:
+        return compiled_step(self, *arguments)
+
+    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+
+
 class _Programs(NamedTuple):
     """The solve to be timed; the solve with all its steps, for `run_counted`."""
 
@@ -74,7 +90,9 @@ def adaptive_programs(
     options = {}
     if root_finder == "fair":
         options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-    rate = right_hand_side(template, sizes)
+    rate, solver = right_hand_side(template, sizes), method.solver(**options)
+    if root_finder != "none":  # the results of an explicit step are constants, and stay so
+        solver = _traced_once(type(solver))(**options)
 
     def program(rate: Callable, save: Any) -> Callable:
         def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
@@ -83,7 +101,7 @@ def adaptive_programs(
             smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
             solution = diffrax.diffeqsolve(
                 method.terms(rate),
-                method.solver(**options),
+                solver,
                 t0,
                 t_end,
                 None,

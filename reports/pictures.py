@@ -18,8 +18,8 @@ import vl_convert
 
 from reports.marks import Spec
 
-#: Characters of charts that are worth another engine, which takes half a second to start.
-_WORTH = 500_000
+#: Characters of charts that are worth another engine, which takes a third of a second to start.
+_WORTH = 240_000
 
 
 def draw(charts: Mapping[str, Spec], folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import diffrax
 import jax
 import pytest
 
@@ -16,6 +17,7 @@ from bench.stability.systems import Oscillator
 from bench.worker import _Bench
 from integrators import Steps, Tolerances
 from integrators.alpha_family import GeneralizedAlpha
+from problems.pendulum import Pendulum
 
 
 def test_help_lists_and_plans_are_made_without_a_compiler():
@@ -95,6 +97,20 @@ def test_an_amplification_matrix_traces_its_step_once():
     matrices(Watched(rho_inf=0.5), Oscillator(), [0.1, 1.0])
     assert len(calls) == 1
     matrices(Watched(rho_inf=0.8), Oscillator(), [0.2] * 100)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("kind", ["Kvaerno3", "KenCarp3"])
+def test_an_adaptive_program_traces_its_step_once(kind, monkeypatch):
+    calls, step = [], getattr(diffrax, kind).step
+
+    def watched(*arguments):
+        calls.append(1)
+        return step(*arguments)
+
+    monkeypatch.setattr(getattr(diffrax, kind), "step", watched)
+    scene, method = Pendulum(), Registry().integrator(kind.lower())
+    method.prepare(scene, 0.5, Tolerances(1e-4, 1e-6))
     assert len(calls) == 1
 
 
