@@ -21,7 +21,9 @@ bench: .venv/installed  ## our march against C, exudyn and other solvers; micros
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/sizes.py
+	$(BIN)/python tests/benchmarks/sizes_ida.py
+	$(BIN)/python tests/benchmarks/callbacks.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc
 
 clean:
-	rm -rf .venv build *.egg-info stepbench-results stepbench-bench.json stepbench-sizes.json
+	rm -rf .venv build *.egg-info stepbench-results stepbench-*.json

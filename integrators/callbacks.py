@@ -62,27 +62,23 @@ class Packed:
 
     def __init__(self, function: Callable, *lengths: int | None) -> None:
         ends = np.cumsum([0, *(1 if n is None else n for n in lengths)]).tolist()
-        self._places = [slice(a, b) for a, b in pairwise(ends)]
-
-        def unpack(numbers: Any) -> Any:
-            parts = [numbers[place] for place in self._places]
-            pairs = zip(parts, lengths, strict=True)
-            return function(*(part[0] if n is None else part for part, n in pairs))
-
-        self.program = jax.jit(unpack)
+        between = zip(pairwise(ends), lengths, strict=True)
+        self._places = [a if n is None else slice(a, b) for (a, b), n in between]
+        self._size, self.function = ends[-1], function
+        self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self._places)))
 
     def at(self, *first: np.ndarray) -> Callable:
         """The function of the remaining arguments, with memory of its own: for one thread."""
-        memory = _aligned(self._places[-1].stop)
-        views = [memory[place] for place in self._places]
-        for view, value in zip(views, first, strict=False):
-            view[:] = value
-        views, program = views[len(first) :], self.program
+        memory = _aligned(self._size)
+        for place, value in zip(self._places, first, strict=False):
+            memory[place] = value
+        places, program = self._places[len(first) :], self.program
         numbers = jax.dlpack.from_dlpack(memory, copy=False)
 
         def call(*arguments: Any) -> Any:
-            for view, value in zip(views, arguments, strict=True):
-                view[:] = value
+            # Were zip asked to be strict, it would take as long as all the copying.
+            for place, value in zip(places, arguments):  # noqa: B905
+                memory[place] = value
             return program(numbers)
 
         return call

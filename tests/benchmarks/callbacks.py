@@ -1,0 +1,233 @@
+"""What solvers pay for calling the equations back in Python: IDA and scipy's Radau.
+
+``make bench`` prints a table and writes it as JSON. Calls are counted in the run; arithmetic, call
+and callback are timed alone in the same process, at the start of the motion, and what is left of
+the run's time is the library's own. Beside it stands what was before: JAX turning every argument
+into an array of its own and handing programs over to a thread of its own. The two kinds run in
+processes of their own, in turn, and least times are given. Nothing is asserted about times; that
+both come to the same end is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from integrators import Tolerances, dae, scipy_solvers
+from integrators.ida import IDA, _Equations
+from integrators.scipy_solvers import Radau
+from problems.chain import Chain
+from problems.pendulum import Pendulum
+from problems.runtime import jax
+from problems.slider_crank import SliderCrank
+
+#: Scene, method, end of the interval, rtol; short, as other work on the machine spares short runs.
+_CASES = (
+    (Pendulum(), IDA(), 1.0, 1e-6),
+    (SliderCrank(), IDA(), 0.5, 1e-6),
+    (Chain(links=1000), IDA(), 0.02, 1e-6),
+    (SliderCrank(), Radau(), 0.2, 1e-6),
+)
+_KINDS = ("now", "before")
+_LOOP = 200
+#: Both kinds end within so many tolerances of each other.
+_SAME = 10.0
+
+
+def least(call: Callable[[], Any], window: float = 1e-3, total: float = 0.15) -> float:
+    """Least mean seconds of a call in a short window: other work on the machine spares some."""
+    call()
+    began = time.perf_counter()
+    call()
+    count = max(1, int(window / (time.perf_counter() - began)))
+    means: list[float] = []
+    while len(means) < 5 or time.perf_counter() - began < total:
+        started = time.perf_counter()
+        for _ in range(count):
+            call()
+        means.append((time.perf_counter() - started) / count)
+    return min(means)
+
+
+class _Case:
+    """A prepared run, its two compiled functions, and where they are called."""
+
+    def __init__(self, case: int) -> None:
+        scene, method, t_end, rtol = _CASES[case]
+        self.run = method.prepare(scene, t_end, Tolerances(rtol))
+        self.p, t = np.array([*scene.parameters().values()]), scene.interval[0]
+        of = scene.template(), scene.sizes
+        if isinstance(method, IDA):
+            at = t, self.run._w, self.run._wdot
+            sparse = "sparsity" in self.run._options
+            form = *of, method.formulation
+            values = dae.sparse_jacobian(*form).values if sparse else dae.packed_jacobian(*form)
+            self.packed, self.at = (dae.packed_residual(*form), values), (at, (*at, 1e3))
+            self.name = f"{scene.spec}, IDA{', sparse' if sparse else ''}"
+        else:
+            at = t, self.run._start
+            self.packed, self.at = scipy_solvers._compiled(*of), (at, at)
+            self.name = f"{scene.spec}, {method.name} of scipy"
+
+    def callbacks(self) -> tuple[Callable, Callable]:
+        """Residual and Jacobian as the library calls them."""
+        functions, (first, second) = self.run._functions, self.at
+        if hasattr(self.run, "_calls"):
+            calls = self.run._calls()
+            calls._max_calls = -1
+            return lambda: calls.value(*first), lambda: np.asarray(calls.jacobian(*second))
+        equations, n = _Equations(*functions, -1), len(self.run._w)
+        into = np.zeros(n), np.zeros(np.shape(functions[1](*second)))
+        *state, cj = second
+        return (
+            lambda: equations.residual(*first, into[0]),
+            lambda: equations.jacobian(*state, into[0], cj, into[1]),
+        )
+
+    def plain(self) -> list[Callable]:
+        """The functions with every argument turned into an array by JAX."""
+
+        def function(packed: Any) -> Callable:
+            program = jax.jit(packed.function)
+            return lambda t, *at: program(self.p, float(t), *at)
+
+        return [function(packed) for packed in self.packed]
+
+    def alone(self) -> list[Callable]:
+        """The programs, with all numbers in place; they have run when they return."""
+        numbers = [jax.device_put(np.hstack([self.p, *at])) for at in self.at]
+        return [
+            lambda packed=packed, z=z: packed.program(z)
+            for packed, z in zip(self.packed, numbers, strict=True)
+        ]
+
+    def in_a_loop(self) -> list[Callable]:
+        """The same computations many times in one program: arithmetic without calls."""
+
+        def looped(packed: Any, at: tuple) -> Callable:
+            def again(_: int, w: Any) -> Any:
+                # XLA would take out of the loop what does not depend on the turn before, and
+                # leave out what nobody takes.
+                values = packed.function(self.p, at[0], w, *at[2:])
+                values = jax.lax.optimization_barrier(values)
+                return w + 1e-300 * values.ravel()[: len(w)]
+
+            program = jax.jit(lambda w: jax.lax.fori_loop(0, _LOOP, again, w))
+            return lambda: program(at[1])
+
+        return [looped(packed, at) for packed, at in zip(self.packed, self.at, strict=True)]
+
+
+def measure(case: int, kind: str) -> dict[str, Any]:
+    """One case in this process: counts, seconds, and where it ends."""
+    if kind == "before":
+        jax.jit  # noqa: B018 - loads JAX with our own settings, which are then taken back
+        jax.config.update("jax_cpu_enable_async_dispatch", True)
+    it = _Case(case)
+    if kind == "before":
+        it.run._functions = it.plain()
+    end = it.run.measure()
+    if end.status != "ok":
+        raise SystemExit(f"{it.name}: {end.message}")
+    found = {
+        "case": it.name,
+        "calls": [end.work.residuals, end.work.jacobians],
+        "run": least(it.run.execute, total=1.0),
+        "callback": [least(call) for call in it.callbacks()],
+        "q": end.q[-1].tolist(),
+    }
+    if kind == "now":
+        found["program"] = [least(call) for call in it.alone()]
+        found["arithmetic"] = [least(call) / _LOOP for call in it.in_a_loop()]
+    return found
+
+
+def merged(samples: list[dict[str, Any]]) -> dict[str, Any]:
+    """The least times of several processes."""
+    best = dict(samples[0])
+    for key in ("run", "callback", "program", "arithmetic"):
+        if key in best:
+            best[key] = np.min([sample[key] for sample in samples], axis=0).tolist()
+    return best
+
+
+def row(case: int, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """Where the time of a run goes, in seconds; each entry for residual and Jacobian."""
+    ends = np.array(now["q"]), np.array(before["q"])
+    gap = float(np.linalg.norm(ends[0] - ends[1]) / np.linalg.norm(ends[0]))
+    if not gap < _SAME * _CASES[case][3]:
+        raise SystemExit(f"{now['case']} ends elsewhere than before, by {gap:.1e}.")
+    calls, spent = np.array(now["calls"]), np.array(now["callback"])
+    return {
+        key: now[key] for key in ("case", "calls", "run", "arithmetic", "program", "callback")
+    } | {
+        "library": (now["run"] - float(calls @ spent)) / now["calls"][0],
+        "before": {key: before[key] for key in ("calls", "run", "callback")},
+        "agreement": gap,
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows in Markdown, times in microseconds."""
+    lines = [
+        "| run | calls | arithmetic | + call by JAX | + wrapper | = callback, µs | before "
+        "| before/now | share of the run |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for one in rows:
+        for k, what in enumerate(("residual", "Jacobian")):
+            parts = 1e6 * np.diff(
+                [0.0, *(one[key][k] for key in ("arithmetic", "program", "callback"))]
+            )
+            own, was = one["callback"][k], one["before"]["callback"][k]
+            lines.append(
+                f"| {one['case']}: {what} | {one['calls'][k]} | {parts[0]:.2f} | {parts[1]:.1f} "
+                f"| {parts[2]:.1f} | **{1e6 * own:.1f}** | {1e6 * was:.1f} | {was / own:.1f} "
+                f"| {one['calls'][k] * own / one['run']:.0%} |"
+            )
+        was = one["before"]
+        per_call = [1e6 * r["run"] / r["calls"][0] for r in (one, was)]
+        lines.append(
+            f"| whole run: {1e3 * one['run']:.1f} ms, per residual call | {one['calls'][0]} | | "
+            f"| {one['library'] * 1e6:.1f} by the library | **{per_call[0]:.1f}** "
+            f"| {per_call[1]:.1f} | {per_call[1] / per_call[0]:.1f} | |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure all cases, print the table, write the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=2, help="processes of each kind")
+    parser.add_argument("--out", type=Path, default=Path("stepbench-callbacks.json"))
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.one:
+        print(json.dumps(measure(int(given.one[0]), given.one[1])))
+        return
+    rows = []
+    for case in range(len(_CASES)):
+        samples: dict[str, list] = {kind: [] for kind in _KINDS}
+        for _ in range(given.rounds):
+            for kind in _KINDS:
+                command = [sys.executable, __file__, "--one", str(case), kind]
+                done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+                if done.returncode:
+                    raise SystemExit(done.returncode)
+                samples[kind].append(json.loads(done.stdout.splitlines()[-1]))
+        rows.append(row(case, *(merged(samples[kind]) for kind in _KINDS)))
+    print(table(rows))
+    given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    print(f"Written to {given.out}.")
+
+
+if __name__ == "__main__":
+    main()
