@@ -128,14 +128,21 @@ class Batch:
             for k, scene in enumerate(self._of_scene)
             if scene in without
         }
-        parts = (
-            ([scene.parameters() for scene in scenes], self._of_scene),
-            ([stepper.numbers() for stepper in steppers], self._of_pair),
-            ([_entry(self._starts, k) for k in range(len(scenes))], self._of_scene),
-        )
+        settings = [scene.parameters() for scene in scenes]
+        by_id = {id(stepper): stepper for stepper in steppers}  # many scenes may share one
+        keys, of_stepper = distinct(map(id, steppers))
+        numbers = [by_id[key].numbers() for key in keys]
+        start = jax.tree.map(lambda leaf: leaf[0], self._starts)
         # Packing one tells the kernel how its numbers are arranged: one part after the other.
-        self._kernel.pack(*(values[0] for values, _ in parts), self._pace.numbers[0])
-        self._tables = [(_table(values), of) for values, of in parts]
+        self._kernel.pack(settings[0], numbers[0], start, self._pace.numbers[0])
+        names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
+        leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
+        self._parameters = np.array([[values[name] for name in names] for values in settings])
+        self._tables = [
+            (self._parameters, self._of_scene),
+            (_table(numbers), of_stepper[self._of_pair]),
+            (np.concatenate(leaves, axis=1), self._of_scene),
+        ]
         self._times = _table(self._pace.numbers)
         self._lanes = lanes or _lanes(self._sizes, len(runs))
 
@@ -203,7 +210,7 @@ class Batch:
     def _completed(self, scene: np.ndarray, t: np.ndarray, values: dict) -> dict[str, np.ndarray]:
         """a, lam, y and xdot at the rows, from the equations of motion."""
         names = sorted(self._template.parameters())  # as JAX sorts the keys of a dictionary
-        parameters = dict(zip(names, self._tables[0][0][scene].T, strict=True))
+        parameters = dict(zip(names, self._parameters[scene].T, strict=True))
         state = (values[name] for name in ("q", "v", "x"))
         z, xdot = _completion(self._template, self._sizes)(parameters, *state, t)
         found = z._asdict() | {"xdot": xdot}
@@ -239,10 +246,6 @@ def _table(trees: Sequence[Any]) -> np.ndarray:
 
 def _numbers(tree: Any) -> np.ndarray:
     return np.concatenate([np.ravel(leaf).astype(float) for leaf in jax.tree.leaves(tree)] or [[]])
-
-
-def _entry(tree: Any, k: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[k], tree)
 
 
 def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:

@@ -35,10 +35,8 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
     """
     first = scenes[0]
     states = [_state(scene) for scene in scenes]
-    parameters = {
-        name: np.array([scene.parameters()[name] for scene in scenes])
-        for name in first.parameters()
-    }
+    settings = [scene.parameters() for scene in scenes]
+    parameters = {name: np.array([values[name] for values in settings]) for name in settings[0]}
     count, filled = len(scenes), 1 << (len(scenes) - 1).bit_length()
     places = np.minimum(np.arange(filled), count - 1)  # few sizes are compiled
     program = _program(first.template(), first.sizes)

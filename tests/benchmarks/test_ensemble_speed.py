@@ -1,8 +1,10 @@
 """Throughput of ensembles against a loop over single runs (``make bench``).
 
-The loop over single runs is the prepared kernel, compiled once, called for one member after the
-other, from start to end without rows; its starts are made before. Ensembles are measured on one
-thread and on all, and include the reading of the results. Nothing is asserted about times.
+Two loops over single runs, with the kernel compiled before and from start to end without rows:
+one makes each run from its parameters, as a loop of a user does (scene, start, packing), and
+takes it; the other takes runs that were made before. The ensemble is measured likewise, with and
+without the making of its members, on one thread and on all, and includes the reading of the
+results. Nothing is asserted about times.
 """
 
 from __future__ import annotations
@@ -37,20 +39,33 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
     value = getattr(scene, name)
     values = np.random.default_rng(0).uniform(0.8 * value, 1.2 * value, MEMBERS)
     end, steps = scene.interval[1], Steps(scene.nominal_step)
-    runs = varied(scene, method, steps, {number(name, scene, method): values})
-    started = time.perf_counter()
-    batch = Batch(runs, end)
-    prepared = time.perf_counter() - started
+    axis_of = number(name, scene, method)
+    batch = Batch(varied(scene, method, steps, {axis_of: values}), end)
     batch.warm()
-    singles = [method.prepare(run.scene, end, steps) for run in runs[:ALONE]]
+
+    def made(value):
+        (run,) = varied(scene, method, steps, {axis_of: [value]})
+        return method.prepare(run.scene, end, steps)
+
+    singles = [made(value) for value in values[:ALONE]]
 
     def loop():
         for single in singles:
             single.execute()
 
+    def whole_loop():
+        for value in values[:ALONE]:
+            made(value).execute()
+
+    def whole_ensemble(jobs=None):
+        runs = varied(scene, method, steps, {axis_of: values})
+        return list(Batch(runs, end).blocks(jobs=jobs))
+
     loop()
-    alone = seconds(loop) / ALONE
+    alone, whole = seconds(loop) / ALONE, seconds(whole_loop) / ALONE
     one = seconds(lambda: list(batch.blocks(jobs=1))) / MEMBERS
+    whole_one = seconds(lambda: whole_ensemble(jobs=1)) / MEMBERS
+    whole_all = seconds(whole_ensemble) / MEMBERS
     blocks = benchmark.pedantic(lambda: list(batch.blocks()), rounds=3, warmup_rounds=1)
     all_threads = benchmark.stats.stats.min / MEMBERS
     assert sum(len(block.members) for block in blocks) == MEMBERS
@@ -59,7 +74,10 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
             f"\n{problem}, {MEMBERS} members of {blocks[0].counts[0, 0]:.0f} steps: "
             f"single run {1e6 * alone:.0f} us; ensemble on one thread {1e6 * one:.0f} us a member "
             f"({alone / one:.1f} times the throughput), on all threads {1e6 * all_threads:.0f} us "
-            f"({alone / all_threads:.1f} times); starts and tables {prepared:.2f} s"
+            f"({alone / all_threads:.1f} times)\n"
+            f"with the making of each: single run {1e6 * whole:.0f} us; ensemble on one thread "
+            f"{1e6 * whole_one:.0f} us ({whole / whole_one:.1f} times), on all threads "
+            f"{1e6 * whole_all:.0f} us ({whole / whole_all:.1f} times)"
         )
 
 
