@@ -19,7 +19,7 @@ from integrators.alpha_step import (
 from integrators.contract import option
 from integrators.march import StepMethod
 from problems.formulations import Start, is_large
-from problems.sparsity import NoPattern, require
+from problems.sparsity import is_chosen
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -103,19 +103,13 @@ class AlphaMethod(StepMethod):
         return FUNCTIONS[self.formulation, self.newton]
 
     def on(self, scene: MechatronicSystem, start: Start) -> Any:
-        wanted = self.linear_solver
-        if wanted == "dense" or (wanted == "auto" and not is_large(scene)):
-            return self
-        from integrators.alpha_sparse import SparseAlpha
+        def sparse() -> Any:
+            from integrators.alpha_sparse import SparseAlpha
 
-        require()
-        sparse = SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
-        try:
-            return sparse if sparse.pays() or wanted == "sparse" else self
-        except NoPattern:
-            if wanted == "sparse":
-                raise
-            return self
+            return SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
+
+        chosen = is_chosen(self.linear_solver, is_large(scene), lambda: sparse().pattern())
+        return sparse() if chosen else self
 
     begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
 

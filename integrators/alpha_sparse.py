@@ -26,9 +26,6 @@ from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes
 
-#: A tangent with more than this part of its entries is no sparse one.
-_MOST_FILL = 0.1
-
 
 class SparseNumbers(NamedTuple):
     """A scheme, the tangent's analysis, and the part of the jerk that the constraints cause."""
@@ -49,10 +46,9 @@ class SparseAlpha:
     start: Start
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
 
-    def pays(self) -> bool:
-        """Whether the tangent has few entries."""
-        pattern, _ = _analysed(self.scene.template(), self._stabilised)
-        return len(pattern.rows) < _MOST_FILL * pattern.size**2
+    def pattern(self) -> Pattern:
+        """Pattern of the tangent."""
+        return _analysed(self.scene.template(), self._stabilised)[0]
 
     def numbers(self) -> SparseNumbers:
         """What is traced."""
