@@ -50,7 +50,8 @@ class Packed:
     JAX makes arrays of its own of the arrays that it is given, at a microsecond each. Here all
     arguments are copied side by side into memory that JAX has been given once and for all. A
     program is done with them when it returns, as programs run in the calling thread (see
-    `problems.runtime`) or else are waited for by who reads the result; results are new arrays.
+    `problems.runtime`); where JAX was in use before us and they do not, the result has to be waited
+    for before the next call. Results are new arrays.
 
     Parameters
     ----------
@@ -136,7 +137,8 @@ class Calls:
 
     def jacobian(self, t: float, *at: np.ndarray) -> Any:
         self._jacobians += 1
-        return self._jacobian(t, *at)
+        # Not later: what it is computed from is overwritten by the next call.
+        return jax.block_until_ready(self._jacobian(t, *at))
 
     def watch(self, solver: Any) -> None:
         """Count the factorisations and solves of a solver of scipy's kind."""
