@@ -15,7 +15,7 @@ run: .venv/installed  ## run the quick suite and write its report
 
 test: .venv/installed  ## check the style and pass the tests
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n logical --maxprocesses 4 --dist loadfile
 
 bench: .venv/installed  ## our march against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
