@@ -28,6 +28,7 @@ from bench.scenes import scene_record
 from integrators.contract import PreparedRun, Trajectory
 from problems.formulations import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
+from problems.runtime import one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -201,6 +202,7 @@ def serve(pipe: Connection, plugin_paths: list[str]) -> None:
     os.dup2(2, 1)  # what a plugin prints must not mix with an answer in JSON
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the runner's business
     gc.set_threshold(_GARBAGE)
+    one_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     bench = _Bench(Registry(plugin_paths), lambda phase: pipe.send(("phase", phase)))
     pipe.send(("ready", None))

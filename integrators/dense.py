@@ -8,7 +8,7 @@ needs no library, so that the whole march becomes one compiled function (see `pr
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from math import prod
 from operator import add
 from typing import Any
@@ -47,7 +47,7 @@ def solve(a: Any, b: Any) -> Any:
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.solve(a, b)
     alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
-    many = jax.vmap(_side_by_side if len(a) <= MOST_OF_MANY else jnp.linalg.solve)
+    many = _side_by_side if len(a) <= MOST_OF_MANY else jax.vmap(jnp.linalg.solve)
 
     @alone.def_vmap
     def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
@@ -87,15 +87,29 @@ def _by_elimination(a: Any) -> Any:
 
 
 def _side_by_side(a: Any, b: Any) -> Any:
-    """Gauss-Jordan elimination without a loop, which processors do for many matrices at once."""
-    n = len(a)
-    w = jnp.concatenate([a, b[:, None]], axis=1)
+    """Gauss-Jordan elimination of many matrices with the largest pivots of the columns; the last
+    axis is that of the matrices, as the processor then does the same with several at once."""
+    n = a.shape[1]
+    w = jnp.moveaxis(jnp.concatenate([a, b[:, :, None]], axis=2), 0, 2)
+    # XLA would compute all that is cheap anew wherever it is used, and eliminate many times over.
+    # It does not look into branches, and cannot tell that this is always so.
+    always = jnp.isnan(w[0, 0, 0]) | (w[0, 0, 0] <= jnp.inf)
     for k in range(n):
-        p = k + jnp.argmax(jnp.abs(w[k:, k]))
-        here, pivot = w[k], w[p]
-        w = w.at[p].set(here).at[k].set(pivot)
-        w = w - (w[:, k] / pivot[k]).at[k].set(0.0)[:, None] * pivot
-    return w[:, n] / jnp.diagonal(w)
+        w = jax.lax.cond(always, partial(_eliminated, k), lambda w: w[:, 1:], w)
+    return w[:, 0].T
+
+
+def _eliminated(k: int, w: Any) -> Any:
+    """Rows without the first column, which is that of the k-th unknown, by the k-th pivot."""
+    pivot = k + jnp.argmax(jnp.abs(w[k:, 0]), axis=0)
+    # Choices one after the other: to look the pivots up would take the matrices one by one.
+    of_pivot = w[k]
+    for i in range(k + 1, len(w)):
+        of_pivot = jnp.where(pivot == i, w[i], of_pivot)
+    row = of_pivot[1:] / of_pivot[0]
+    below = jnp.where(pivot == jnp.arange(k + 1, len(w))[:, None, None], w[k], w[k + 1 :])
+    others = (part[:, 1:] - part[:, :1] * row for part in (w[:k], below))
+    return jnp.concatenate([next(others), row[None], *others])
 
 
 def without_products(function: Callable) -> Callable:

@@ -73,7 +73,9 @@ class SemiActiveDamper(MechatronicSystem):
         Through valve and relief out of the rebound chamber, through the piston's check valve into
         it, through the base's check valve into the compression chamber.
         """
-        speed = jnp.sqrt(2e6 / self.density) * p_reb / (p_reb**2 + self.p_turb**2) ** 0.25
+        # Two square roots cost less than a power of 1/4 and its derivatives.
+        root = jnp.sqrt(jnp.sqrt(p_reb**2 + self.p_turb**2))
+        speed = jnp.sqrt(2e6 / self.density) * p_reb / root
         out = self.valve_area(i) * speed + self._relieved(p_reb)
         return out, self._checked(p_comp - p_reb), self._checked(-p_comp)
 

@@ -1,4 +1,4 @@
-"""JAX as this project uses it: 64 bits, one thread, a persistent compilation cache, loaded late.
+"""JAX as this project uses it: 64 bits, a persistent compilation cache, loaded late.
 
 JAX reads these settings from the environment when it is first imported, so they are set here,
 and the names ``jax`` and ``jnp`` below import it only when an attribute is asked for: listing
@@ -26,12 +26,11 @@ _SETTINGS = {
     "JAX_COMPILATION_CACHE_DIR": str(Path(platformdirs.user_cache_dir("stepbench")) / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    # Timing on one thread, for every solver alike: it is the method that is measured. Loops over
-    # little data that call no library become one function each: handing over from one compiled
-    # piece to the next costs more than what small scenes compute in it.
+    # An operation has one thread, for every solver alike: it is the method that is measured. Loops
+    # over little data that call no library become one function each: handing over from one
+    # compiled piece to the next costs more than what small scenes compute in it.
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"
     f" --xla_backend_extra_options={_JOINED}=1000000",
-    "NPROC": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
@@ -45,6 +44,16 @@ def configure() -> None:
         os.environ.setdefault(name, value)
     if "jax" in sys.modules:  # imported before us, for example in a notebook
         sys.modules["jax"].config.update("jax_enable_x64", True)
+
+
+def one_thread() -> None:
+    """All programs of this process on one thread, before JAX is used; a user's own setting wins.
+
+    JAX has a thread for each processor, on which programs run side by side if they are called from
+    several threads, as in ensembles. Parts of one program are also shared out to them, which costs
+    more than it gains where parts are small: for a process that takes times.
+    """
+    os.environ.setdefault("NPROC", "1")
 
 
 @cache

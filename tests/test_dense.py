@@ -51,6 +51,23 @@ def test_a_batch_goes_to_lapack():
     assert np.allclose(batched(many), np.linalg.inv(many))
 
 
+@pytest.mark.parametrize("n", [1, 2, 7, dense.MOST_OF_MANY])
+def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
+    a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(50)])
+    a += 1e-3 * RANDOM.normal(size=a.shape)
+    b = RANDOM.normal(size=(50, n))
+    together = jax.jit(jax.vmap(dense.solve))
+    assert "lapack" not in together.lower(a, b).as_text()
+    wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
+    assert np.abs(together(a, b) - wanted).max() < 1e-12
+    # One that is not a number, or has no solution, is its own affair.
+    a[0, 0, 0], a[1] = np.nan, 0.0
+    found = together(a, b)
+    assert np.abs(found[2:] - wanted[2:]).max() < 1e-12
+    assert not np.isfinite(found[0]).all()
+    assert not np.isfinite(found[1]).all()
+
+
 @pytest.mark.parametrize(
     ("formula", "a", "b"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -29,6 +30,23 @@ def test_help_lists_and_plans_are_made_without_a_compiler():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout.strip(), done.stderr) == ("", "")
+
+
+@pytest.mark.parametrize(("own", "after"), [("", "1"), ("3", "3")])
+def test_only_a_process_that_takes_times_has_one_thread(own, after):
+    # With one, runs that are called from several threads would wait for each other.
+    code = (
+        "import os; from problems import runtime; print(os.environ.get('NPROC')); "
+        "runtime.one_thread(); print(os.environ['NPROC'])"
+    )
+    others = {name: value for name, value in os.environ.items() if name != "NPROC"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=others | ({"NPROC": own} if own else {}),
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == [own or "None", after]
 
 
 def test_workers_that_are_expected_load_while_it_is_decided_what_they_do(monkeypatch):

@@ -26,7 +26,7 @@ from integrators.ida import IDA, _Equations
 from integrators.scipy_solvers import Radau
 from problems.chain import Chain
 from problems.pendulum import Pendulum
-from problems.runtime import jax
+from problems.runtime import jax, one_thread
 from problems.slider_crank import SliderCrank
 
 #: Scene, method, end of the interval, rtol; short, as other work on the machine spares short runs.
@@ -230,4 +230,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    one_thread()
     main()

@@ -34,6 +34,7 @@ from opponents import (
 from bench.environment import environment
 from integrators import Steps
 from problems.reference import Reference
+from problems.runtime import one_thread
 
 #: Steps of the races at equal error in a: a coarse and a fine one.
 _SIZES = (1e-3, 1e-4)
@@ -143,4 +144,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    one_thread()
     main()

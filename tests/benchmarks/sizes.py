@@ -195,4 +195,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    one_thread()
     main()

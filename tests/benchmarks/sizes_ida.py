@@ -24,6 +24,7 @@ from integrators.alpha_family import GeneralizedAlpha
 from integrators.ida import IDA
 from problems.chain import Chain
 from problems.formulations import dae_layout
+from problems.runtime import one_thread
 
 #: Links, end of the interval in s, and the tolerance at which IDA's error in v is about ours.
 SIZES = ((100, 0.4, 1e-5), (1000, 0.2, 1e-5), (10000, 0.05, 1e-6))
@@ -138,4 +139,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    one_thread()
     main()
