@@ -35,6 +35,9 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     from integrators import Steps
     from integrators.alpha_family import GeneralizedAlpha
     from problems.chain import Chain
+    from problems.runtime import one_thread
+
+    one_thread()
 
     scene = Chain(links=links)
     before, started = _memory(), time.perf_counter()
@@ -195,5 +198,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
     main()
