@@ -2,7 +2,8 @@
 
 Side by side, runs wait for the one with the most steps, so the longest are begun first, together;
 one that fails costs the others nothing. Blocks are shared out to threads, as the compiled
-program needs no Python. Nothing calls back, so that the same code runs on a GPU.
+program needs no Python, and JAX has a thread for each processor. Nothing calls back, so that the
+same code runs on a GPU.
 """
 
 from __future__ import annotations
