@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from bench.scenes import scene_record
 from integrators.contract import PreparedRun, Trajectory
 from problems.formulations import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
-from problems.runtime import one_thread
+from problems.runtime import jax, one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -39,6 +40,11 @@ SAMPLE_SECONDS = 2e-3
 _GARBAGE = 100_000
 #: A run that lasts longer warms its caches itself.
 _LONG_SECONDS = 1e-3
+#: Memory mappings at which programs are forgotten: each takes some 20 of them, and Linux, which
+#: grants 65 530 by default, ends a process that asks for more.
+_MOST_MAPPINGS = 40_000
+#: Cells after which they are counted again.
+_COUNTED_EVERY = 50
 
 
 @dataclass
@@ -110,6 +116,9 @@ class _Bench:
         reason = integrator.supports(scene)
         if reason:
             return Trajectory.failed("unsupported", reason), None
+        if len(self.prepared) % _COUNTED_EVERY == 0 and _mappings() > _MOST_MAPPINGS:
+            self.prepared.clear()
+            jax.clear_caches()
         started = time.perf_counter()
         try:
             run = integrator.prepare(scene, cell.t_end, cell.resolution)
@@ -179,6 +188,14 @@ class _Bench:
         """Everything that a report shows of a scene."""
         scene = self.problem(problem)
         return scene_record(scene, self.reference(scene, t_end))
+
+
+def _mappings() -> int:
+    """Memory mappings of this process, where they can be counted."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
 
 
 def _checked(trajectory: Trajectory, t_end: float) -> Trajectory:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from bench import worker
 from bench.plan import Cell
 from bench.registry import Registry
 from bench.session import solve_cells
@@ -205,3 +206,17 @@ def test_a_plugin_that_is_no_python_file_is_one_sentence(stepbench, tmp_path):
     result = stepbench("solve", "pendulum", "newmark", "--plugins", file)
     assert result.exit_code != 0
     assert "is not a Python file" in result.output
+
+
+def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
+    bench = worker._Bench(Registry(), lambda phase: None)
+    first, second = (Cell("pendulum", "newmark", 1.0, Steps(h)) for h in (0.1, 0.05))
+    before = bench.measure(first)
+    assert worker._mappings() > 100
+    monkeypatch.setattr(worker, "_MOST_MAPPINGS", 100)
+    monkeypatch.setattr(worker, "_COUNTED_EVERY", 1)
+    bench.measure(second)
+    assert set(bench.prepared) == {second.key}
+    assert bench.time(first) > 0.0
+    assert set(bench.prepared) == {first.key}
+    assert bench.measure(first).record.errors == before.record.errors
