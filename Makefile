@@ -23,7 +23,7 @@ bench: .venv/installed  ## our march against C, exudyn and other solvers; micros
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/sizes_ida.py
 	$(BIN)/python tests/benchmarks/callbacks.py
-	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc
+	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 clean:
 	rm -rf .venv build *.egg-info stepbench-results stepbench-*.json

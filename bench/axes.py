@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +12,7 @@ import numpy as np
 
 from bench.batch import Run
 from integrators.contract import Integrator, Steps, Tolerances
-from problems.spec import SpecError, build, split_spec, suggest
+from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
 
 #: What varies of the time of a run, by the owner of its name, and tolerances' usual ranges.
@@ -72,7 +71,7 @@ def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
         If the name is not known or stands for two things.
     """
     time = {method.controls: _TIME[method.controls]}
-    numbers = time | {"scene": _numbers(scene), "integrator": _numbers(method)}
+    numbers = time | {"scene": numbers_of(type(scene)), "integrator": numbers_of(type(method))}
     owner, dot, field = name.partition(".")
     if dot and field in numbers.get(owner, ()):
         return Number(name, owner, field)
@@ -190,12 +189,8 @@ def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
     if isinstance(base, Tolerances):
         follows = base.atol == Tolerances(base.rtol).atol
         return replace(base, **({"atol": None} if follows else {}) | dict(settings))
-    now = {f.name: getattr(base, f.name) for f in dataclasses.fields(base) if "type" in f.metadata}
+    now = {name: getattr(base, name) for name in options_of(type(base))}
     return build(type(base), now | dict(settings), base.name)
-
-
-def _numbers(owner: Any) -> dict[str, dataclasses.Field]:
-    return {f.name: f for f in dataclasses.fields(owner) if f.metadata.get("type") is float}
 
 
 def _default_range(
@@ -208,7 +203,7 @@ def _default_range(
     if owner == "tolerance":
         return _TOLERANCES[field]
     of = scene if owner == "scene" else method
-    meta, value = _numbers(of)[field].metadata, getattr(of, field)
+    meta, value = numbers_of(type(of))[field].metadata, getattr(of, field)
     low, high = (-math.inf if meta["low"] is None else meta["low"],
                  math.inf if meta["high"] is None else meta["high"])  # fmt: skip
     if owner == "integrator" and math.isfinite(high - low):

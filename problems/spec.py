@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
 _NAME = r"[A-Za-z_][\w.-]*"
@@ -63,6 +64,18 @@ def format_value(value: Any) -> str:
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
+@cache
+def options_of(cls: type) -> dict[str, dataclasses.Field]:
+    """Parameters of a scene, or options of an integrator, by name."""
+    return {f.name: f for f in dataclasses.fields(cls) if "type" in f.metadata}
+
+
+@cache
+def numbers_of(cls: type) -> dict[str, dataclasses.Field]:
+    """Those among the options that are floats, which compiled programs take as arguments."""
+    return {name: f for name, f in options_of(cls).items() if f.metadata["type"] is float}
+
+
 def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
     """Turn text (or a number) into the type of a dataclass field and check its range.
 
@@ -72,7 +85,10 @@ def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
         If it cannot be read, is not finite, or lies outside the choices or limits of the field.
     """
     meta = field.metadata
-    where = f"{owner}: {field.name}={value}"
+
+    def refused(reason: str) -> SpecError:
+        return SpecError(f"{owner}: {field.name}={value} {reason}.")
+
     if meta.get("optional") and str(value).lower() == "none":
         return None
     kind = meta["type"]
@@ -81,20 +97,20 @@ def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
             result: Any = {"true": True, "false": False}[str(value).lower()]
         elif kind is int:
             result = int(str(value))
-        elif kind is float and re.fullmatch(r"\d+/\d+", str(value)):
+        elif kind is float and isinstance(value, str) and re.fullmatch(r"\d+/\d+", value):
             result = float(Fraction(value))
         else:
             result = kind(value)
     except (ValueError, KeyError, ZeroDivisionError):
-        raise SpecError(f"{where} is not a {kind.__name__}.") from None
+        raise refused(f"is not a {kind.__name__}") from None
     if kind is float and not math.isfinite(result):
-        raise SpecError(f"{where} is not a finite number.")
+        raise refused("is not a finite number")
     if meta.get("choices") and result not in meta["choices"]:
-        raise SpecError(f"{where} is not allowed; {suggest(str(result), meta['choices'])}.")
+        raise refused(f"is not allowed; {suggest(str(result), meta['choices'])}")
     low, high = meta.get("low"), meta.get("high")
     if (low is not None and result < low) or (high is not None and result > high):
         limits = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]"
-        raise SpecError(f"{where} lies outside {limits}.")
+        raise refused(f"lies outside {limits}")
     return result
 
 
@@ -107,8 +123,7 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
         For an unknown option (the nearest one is named), a value that is not allowed, or if the
         class itself refuses the values, with whatever exception.
     """
-    fields = {f.name: f for f in dataclasses.fields(cls) if "type" in f.metadata}
-    values = {}
+    fields, values = options_of(cls), {}
     for key, value in options.items():
         if key not in fields:
             raise SpecError(f"{name} has no option {key!r}; {suggest(key, fields)}.")
@@ -125,8 +140,8 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
 def format_spec(name: str, instance: Any) -> str:
     """Write ``name[option=value,...]``: the options always shown, then those not at default."""
     parts = []
-    options = [f for f in dataclasses.fields(instance) if "type" in f.metadata]
-    for field in sorted(options, key=lambda f: not f.metadata.get("always")):
+    options = options_of(type(instance))
+    for field in sorted(options.values(), key=lambda f: not f.metadata.get("always")):
         value = getattr(instance, field.name)
         if field.metadata.get("always") or value != field.default:
             parts.append(f"{field.name}={format_value(value)}")

@@ -182,11 +182,7 @@ class MechatronicSystem:
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""
-        return {
-            f.name: float(getattr(self, f.name))
-            for f in dataclasses.fields(self)
-            if f.metadata.get("type") is float
-        }
+        return {name: float(getattr(self, name)) for name in spec.numbers_of(type(self))}
 
     def describe(self) -> dict[str, Any]:
         """Title, description and parameters in words, for reports and lists."""
@@ -209,7 +205,5 @@ class MechatronicSystem:
 
     def template(self) -> Self:
         """The scene with default float parameters: the key under which compiled code is kept."""
-        defaults = {
-            f.name: f.default for f in dataclasses.fields(self) if f.metadata.get("type") is float
-        }
-        return self.with_parameters(defaults)
+        numbers = spec.numbers_of(type(self))
+        return self.with_parameters({name: field.default for name, field in numbers.items()})

@@ -123,7 +123,7 @@ def _quotient(block: Callable, z: Variables, variable: str, step: float) -> np.n
 
 def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
     """Another value of a float parameter acts without compiling anything new."""
-    fields = [f for f in dataclasses.fields(scene) if f.metadata.get("type") is float]
+    fields = list(spec.numbers_of(type(scene)).values())
     if not fields:
         raise DoesNotApply("It has no float parameter.")
     template, points = scene.template(), _points(scene)

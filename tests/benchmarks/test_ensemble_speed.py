@@ -69,6 +69,15 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
     blocks = benchmark.pedantic(lambda: list(batch.blocks()), rounds=3, warmup_rounds=1)
     all_threads = benchmark.stats.stats.min / MEMBERS
     assert sum(len(block.members) for block in blocks) == MEMBERS
+    benchmark.extra_info |= {
+        "members": MEMBERS,
+        "us_a_member": {
+            "taken": {"loop": 1e6 * alone, "one_thread": 1e6 * one, "threads": 1e6 * all_threads},
+            "made_and_taken": {
+                "loop": 1e6 * whole, "one_thread": 1e6 * whole_one, "threads": 1e6 * whole_all
+            },
+        },
+    }  # fmt: skip
     with capsys.disabled():
         print(
             f"\n{problem}, {MEMBERS} members of {blocks[0].counts[0, 0]:.0f} steps: "
