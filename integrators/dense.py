@@ -95,7 +95,7 @@ def _side_by_side(a: Any, b: Any) -> Any:
     # It does not look into branches, and cannot tell that this is always so.
     always = jnp.isnan(w[0, 0, 0]) | (w[0, 0, 0] <= jnp.inf)
     for k in range(n):
-        w = jax.lax.cond(always, partial(_eliminated, k), lambda w: w[:, 1:], w)
+        w = jax.lax.cond(always, partial(_eliminated, k), lambda w: jnp.zeros_like(w[:, 1:]), w)
     return w[:, 0].T
 
 
