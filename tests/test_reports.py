@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import colorsys
 import csv
 import io
-import json
 import math
 import re
 import subprocess
@@ -13,18 +11,16 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-import altair
 import msgspec
 import pytest
-import vl_convert
 from planted import ATTACK, STEPS, Document, everything, plant, planted
 
 from bench.orders import fit_order
 from bench.records import NORMS, Record, Rows, Study, median
 from bench.store import Store
-from reports import charts, explorer, html, markdown
+from reports import html, markdown
 from reports.findings import findings
-from reports.series import looks_of, milliseconds, number, series_of
+from reports.series import milliseconds, number, series_of
 from reports.tables import summary, targets
 
 
@@ -215,98 +211,6 @@ def test_the_charts_carry_the_numbers_of_the_store(folder: Path, page: Document)
         for norm, error in norms.items()
     }
     assert found == expected
-
-
-def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
-    records = [r for r in everything() if r.problem == "pendulum"]
-    for record in records:
-        record.run_s = [1e-3, 2e-3]
-    series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
-    convergence = charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True)
-    assert len(convergence["concat"]) == 4
-    for chart in (
-        convergence,
-        explorer.explorer(series, ["q", "v", "a", "lam"], looks),
-        explorer.accuracy(series, looks, interactive=True),
-    ):
-        altair.Chart.from_dict(chart, validate=True)
-        vega = json.dumps(vl_convert.vegalite_to_vega(chart))
-        # The legend has a name only if a click on it is heard.
-        assert vega.count('"name": "series_legend_symbols"') == 1
-
-
-def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
-    steps = [2.0**-k for k in range(3, 8)]
-    records = [planted("pendulum", "m", {"q": (1.0, 2.0), "lam": (1.0, 1.0)}, h=h) for h in steps]
-    records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
-    records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
-    series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
-    svg = vl_convert.vegalite_to_svg(charts.convergence(series, ["q", "lam"], looks))
-    text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
-    assert "m: order q 2.00, lam 1.00" in text
-    assert "n: order q 2.00, lam 0.00" in text
-    assert "two: order not determined" in text
-
-
-def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
-    """Name and slope of the guides to the eye of each panel."""
-    return {
-        panel["data"]["name"]: [
-            (row["name"], math.log(row["error"] / row["error2"]) / math.log(row["h"] / row["h2"]))
-            for layer in panel["layer"]
-            if layer["mark"]["type"] == "rule"
-            for row in layer["data"]["values"]
-        ]
-        for panel in chart["concat"]
-    }
-
-
-def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
-    records = [r for r in everything() if r.problem == "pendulum"]
-    series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
-    for norm, order in (("end", 2), ("max", 1)):
-        found = guides(charts.convergence(series, ["q", "lam"], looks, norm))
-        assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
-        assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
-    odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
-    looks = looks_of([("odd", "alpha")])
-    assert guides(charts.convergence(series_of(odd), ["q"], looks)) == {"q": []}
-
-
-def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
-    records = [planted("pendulum", "m", {"q": (1.0, 2), "lam": (1.0, 2)}, h=h) for h in STEPS]
-    for record in records:
-        record.errors["lam"]["end"] = 0.0
-        record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
-    series, looks = series_of(records), looks_of([("m", "alpha")])
-    chart = charts.convergence(series, ["q", "lam"], looks, "end", interactive=True)
-    (choice,) = chart["params"]
-    assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
-    # Layers hold something in every norm in which there are errors, so that no scale is empty.
-    for panel, norms in zip(chart["concat"], (set(NORMS), {"max", "rms", "settled"}), strict=True):
-        rows = [row for layer in panel["layer"][:2] for row in layer["data"]["values"]]
-        assert {row["norm"] for row in rows} == norms
-        unnamed = [row for row in rows if not row["name"]]
-        assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
-    picture = charts.convergence(series, ["q", "lam"], looks, "end")
-    assert [panel["data"]["name"] for panel in picture["concat"]] == ["q"]
-
-
-def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
-    looks = looks_of([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
-    assert len({(look.color, look.dash, look.shape) for look in looks.values()}) == 8
-
-    def hue(label: str) -> float:
-        color = looks[label].color
-        parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-        return colorsys.rgb_to_hls(*parts)[0] * 360
-
-    alpha = [hue(f"a{i}") for i in range(6)]
-    assert max(alpha) - min(alpha) < 60
-    assert min(abs(hue("b") - h) for h in alpha) > 60
 
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
