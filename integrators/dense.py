@@ -27,7 +27,7 @@ _BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan":
 #: Matrices up to this size are dealt with here; the libraries are faster with larger ones.
 MOST = 32
 #: The same of many matrices side by side.
-MOST_OF_MANY = 12
+MOST_OF_MANY = 13
 #: A power of two above all rows.
 _ROOM = 64
 
@@ -36,10 +36,15 @@ def inverse(a: Any) -> Any:
     """Inverse of a square matrix; where there is none, it is not finite."""
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.inv(a)
-    by_elimination = jax.custom_batching.custom_vmap(_by_elimination)
-    # A batch of matrices is no small system: LAPACK takes them one after the other.
-    by_elimination.def_vmap(lambda size, batched, a: (jnp.linalg.inv(a), True))
-    return by_elimination(a)
+    alone = jax.custom_batching.custom_vmap(_by_elimination)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[bool], a: Any) -> tuple[Any, bool]:
+        if a.shape[1] > MOST_OF_MANY:
+            return jnp.linalg.inv(a), True
+        return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
+
+    return alone(a)
 
 
 def solve(a: Any, b: Any) -> Any:
@@ -47,12 +52,12 @@ def solve(a: Any, b: Any) -> Any:
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.solve(a, b)
     alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
-    many = _side_by_side if len(a) <= MOST_OF_MANY else jax.vmap(jnp.linalg.solve)
 
     @alone.def_vmap
     def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
-        full = (x if b else jnp.stack([x] * size) for x, b in zip(parts, batched, strict=True))
-        return many(*full), True
+        a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
+        many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
+        return many(a, b[:, :, None])[:, :, 0], True
 
     return alone(a, b)
 
@@ -87,16 +92,18 @@ def _by_elimination(a: Any) -> Any:
 
 
 def _side_by_side(a: Any, b: Any) -> Any:
-    """Gauss-Jordan elimination of many matrices with the largest pivots of the columns; the last
-    axis is that of the matrices, as the processor then does the same with several at once."""
-    n = a.shape[1]
-    w = jnp.moveaxis(jnp.concatenate([a, b[:, :, None]], axis=2), 0, 2)
+    """Solutions of a x = b for many matrices a ``(k, n, n)`` and b ``(k, n, m)``.
+
+    Gauss-Jordan elimination with the largest pivots of the columns; the last axis is that of the
+    matrices, as the processor then does the same with several at once.
+    """
+    w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
     # XLA would compute all that is cheap anew wherever it is used, and eliminate many times over.
     # It does not look into branches, and cannot tell that this is always so.
     always = jnp.isnan(w[0, 0, 0]) | (w[0, 0, 0] <= jnp.inf)
-    for k in range(n):
+    for k in range(a.shape[1]):
         w = jax.lax.cond(always, partial(_eliminated, k), lambda w: jnp.zeros_like(w[:, 1:]), w)
-    return w[:, 0].T
+    return jnp.moveaxis(w, 2, 0)
 
 
 def _eliminated(k: int, w: Any) -> Any:

@@ -44,10 +44,12 @@ def test_lapack_is_called_for_large_matrices_alone(n, called):
     assert ("lapack" in jax.jit(dense.inverse).lower(jnp.eye(n)).as_text()) is called
 
 
-def test_a_batch_goes_to_lapack():
-    many = RANDOM.normal(size=(6, 4, 4))
+@pytest.mark.parametrize(("n", "called"), [(4, False), (dense.MOST_OF_MANY + 1, True)])
+def test_large_matrices_in_a_batch_go_to_lapack(n, called):
+    many = RANDOM.normal(size=(6, n, n))
+    many[1, 0, 0] = 0.0
     batched = jax.jit(jax.vmap(dense.inverse))
-    assert "lapack" in batched.lower(many).as_text()
+    assert ("lapack" in batched.lower(many).as_text()) is called
     assert np.allclose(batched(many), np.linalg.inv(many))
 
 
