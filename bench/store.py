@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
+from typing import IO
 
 import msgspec
 
 from bench.atlas.results import ExperimentResult
 from bench.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
 
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks; two runs in one folder are not kept apart there
+    fcntl = None
+
 FILE = "stepbench.sqlite"
+#: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
+#: Not the database itself, whose own locks SQLite would lose when another file object is closed.
+_LOCK = ".stepbench.lock"
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value BLOB NOT NULL);
@@ -58,16 +67,18 @@ class Store:
     ------
     StoreError
         If there is no store (without ``create``), it cannot be read or written, or it was
-        written by another version of the schema.
+        written by another version of the schema; with ``create``, if somebody else writes to it.
     """
 
     def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
         self.folder = Path(folder)
         self._path = path = self.folder / FILE
         opened: sqlite3.Connection | None = None
+        self._lock: IO[bytes] | None = None
         try:
             if create:
                 self.folder.mkdir(parents=True, exist_ok=True)
+                self._lock = _locked(self.folder)
                 if fresh:
                     _remove(path)
                 opened = sqlite3.connect(path, isolation_level=None, timeout=30.0)
@@ -80,8 +91,9 @@ class Store:
                 )
             _check_schema(opened, path)
         except (OSError, sqlite3.Error, StoreError) as error:
-            if opened is not None:
-                opened.close()
+            for part in (opened, self._lock):
+                if part is not None:
+                    part.close()
             if isinstance(error, StoreError):
                 raise
             raise StoreError(f"The store {path} cannot be opened ({error}); {_WAY_OUT}.") from error
@@ -90,6 +102,8 @@ class Store:
     def close(self) -> None:
         """Close the file; the write-ahead log is folded in."""
         self._db.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def __enter__(self) -> Store:
         return self
@@ -229,6 +243,24 @@ class Store:
             f"The store in {self.folder} cannot be written ({error}); free some space or choose "
             f"another --out. What was stored before is intact."
         )
+
+
+def _locked(folder: Path) -> IO[bytes] | None:
+    """A file that is locked until it is closed."""
+    if fcntl is None:
+        return None
+    lock = (folder / _LOCK).open("ab")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise StoreError(
+            f"Another run is writing into {folder}; wait for its end, or give another --out."
+        ) from None
+    except OSError:  # a file system that knows no locks
+        lock.close()
+        return None
+    return lock
 
 
 def _remove(path: Path) -> None:

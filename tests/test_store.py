@@ -285,6 +285,18 @@ def test_a_store_is_read_while_a_run_writes_it(tmp_path):
         assert list(reader.records()) == ["k"]
 
 
+def test_two_runs_do_not_write_into_one_folder(tmp_path, stepbench):
+    with Store(tmp_path, create=True) as store:
+        store.save(a_record(), NO_ROWS)
+        for fresh in ([], ["--fresh"]):
+            answer = stepbench("run", "quick", "--out", tmp_path, *fresh)
+            assert answer.exit_code != 0
+            assert f"Another run is writing into {tmp_path}; wait for its end" in answer.output
+        assert set(store.records()) == {"k"}
+    with Store(tmp_path, create=True) as store:
+        assert set(store.records()) == {"k"}
+
+
 def test_a_store_in_a_folder_with_signs_of_a_uri_is_read(tmp_path):
     folder = filled(tmp_path / "50% #1?mode=rwc&x ü")
     with Store(folder) as store:
@@ -293,9 +305,10 @@ def test_a_store_in_a_folder_with_signs_of_a_uri_is_read(tmp_path):
 
 def test_a_store_in_a_read_only_folder_is_read(shared):
     filled(shared)
+    files = set(shared.iterdir())
     with no_right_to_write(shared), Store(shared) as store:
         assert store.records()["k"].run_s == [1.0]
-    assert [file.name for file in shared.iterdir()] == [FILE]
+    assert set(shared.iterdir()) == files
 
 
 def test_rows_in_a_log_that_cannot_be_read_are_not_passed_over(shared):
