@@ -29,7 +29,7 @@ from problems import spec
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.march import StepMethod
+    from integrators.native.time_loop import StepMethod
 
 #: How a run can end; only "ok" has a complete trajectory.
 STATUSES = (
@@ -257,7 +257,7 @@ class Integrator(ABC):
 
     def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
         """What runs in numbers as one program: itself on a scene as pure functions of a state (see
-        integrators.march); None if it is not written so or chooses its steps."""
+        integrators.native.time_loop); None if it is not written so or chooses its steps."""
         return None
 
     def supports(self, scene: MechatronicSystem) -> str | None:

@@ -319,11 +319,11 @@ class Start(NamedTuple):
 
 def _start_of_large(scene: MechatronicSystem, state: State, t: float) -> tuple | None:
     """The start by sparse algebra; None for a scene that is small, or whose pattern is unknown."""
-    from problems import large
+    from problems import sparse_initial_values
 
     if is_large(scene):
         with contextlib.suppress(sparsity.NoPattern):
-            return large.start_of(scene, state, t)
+            return sparse_initial_values.start_of(scene, state, t)
     return None
 
 

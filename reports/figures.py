@@ -12,11 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.records import Rows
+from bench.results.records import Rows
 from problems.spec import SpecError, suggest
-from reports.marks import Data, Spec, View
-from reports.panels import component as component_name
-from reports.panels import (
+from reports.charts.panels import component as component_name
+from reports.charts.panels import (
     error_data,
     error_panel,
     floor_rule,
@@ -25,8 +24,9 @@ from reports.panels import (
     slope_guides,
     wide_rows,
 )
-from reports.paper import FORMATS, looks_on_paper, on_paper
-from reports.selection import Selection, group_and_norm, group_and_place
+from reports.charts.paper_style import FORMATS, looks_on_paper, on_paper
+from reports.charts.selection import Selection, group_and_norm, group_and_place
+from reports.charts.vega import Data, Spec, View
 from reports.series import Series, words
 
 COSTS = {
@@ -71,7 +71,7 @@ def work_precision(
     ------
     SpecError
         If a name is not known, or there is nothing to draw.
-    bench.store.StoreError
+    bench.results.store.StoreError
         If the folder holds no readable store.
     ImportError
         If Altair is not installed.

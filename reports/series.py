@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from bench.orders import Fit, fit_order
-from bench.records import GROUPS, Record, median
+from bench.results.orders import Fit, fit_order
+from bench.results.records import GROUPS, Record, median
 
 #: Names as a reader knows them.
 GROUP_NAMES = {

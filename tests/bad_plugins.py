@@ -12,7 +12,7 @@ import numpy as np
 
 from integrators import Integrator, PreparedRun, Trajectory, option
 from problems import State
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
 
 
 class Run(PreparedRun):

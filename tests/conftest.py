@@ -27,7 +27,7 @@ def _forget_programs():
 @pytest.fixture
 def stepbench():
     """Run a command line in this process; returns click's result."""
-    from bench.cli import main
+    from bench.commands.main import main
 
     def call(*arguments: object) -> Result:
         return CliRunner().invoke(main, [str(argument) for argument in arguments])

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
-from bench.records import NORMS, Environment, Plan, Record, Rows, SceneRecord, Study
-from bench.store import Store
+from bench.results.records import NORMS, Environment, Plan, Record, Rows, SceneRecord, Study
+from bench.results.store import Store
 
 STEPS = [0.1 / 2**k for k in range(6)]
 ATTACK = "Newton stopped at t=0.1 s: <script>alert(1)</script> | residual 1e3; take a smaller step."

@@ -9,17 +9,18 @@ import pytest
 from helpers import slope
 from scipy.integrate import solve_ivp
 
-from integrators import Steps, Tolerances, alpha_adaptive
-from integrators.alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.alpha_family import GeneralizedAlpha
+from integrators import Steps, Tolerances
 from integrators.contract import FIRST_ROWS, SPREAD_ROWS
+from integrators.methods import generalized_alpha_adaptive
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from problems import MechatronicSystem, State, jnp, parameter
-from problems.duffing import Duffing
 from problems.formulations import compiled, consistent_start
-from problems.pendulum import Pendulum
 from problems.reference import Reference
-from problems.soft_impact import SoftImpact
-from problems.spring_mass import SpringMass
+from problems.scenes.duffing import Duffing
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.soft_impact import SoftImpact
+from problems.scenes.spring_mass import SpringMass
 
 TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8]
 GROUPS = ("q", "v", "a", "lam", "x")
@@ -98,8 +99,8 @@ def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
 
 
 def test_a_wrong_estimate_would_be_seen(monkeypatch):
-    right = alpha_adaptive._bend
-    monkeypatch.setattr(alpha_adaptive, "_bend", lambda *args: -right(*args))
+    right = generalized_alpha_adaptive._bend
+    monkeypatch.setattr(generalized_alpha_adaptive, "_bend", lambda *args: -right(*args))
     pairs = local_errors(GeneralizedAlphaAdaptive(), Duffing(), RATIOS, h=0.001)
     assert any(np.abs(e - t).max() > 0.1 * np.abs(t).max() for e, t in pairs)
 

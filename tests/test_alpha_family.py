@@ -11,14 +11,20 @@ from helpers import errors_at, local_slopes, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
-from integrators import Steps, alpha_step, march
-from integrators.alpha_family import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.alpha_step import first_order_parameters, second_order_parameters, updated_weight
+from integrators import Steps
 from integrators.contract import FIRST_ROWS, SPREAD_ROWS, spread_rows
+from integrators.methods import generalized_alpha_step
+from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
+from integrators.methods.generalized_alpha_step import (
+    first_order_parameters,
+    second_order_parameters,
+    updated_weight,
+)
+from integrators.native import time_loop
 from problems import MechatronicSystem, State, formulations, jnp, parameter
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
-from problems.spring_mass import SpringMass
 
 # Steps of Fig. 6 of Bruels & Arnold (2008) that are in the asymptotic range.
 FINE_MACRO_STEPS = [0.2 * 2.0**-k for k in (5, 6, 7, 8)]
@@ -30,11 +36,11 @@ def mutant(monkeypatch):
 
     def plant(module, name, wrong):
         monkeypatch.setattr(module, name, wrong)
-        march.kernel.cache_clear()
+        time_loop.kernel.cache_clear()
 
     yield plant
     monkeypatch.undo()
-    march.kernel.cache_clear()
+    time_loop.kernel.cache_clear()
 
 
 # ---- digits ----------------------------------------------------------------------------
@@ -98,7 +104,7 @@ def test_figure_6_is_missed_with_the_step_ratio_upside_down(mutant):
             # turns shift into shift * s^2.
             return updated_weight(alpha_m, alpha_f, shift * (h / (macro - h)) ** 2, h)
 
-        mutant(alpha_step, "updated_weight", inverted)
+        mutant(generalized_alpha_step, "updated_weight", inverted)
         method = GeneralizedAlpha(gamma="updated")
         errors.append(errors_at(method, SpringMass(), 5.0, macro, (0.3, 0.7)))
     for group in ("q", "v", "a", "x"):
@@ -257,7 +263,7 @@ class Jump(MechatronicSystem):
 
 
 def test_schemes_steps_patterns_and_parameters_compile_nothing_new():
-    march.kernel.cache_clear()
+    time_loop.kernel.cache_clear()
     scene = SpringMass()
     GeneralizedAlpha().prepare(scene, 5.0, Steps(0.1)).measure()
     compiled = GeneralizedAlpha().kernel(scene)

@@ -11,21 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from integrators import Steps
-from integrators.alpha_family import (
+from integrators.methods.generalized_alpha import (
     GeneralizedAlpha,
     GeneralizedAlphaClassical,
     HHTClassical,
     WBZClassical,
 )
-from integrators.alpha_step import (
+from integrators.methods.generalized_alpha_step import (
     first_order_parameters,
     safe_ratio,
     second_order_parameters,
     updated_weight,
 )
 from problems import MechatronicSystem, State, formulations, jnp
-from problems.pendulum import Pendulum
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 STEPS = [0.005, 0.0025, 0.00125]
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from bench.measure import rows_of
+from bench.running.measure import rows_of
 from integrators import Steps
-from integrators.alpha_family import HHT, GeneralizedAlpha, HHTClassical, Newmark
-from integrators.alpha_step import updated_weight
+from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, HHTClassical, Newmark
+from integrators.methods.generalized_alpha_step import updated_weight
 from problems import MechatronicSystem, State, jnp
 from problems.formulations import consistent_start
-from problems.pendulum import Pendulum
-from problems.soft_impact import SoftImpact
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.soft_impact import SoftImpact
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError, build
-from problems.spring_mass import SpringMass
 
 
 def run_of(method, scene, h, pattern=(1.0,)):

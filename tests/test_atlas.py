@@ -12,12 +12,12 @@ import pytest
 
 from bench.atlas.conditioning import condition
 from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
-from bench.atlas.laboratory import run_experiments
 from bench.atlas.measures import number_of
 from bench.atlas.results import bounds
-from bench.registry import Registry
-from bench.store import Store
-from problems.pendulum import Pendulum
+from bench.atlas.runs import run_experiments
+from bench.plugins.registry import Registry
+from bench.results.store import Store
+from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
 NAMES = list(built_in_experiments())

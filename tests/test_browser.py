@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from planted import everything, plant
 
-from bench.store import Store
-from reports import html
+from bench.results.store import Store
+from reports.pages import html
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(

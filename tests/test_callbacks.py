@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from integrators.callbacks import Packed, all_finite
+from integrators.adapters.callbacks import Packed, all_finite
 from problems import jnp
 from problems.runtime import jax
 

@@ -10,7 +10,7 @@ import sys
 import pandas as pd
 import pytest
 
-from bench.cli import main
+from bench.commands.main import main
 
 DIGITS = {
     "q": -0.569897683826460,
@@ -199,8 +199,8 @@ def test_records_open_in_pandas(stepbench, tmp_path):
 
 
 def test_select_and_add_on_the_command_line(tmp_path):
-    from bench.plan import make_suite, read_profile
-    from bench.registry import Registry
+    from bench.plugins.registry import Registry
+    from bench.running.plan import make_suite, read_profile
 
     registry = Registry()
     name, profile = read_profile("quick")
@@ -217,8 +217,8 @@ def test_select_and_add_on_the_command_line(tmp_path):
 
 
 def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
-    from bench.plan import make_suite, read_profile
-    from bench.registry import Registry
+    from bench.plugins.registry import Registry
+    from bench.running.plan import make_suite, read_profile
 
     suite = make_suite(*read_profile("quick"), Registry(), ["pendulum"], ["newmark", "ida"])
     first, second = suite.plan.studies
@@ -239,7 +239,7 @@ def test_help_has_examples_for_every_command(stepbench):
 @pytest.mark.parametrize("arguments", [["--help"], ["list"]])
 def test_help_and_list_do_not_wait_for_heavy_libraries(arguments):
     code = (
-        "import sys; from bench.cli import main\n"
+        "import sys; from bench.commands.main import main\n"
         f"try: main({arguments})\nexcept SystemExit: pass\n"
         "heavy = {'jax', 'scipy', 'diffrax', 'sksundae', 'altair'} & set(sys.modules)\n"
         "assert not heavy, heavy"

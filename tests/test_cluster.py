@@ -9,10 +9,10 @@ import time
 
 import pytest
 
-from bench.cluster import ClusterRunner
-from bench.plan import Cell
-from bench.runner import Lost, Runner, Task
-from bench.store import Store
+from bench.results.store import Store
+from bench.running.cluster import ClusterRunner
+from bench.running.plan import Cell
+from bench.running.runner import Lost, Runner, Task
 from integrators.contract import Steps
 from problems.spec import SpecError
 
@@ -21,7 +21,7 @@ distributed = pytest.importorskip("distributed")
 PLUGIN = """
 import os, time
 from dataclasses import dataclass
-from integrators.alpha_family import GeneralizedAlpha
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 
 @dataclass(frozen=True)
 class Slow(GeneralizedAlpha):
@@ -126,7 +126,7 @@ def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
 def test_a_cluster_that_does_not_answer_costs_one_sentence(
     stepbench, tmp_path, monkeypatch, address
 ):
-    monkeypatch.setattr("bench.cluster._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("bench.running.cluster._CONNECT_SECONDS", 0.5)
     (tmp_path / "p.toml").write_text(PROFILE)
     result = stepbench("run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster", address)
     assert result.exit_code != 0

@@ -12,10 +12,10 @@ import msgspec
 import pytest
 from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
 
-from bench.compare import compare, read_limits, regressions
-from bench.records import Record, median
-from bench.store import FILE, Store
-from reports import comparison
+from bench.results.compare import compare, read_limits, regressions
+from bench.results.records import Record, median
+from bench.results.store import FILE, Store
+from reports.pages import comparison
 
 FREE = {"q": (1.0, 2), "a": (3.0, 2)}
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from planted import plant, planted
 
-from bench.compare import compare
-from bench.store import Store
+from bench.results.compare import compare
+from bench.results.store import Store
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.conformance.checker import CHECKS, Checker, examine
-from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
-from bench.registry import Registry
+from bench.plugins.conformance.checker import CHECKS, Checker, examine
+from bench.plugins.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
+from bench.plugins.registry import Registry
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"
 
@@ -134,7 +134,7 @@ def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_
     file = tmp_path / "heavy.py"
     file.write_text(
         "from dataclasses import dataclass\n"
-        "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+        "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
         "@dataclass(frozen=True)\nclass HeavyBob(Pendulum):\n    'A heavy bob.'\n"
         "    m: float = parameter(50.0, '', 'mass')\n"
     )

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from integrators import counting
-from integrators.counting import Counts, run_counted, watch
+from integrators.adapters import counting
+from integrators.adapters.counting import Counts, run_counted, watch
 from problems import jax, jnp
 
 
@@ -111,7 +111,7 @@ MEASURE = """
 import json
 from probe import Probe
 from integrators import Tolerances
-from integrators.diffrax_solvers import Kvaerno5
+from integrators.adapters.diffrax_methods import Kvaerno5
 from problems import jax
 
 missed = []

@@ -10,13 +10,14 @@ import msgspec
 import pytest
 from planted import Document, everything, plant
 
-from bench import damping as analysis
-from bench.plan import make_suite, read_profile
-from bench.records import Damping, IntegratorFacts, Plan, Rows, SceneRecord
-from bench.registry import Registry
-from bench.runner import Lost, Task
-from bench.store import Store
-from reports import damping, html, markdown
+from bench.plugins.registry import Registry
+from bench.results.records import Damping, IntegratorFacts, Plan, Rows, SceneRecord
+from bench.results.store import Store
+from bench.running import damping as analysis
+from bench.running.plan import make_suite, read_profile
+from bench.running.runner import Lost, Task
+from reports.pages import html, markdown
+from reports.text import damping
 
 PROFILE = """
 samples = 0

@@ -5,60 +5,60 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from integrators import dense
+from integrators.native import small_matrices
 from problems import jax, jnp
 
 RANDOM = np.random.default_rng(7)
 
 
-@pytest.mark.parametrize("n", [1, 2, 13, dense.MOST])
+@pytest.mark.parametrize("n", [1, 2, 13, small_matrices.MOST])
 def test_the_inverse_is_that_of_lapack(n):
     a = RANDOM.normal(size=(n, n))
     wanted = np.linalg.inv(a)
-    assert np.abs(dense.inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
+    assert np.abs(small_matrices.inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
 def test_pivots_are_looked_for_where_the_diagonal_is_zero():
     a = np.eye(5)[[3, 0, 4, 1, 2]] * np.array([1.0, -2, 3, -4, 5])
-    assert np.array_equal(dense.inverse(a) @ a, np.eye(5))
+    assert np.array_equal(small_matrices.inverse(a) @ a, np.eye(5))
 
 
 def test_large_pivots_keep_the_digits():
     a = np.array([[1e-17, 1.0], [1.0, 1.0]])
-    assert np.allclose(dense.solve(a, np.array([1.0, 2.0])), [1.0, 1.0], rtol=1e-15)
+    assert np.allclose(small_matrices.solve(a, np.array([1.0, 2.0])), [1.0, 1.0], rtol=1e-15)
 
 
 def test_a_singular_matrix_has_no_finite_inverse():
-    assert not np.isfinite(dense.inverse(np.ones((3, 3)))).all()
-    assert not np.isfinite(dense.inverse(np.full((3, 3), np.nan))).any()
+    assert not np.isfinite(small_matrices.inverse(np.ones((3, 3)))).all()
+    assert not np.isfinite(small_matrices.inverse(np.full((3, 3), np.nan))).any()
 
 
-@pytest.mark.parametrize(("rows", "n"), [(3, 1), (4, 13), (2, dense.MOST + 1)])
+@pytest.mark.parametrize(("rows", "n"), [(3, 1), (4, 13), (2, small_matrices.MOST + 1)])
 def test_the_product_with_a_vector(rows, n):
     a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
-    assert np.allclose(dense.product(a, b), a @ b, rtol=1e-13, atol=1e-14)
+    assert np.allclose(small_matrices.product(a, b), a @ b, rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize(("n", "called"), [(5, False), (dense.MOST + 1, True)])
+@pytest.mark.parametrize(("n", "called"), [(5, False), (small_matrices.MOST + 1, True)])
 def test_lapack_is_called_for_large_matrices_alone(n, called):
-    assert ("lapack" in jax.jit(dense.inverse).lower(jnp.eye(n)).as_text()) is called
+    assert ("lapack" in jax.jit(small_matrices.inverse).lower(jnp.eye(n)).as_text()) is called
 
 
-@pytest.mark.parametrize(("n", "called"), [(4, False), (dense.MOST_OF_MANY + 1, True)])
+@pytest.mark.parametrize(("n", "called"), [(4, False), (small_matrices.MOST_OF_MANY + 1, True)])
 def test_large_matrices_in_a_batch_go_to_lapack(n, called):
     many = RANDOM.normal(size=(6, n, n))
     many[1, 0, 0] = 0.0
-    batched = jax.jit(jax.vmap(dense.inverse))
+    batched = jax.jit(jax.vmap(small_matrices.inverse))
     assert ("lapack" in batched.lower(many).as_text()) is called
     assert np.allclose(batched(many), np.linalg.inv(many))
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, dense.MOST_OF_MANY])
+@pytest.mark.parametrize("n", [1, 2, 7, small_matrices.MOST_OF_MANY])
 def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
     a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(50)])
     a += 1e-3 * RANDOM.normal(size=a.shape)
     b = RANDOM.normal(size=(50, n))
-    together = jax.jit(jax.vmap(dense.solve))
+    together = jax.jit(jax.vmap(small_matrices.solve))
     assert "lapack" not in together.lower(a, b).as_text()
     wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
     assert np.abs(together(a, b) - wanted).max() < 1e-12
@@ -82,7 +82,7 @@ def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
 )
 def test_sums_give_what_products_gave(formula, a, b):
     a, b = RANDOM.normal(size=a), RANDOM.normal(size=b)
-    rewritten = dense.without_products(lambda a, b: jnp.einsum(formula, a, b))
+    rewritten = small_matrices.without_products(lambda a, b: jnp.einsum(formula, a, b))
     assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
     assert np.allclose(rewritten(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14)
 
@@ -95,13 +95,17 @@ def test_loops_branches_and_calls_are_rewritten():
         return {"total": jax.nn.relu(total), "first": a}
 
     given = RANDOM.normal(size=(3, 3)), {"b": np.eye(3), "rows": RANDOM.normal(size=(2, 3))}
-    rewritten = dense.without_products(function)
+    rewritten = small_matrices.without_products(function)
     assert "dot_general" not in str(jax.make_jaxpr(rewritten)(*given))
     ours, plain = rewritten(*given), function(*given)
     assert all(np.allclose(ours[key], plain[key], rtol=1e-13) for key in ("total", "first"))
 
 
 def test_products_with_vectors_and_large_ones_stay():
-    for a, b in (((9, 9), (9,)), ((9, 9), (9, 1)), ((dense.MOST + 1,) * 2, (dense.MOST + 1,) * 2)):
-        rewritten = dense.without_products(jnp.matmul)
+    for a, b in (
+        ((9, 9), (9,)),
+        ((9, 9), (9, 1)),
+        ((small_matrices.MOST + 1,) * 2, (small_matrices.MOST + 1,) * 2),
+    ):
+        rewritten = small_matrices.without_products(jnp.matmul)
         assert "dot_general" in str(jax.make_jaxpr(rewritten)(jnp.ones(a), jnp.ones(b)))

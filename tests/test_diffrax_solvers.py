@@ -10,9 +10,8 @@ from helpers import errors_at, slope
 from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
-from integrators.counting import run_counted
-from integrators.diffrax_runs import _Marched, _step_functions, adaptive_programs
-from integrators.diffrax_solvers import (
+from integrators.adapters.counting import run_counted
+from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
     Dopri8,
     ImplicitEuler,
@@ -23,10 +22,11 @@ from integrators.diffrax_solvers import (
     Kvaerno4,
     Kvaerno5,
 )
+from integrators.adapters.diffrax_runs import _Marched, _step_functions, adaptive_programs
 from problems import MechatronicSystem, jnp
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError, build
-from problems.spring_mass import SpringMass
 
 IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, KenCarp5)
 

@@ -10,16 +10,16 @@ import pandas as pd
 import pytest
 from test_contributing import EXAMPLES
 
-from bench.axes import number, varied
-from bench.batch import Batch, Run
-from bench.ensemble import ensemble
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.sweeps.batch import Batch, Run
+from bench.sweeps.ensemble import ensemble
+from bench.sweeps.variation import number, varied
 from integrators import Steps, Tolerances
-from integrators.march import Kernel
+from integrators.native.time_loop import Kernel
 from problems import parameter
+from problems.batched_initial_values import consistent_starts
 from problems.formulations import consistent_start
 from problems.spec import SpecError
-from problems.starts import consistent_starts
 
 REGISTRY = Registry()
 GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")

@@ -13,7 +13,7 @@ import zipfile
 import pytest
 from test_contributing import EXAMPLES
 
-from bench.store import Store
+from bench.results.store import Store
 
 DIST = "tiny_plugins-0.1.dist-info"
 ENTRY_POINTS = """

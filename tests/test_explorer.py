@@ -8,8 +8,9 @@ import io
 import pytest
 from planted import curves, everything
 
-from bench.records import NORMS, Rows
-from reports import charts, explorer, rows
+from bench.results.records import NORMS, Rows
+from reports import sampling
+from reports.charts import interactive, studies
 from reports.series import looks_of, series_of
 
 
@@ -31,7 +32,7 @@ def looks(series):
 
 
 def test_the_explorer_holds_every_error_beside_every_cost(series, looks):
-    chart = explorer.explorer(series, ["q", "v", "a", "lam"], looks)
+    chart = interactive.explorer(series, ["q", "v", "a", "lam"], looks)
     rows = table(chart["datasets"]["runs"])
     runs = [(s, r) for s in series for r in s.ok]
     assert len(rows) == len(runs)
@@ -54,11 +55,11 @@ def test_the_explorer_holds_every_error_beside_every_cost(series, looks):
 
 
 def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
-    chart = explorer.explorer(series, ["q"], looks)
+    chart = interactive.explorer(series, ["q"], looks)
     assert "floors" not in chart["datasets"]  # 1e-15, far below
     for record in series[0].records:
         record.reference_error["q"]["max"] = 1e-4
-    chart = explorer.explorer(series, ["q"], looks)
+    chart = interactive.explorer(series, ["q"], looks)
     floors = table(chart["datasets"]["floors"])
     assert [row for row in floors if row["seen"] == "1"] == [
         {"group": "q", "norm": "max", "floor": "0.0001", "seen": "1"}
@@ -70,7 +71,7 @@ def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
 
 
 def test_acceleration_stands_beside_position(series, looks):
-    chart = explorer.accuracy(series, looks, "max")
+    chart = interactive.accuracy(series, looks, "max")
     points = {(float(r["q"]), float(r["a"])) for r in table(chart["datasets"]["accuracy"])}
     wanted = {
         (float(f"{r.errors['q']['max']:.5g}"), float(f"{r.errors['a']['max']:.5g}"))
@@ -78,49 +79,49 @@ def test_acceleration_stands_beside_position(series, looks):
         for r in s.ok
     }
     assert points == wanted
-    assert explorer.accuracy([], looks) is None
+    assert interactive.accuracy([], looks) is None
 
 
 def test_only_what_varies_is_drawn_over_time(looks):
     label = next(iter(looks))
     rows = curves(1.0, {"q": 1})
-    count = len(rows.t)
-    rows.notes = {
+    count = len(sampling.t)
+    sampling.notes = {
         "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
         "gamma": [None, *[0.6] * (count - 1)],
         "position": [0.0, *(1e-12 * k for k in range(1, count))],
     }
-    chart = charts.histories([(label, rows)], looks)
+    chart = studies.histories([(label, rows)], looks)
     drawn = [panel["layer"][0]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert drawn == ["h", "position"]
     values = [row["h"] for row in table(chart["datasets"]["histories"])]
     assert values[0] == ""  # no step led to the start
-    assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
-    assert charts.histories([(label, curves(1.0, {"q": 1}))], looks) is None
+    assert [float(v) for v in values[1:]] == pytest.approx(sampling.notes["h"][1:])
+    assert studies.histories([(label, curves(1.0, {"q": 1}))], looks) is None
 
 
 def test_a_study_chooses_what_is_drawn_over_time(looks):
     label = next(iter(looks))
     rows = curves(1.0, {"q": 5, "x": 2})
-    chart = charts.trajectory(
+    chart = studies.trajectory(
         [(label, rows)], None, ["q", "x"], looks, components=[("q", 4), ("x", 0)]
     )
     fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert fields == ["q4", "x0"]
     first = table(chart["datasets"]["runs"])[0]
-    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
+    assert float(first["q4"]) == pytest.approx(sampling.values["q"][0][4], rel=1e-4)
     assert "q0" not in first
 
 
 def test_a_still_picture_shows_few_rows_and_the_last_among_them():
-    count = 3 * rows.STILL_ROWS + 1
+    count = 3 * sampling.STILL_ROWS + 1
     t = [float(k) for k in range(count)]
     long = Rows(t=t, values={"q": [[2 * x] for x in t]}, notes={"h": t})
-    shown = rows.thinned(long)
-    assert len(shown.t) <= rows.STILL_ROWS + 1
+    shown = sampling.thinned(long)
+    assert len(shown.t) <= sampling.STILL_ROWS + 1
     assert (shown.t[0], shown.t[-1]) == (0.0, t[-1])
     assert shown.values["q"] == [[2 * x] for x in shown.t]
     assert shown.notes["h"] == shown.t
     few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
-    assert rows.thinned(few) == few
-    assert rows.thinned(Rows(t=[], values={})) == Rows(t=[], values={})
+    assert sampling.thinned(few) == few
+    assert sampling.thinned(Rows(t=[], values={})) == Rows(t=[], values={})

@@ -10,9 +10,9 @@ from scipy.optimize import brentq
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems import formulations as form
-from problems.pendulum import Pendulum
 from problems.reference import Reference
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ import pytest
 import vl_convert
 from planted import Document, everything, plant, planted
 
-from bench.records import NORMS
-from bench.store import Store
-from reports import front, html, markdown
+from bench.results.records import NORMS
+from bench.results.store import Store
+from reports.charts import pareto_front
+from reports.pages import html, markdown
 from reports.series import looks_of, series_of
 
 
@@ -29,7 +30,7 @@ def run(name, error, residuals, scene="one", floor=1e-15, **changes):
 
 
 def on_front(records, group="a", cost="residuals"):
-    runs = front.front(series_of(records), group, cost)
+    runs = pareto_front.front(series_of(records), group, cost)
     return [(r.integrator, r.work["residuals"]) for r in runs]
 
 
@@ -70,7 +71,7 @@ def test_the_front_equals_its_definition_on_many_runs():
         theirs = ((o.work["residuals"], o.errors["q"]["max"]) for o in records)
         return any(o[0] <= mine[0] and o[1] <= mine[1] and o != mine for o in theirs)
 
-    found = {r.key for r in front.front(series_of(records), "q", "residuals")}
+    found = {r.key for r in pareto_front.front(series_of(records), "q", "residuals")}
     assert found == {r.key for r in records if not beaten(r)}
     assert 0 < len(found) < len(records)
 
@@ -85,7 +86,7 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
     for record in records:
         record.run_s = [1.0 / record.work["residuals"]] if record.status == "ok" else []
     series = series_of(records)
-    chart = front.chart({"pendulum": series}, looks(records), interactive)
+    chart = pareto_front.chart({"pendulum": series}, looks(records), interactive)
     altair.Chart.from_dict(chart, validate=True)
     assert "<svg" in vl_convert.vegalite_to_svg(chart)
     rows = list(csv.DictReader(io.StringIO(chart["datasets"]["front"])))
@@ -93,14 +94,14 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
     labels = [s.label for s in series if s.ok]
     for group, cost in itertools.product(("q", "a", "lam"), ("seconds", "residuals")):
         marked = {(labels[int(row["s"])], row["run"]) for row in rows if row[f"{group}_{cost}"]}
-        wanted = front.front(series, group, cost)
+        wanted = pareto_front.front(series, group, cost)
         assert marked == {(r.integrator, r.resolution) for r in wanted}
 
 
 def test_a_scene_with_one_integrator_has_no_front():
     alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
-    assert front.chart(alone, looks([run("a", 1, 1)]), True) is None
-    assert front.table(alone, {}) is None
+    assert pareto_front.chart(alone, looks([run("a", 1, 1)]), True) is None
+    assert pareto_front.table(alone, {}) is None
 
 
 def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
@@ -111,7 +112,7 @@ def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
     assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
     with Store(tmp_path) as store:
         series = series_of(r for r in store.records().values() if r.problem == "pendulum")
-    runs = front.front(series, "a", "residuals")
+    runs = pareto_front.front(series, "a", "residuals")
     cell = rows[1]["fewest residual evaluations"]
     for name in {r.integrator for r in runs}:
         said = f"{name} ({sum(r.integrator == name for r in runs)})"

@@ -10,13 +10,13 @@ from helpers import slope
 from scipy.integrate import solve_ivp
 from test_scenes_identities import flipped, options, solved
 
-from bench.measure import relative_errors
+from bench.running.measure import relative_errors
 from integrators import Steps
-from integrators.alpha_family import GeneralizedAlpha
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
 from problems.formulations import compiled, consistent_start
-from problems.full_car import FullCar, FullCarPassive
 from problems.reference import Reference
+from problems.scenes.full_car import FullCar, FullCarPassive
 
 METHOD = GeneralizedAlpha(rho_inf=0.9)
 #: The lane change early and quick, so that a short run meets it.

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from planted import Document
 
-from bench.scenes import drawings, equations, rates, scene_record
-from problems.car_axis import CarAxis
-from problems.pendulum import Pendulum
+from bench.running.scene_records import drawings, equations, rates, scene_record
 from problems.reference import Reference
-from problems.spring_mass import SpringMass
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 
 def test_rates_are_the_eigenvalues_of_the_motion():

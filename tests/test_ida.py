@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from probe import Probe, worst
 
-from integrators import Tolerances, Trajectory, dae
-from integrators.ida import IDA
+from integrators import Tolerances, Trajectory
+from integrators.adapters import dae
+from integrators.adapters.ida import IDA
 from problems import MechatronicSystem
 from problems.formulations import dae_layout
-from problems.pendulum import Pendulum
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 

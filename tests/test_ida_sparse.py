@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
 
-from bench.registry import Registry
-from integrators import Steps, Tolerances, dae, rows
-from integrators.alpha_family import GeneralizedAlpha
-from integrators.ida import IDA
+from bench.plugins.registry import Registry
+from integrators import Steps, Tolerances
+from integrators.adapters import completion, dae
+from integrators.adapters.ida import IDA
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import formulations, jnp, sparsity
-from problems.chain import Chain
 from problems.formulations import dae_layout
-from problems.quarter_car import QuarterCar
-from problems.slider_crank import SliderCrank
+from problems.scenes.chain import Chain
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
-from problems.spring_mass import SpringMass
 
 pytest.importorskip("asdex")
 pytest.importorskip("klujax")
@@ -154,10 +155,10 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
     scene = Chain(links=6)
     z = finished(scene, 0.05)
     states = scene, z.t, z.q, z.v, z.x
-    dense = rows.rows_from_states(*states)
+    dense = completion.rows_from_states(*states)
     monkeypatch.setattr(formulations, "LARGE", 1)
-    monkeypatch.setattr(rows, "compiled", None)
-    sparse = rows.rows_from_states(*states)
+    monkeypatch.setattr(completion, "compiled", None)
+    sparse = completion.rows_from_states(*states)
     for name, values in dense.items():
         assert sparse[name].shape == values.shape
         assert sparse[name] == pytest.approx(values, abs=1e-10 * np.abs(values).max(initial=1.0))
@@ -219,7 +220,7 @@ def test_another_word_is_refused_with_the_words_that_are_allowed():
 def test_a_run_that_ends_before_its_first_factorisation_does_not_crash_the_process():
     program = (
         "from integrators import Tolerances\n"
-        "from integrators.ida import IDA\n"
+        "from integrators.adapters.ida import IDA\n"
         "from probe import Probe\n"
         "run = IDA(linear_solver='sparse').prepare(Probe(breaks_at=0.0), 2.0, Tolerances(1e-6))\n"
         "end = run.measure()\n"

@@ -10,11 +10,11 @@ from pathlib import Path
 import jax
 import pytest
 
-from bench import worker
-from bench.plan import Cell
-from bench.registry import Registry
-from bench.session import solve_cells
-from bench.store import Store
+from bench.plugins.registry import Registry
+from bench.results.store import Store
+from bench.running import worker
+from bench.running.plan import Cell
+from bench.running.session import solve_cells
 from integrators import Steps
 
 PLUGINS = Path(__file__).parent / "bad_plugins.py"
@@ -64,7 +64,7 @@ def test_a_crash_while_timing_keeps_the_measured_row():
 
 def test_a_reference_that_fails_is_not_the_integrators_fault(stepbench, tmp_path):
     (tmp_path / "odd.py").write_text(
-        "from problems.pendulum import Pendulum\nimport numpy as np\n"
+        "from problems.scenes.pendulum import Pendulum\nimport numpy as np\n"
         "class OddPendulum(Pendulum):\n    'A closed form that forgets v after the start.'\n"
         "    interval = (0, 1)\n"
         "    def exact(self, t):\n        full = super().exact(t)\n"
@@ -86,7 +86,7 @@ def test_an_edited_plugin_is_measured_anew(stepbench, tmp_path):
         "integrators = ['newmark', 'newmark']\nsteps = [0.1, 0.1]\n"
     )
     code = (
-        "from problems.spring_mass import SpringMass\n"
+        "from problems.scenes.spring_mass import SpringMass\n"
         "class SoftSpring(SpringMass):\n    '{0}'\n"
         "    def force(self, q, v, t):\n        return -{0} * q\n"
     )
@@ -155,7 +155,8 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
         ("raise SystemExit('bye')\n", "SystemExit: bye"),
         ("x = 1\n", "defines no MechatronicSystem"),
         (
-            "from problems.pendulum import Pendulum as P\nclass Pendulum(P):\n    'Another.'\n",
+            "from problems.scenes.pendulum import Pendulum as P\n"
+            "class Pendulum(P):\n    'Another.'\n",
             "is taken by stepbench",
         ),
         (
@@ -164,7 +165,7 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
             "it lacks mass, force, initial_state",
         ),
         (
-            "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+            "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
             "class Bare(Pendulum):\n    'No decorator.'\n    c = parameter(1.0, 'kg', 'c')\n",
             "decorate Bare",
         ),
@@ -190,7 +191,7 @@ def test_a_broken_plugin_is_listed_with_its_reason_and_stops_nothing(
 def test_a_plugin_file_takes_part_by_its_name(stepbench, tmp_path):
     (tmp_path / "heavy.py").write_text(
         "from dataclasses import dataclass\n"
-        "from problems import parameter\nfrom problems.pendulum import Pendulum\n"
+        "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
         "@dataclass(frozen=True)\nclass HeavyBob(Pendulum):\n    'A heavy bob.'\n"
         "    m: float = parameter(50.0, 'kg', 'mass')\n"
     )

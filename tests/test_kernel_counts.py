@@ -14,16 +14,17 @@ import numpy as np
 import pytest
 from benchmarks import opponents
 
-from integrators import Steps, Tolerances, dense, march
-from integrators.alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.alpha_family import GeneralizedAlpha
-from integrators.counting import run_counted, watch
+from integrators import Steps, Tolerances
+from integrators.adapters.counting import run_counted, watch
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.native import small_matrices, time_loop
 from problems import jnp, runtime
-from problems.chain import Chain
-from problems.heavy_top import HeavyTop
-from problems.pendulum import Pendulum
-from problems.quarter_car import QuarterCar
-from problems.slider_crank import SliderCrank
+from problems.scenes.chain import Chain
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrank
 
 KINDS = ("full", "modified")
 pytestmark = pytest.mark.skipif(
@@ -88,12 +89,12 @@ def test_so_is_the_march_of_chosen_steps():
 
 
 def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
-    monkeypatch.setattr(dense, "without_products", lambda function: function)
-    march.kernel.cache_clear()
+    monkeypatch.setattr(small_matrices, "without_products", lambda function: function)
+    time_loop.kernel.cache_clear()
     try:
         assert not Program(prepared(SliderCrank())).joined()
     finally:
-        march.kernel.cache_clear()
+        time_loop.kernel.cache_clear()
 
 
 @pytest.mark.parametrize("newton", KINDS)
@@ -137,7 +138,7 @@ def test_what_is_counted_is_what_was_done(newton):
 
 
 def test_schemes_steps_and_parameters_compile_nothing_new():
-    march.kernel.cache_clear()
+    time_loop.kernel.cache_clear()
     run = prepared(SliderCrank(), "modified")
     prepared(SliderCrank(l1=0.1, w0=3.0), "modified", steps=123)
     GeneralizedAlpha(rho_inf=0.3, newton="modified").prepare(

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from planted import Document
 
-from bench.axes import axis
-from bench.maps import OUTCOMES, outcome_map
-from bench.measure import relative_errors
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.running.measure import relative_errors
+from bench.sweeps.outcome_map import OUTCOMES, outcome_map
+from bench.sweeps.variation import axis
 from integrators import Steps, Tolerances
 from problems.reference import Reference
-from reports.maps import _between, _png, _ticks
+from reports.pages.outcome_map import _between, _png, _ticks
 
 REGISTRY = Registry()
 ADAPTIVE = "generalized_alpha_adaptive[newton=modified]"

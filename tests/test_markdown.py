@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from planted import edited, everything, plant
 
-from bench.compare import compare
-from bench.store import Store
-from reports import comparison, gallery, markdown
+from bench.results.compare import compare
+from bench.results.store import Store
+from reports.pages import catalogue, comparison, markdown
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md")]
@@ -88,7 +88,7 @@ def test_a_comparison_has_no_faults(folder, tmp_path):
 
 def test_the_catalogue_has_no_faults(folder, tmp_path):
     with Store(folder) as store:
-        pages = gallery.catalogue(list(store.scenes().values()), tmp_path)
+        pages = catalogue.catalogue(list(store.scenes().values()), tmp_path)
     (path,) = [p for p in pages if p.suffix == ".md"]
     assert faults(path) == []
     assert missing(path) == []

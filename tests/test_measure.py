@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.measure import histories, rows_of
-from bench.records import GROUPS, Record
-from bench.store import Store
+from bench.results.records import GROUPS, Record
+from bench.results.store import Store
+from bench.running.measure import histories, rows_of
 from integrators.contract import Trajectory
-from problems.pendulum import Pendulum
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 TIMES = np.linspace(0.0, 0.4, 5)
 

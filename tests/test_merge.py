@@ -9,10 +9,10 @@ import msgspec
 import pytest
 from planted import STEPS, edited, everything, plant, planted
 
-from bench.compare import compare
-from bench.merge import merge
-from bench.records import Record
-from bench.store import FILE, Store
+from bench.results.compare import compare
+from bench.results.merge import merge
+from bench.results.records import Record
+from bench.results.store import FILE, Store
 
 FREE = {"q": (1.0, 2), "a": (3.0, 2)}
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.orders import fit_order
+from bench.results.orders import fit_order
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
 

@@ -11,7 +11,8 @@ import sys
 import pytest
 from planted import Document, plant, planted
 
-from reports import html, markdown, pictures
+from reports.charts import rendering
+from reports.pages import html, markdown
 
 
 def line(name, text="a,b\n1,2\n"):
@@ -36,13 +37,13 @@ def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
     started = []
     popen = subprocess.Popen
     monkeypatch.setattr(
-        pictures.subprocess, "Popen", lambda *a, **k: started.append(a) or popen(*a, **k)
+        rendering.subprocess, "Popen", lambda *a, **k: started.append(a) or popen(*a, **k)
     )
-    pictures.draw(CHARTS, tmp_path / "one")
+    rendering.draw(CHARTS, tmp_path / "one")
     assert started == []
-    monkeypatch.setattr(pictures, "_WORTH", 400)
-    monkeypatch.setattr(pictures, "_cores", lambda: 2)
-    pictures.draw(CHARTS, tmp_path / "two")
+    monkeypatch.setattr(rendering, "_WORTH", 400)
+    monkeypatch.setattr(rendering, "_cores", lambda: 2)
+    rendering.draw(CHARTS, tmp_path / "two")
     assert len(started) == 1
     assert drawn(tmp_path / "one") == drawn(tmp_path / "two")
     assert set(drawn(tmp_path / "one")) == {f"{name}.svg" for name in CHARTS}
@@ -51,17 +52,17 @@ def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("worth", [10**9, 100])
 def test_a_chart_that_cannot_be_drawn_says_so(tmp_path, monkeypatch, worth):
-    monkeypatch.setattr(pictures, "_WORTH", worth)
-    monkeypatch.setattr(pictures, "_cores", lambda: 2)
+    monkeypatch.setattr(rendering, "_WORTH", worth)
+    monkeypatch.setattr(rendering, "_cores", lambda: 2)
     # The larger part is drawn here, the smaller one by the other engine.
     charts = {"good": line("good", "a,b\n" + "1,2\n" * 99), "bad": {"mark": "no such mark"}}
     with pytest.raises(RuntimeError, match="bad cannot be drawn"):
-        pictures.draw(charts, tmp_path)
+        rendering.draw(charts, tmp_path)
 
 
 def test_shares_are_of_about_the_same_size():
     texts = {str(n): "x" * n for n in (70, 40, 30, 20, 10)}
-    shares = pictures._shares(texts, 2)
+    shares = rendering._shares(texts, 2)
     assert sorted(sum(map(len, share.values())) for share in shares) == [80, 90]
     assert sorted(name for share in shares for name in share) == sorted(texts)
 
@@ -70,9 +71,9 @@ def test_an_engine_does_not_import_what_lies_where_the_user_stands(tmp_path):
     (tmp_path / "reports").mkdir()
     (tmp_path / "reports" / "__init__.py").write_text("raise SystemExit('the wrong one')")
     code = (
-        "from pathlib import Path; from reports import pictures; "
-        "pictures._WORTH, pictures._cores = 1, lambda: 2; "
-        f"pictures.draw({ {k: CHARTS[k] for k in list(CHARTS)[:2]}!r}, Path('out'))"
+        "from pathlib import Path; from reports.charts import rendering; "
+        "rendering._WORTH, rendering._cores = 1, lambda: 2; "
+        f"rendering.draw({ {k: CHARTS[k] for k in list(CHARTS)[:2]}!r}, Path('out'))"
     )
     subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, check=True)
     assert len(list((tmp_path / "out").iterdir())) == 2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bench.plan import built_in_profiles, make_suite, read_profile
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.running.plan import built_in_profiles, make_suite, read_profile
 from problems.spec import SpecError
 
 STUDY = """

@@ -8,11 +8,11 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from bench.options import ShortErrors
+from bench.commands.options import ShortErrors
 
 HEAD = """
 from dataclasses import dataclass
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
 from problems import parameter
 """
 SCENE = """
@@ -59,8 +59,8 @@ def test_what_a_plugin_prints_at_import_stays_out_of_the_json(listed):
 
 
 def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
-    from bench.registry import _checked
-    from problems.pendulum import Pendulum
+    from bench.plugins.registry import _checked
+    from problems.scenes.pendulum import Pendulum
 
     def load():
         print("hello")

@@ -8,13 +8,13 @@ from helpers import slope
 from scipy.integrate import solve_ivp
 from test_scenes_identities import flipped
 
-from bench.measure import relative_errors
+from bench.running.measure import relative_errors
 from integrators import Steps
-from integrators.alpha_family import GeneralizedAlpha
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax
 from problems.formulations import compiled, consistent_start
-from problems.quarter_car import QuarterCar
 from problems.reference import Reference
+from problems.scenes.quarter_car import QuarterCar
 
 
 def random_states():

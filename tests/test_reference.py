@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from problems.pendulum import Pendulum
 from problems.reference import Reference
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 # t, q, v, a, x, xdot of the controlled spring-mass with the parameters of Bruels & Arnold
 # (2008), computed independently in extended precision.

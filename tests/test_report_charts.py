@@ -12,8 +12,8 @@ import pytest
 import vl_convert
 from planted import STEPS, everything, planted
 
-from bench.records import NORMS
-from reports import charts, explorer
+from bench.results.records import NORMS
+from reports.charts import interactive, studies
 from reports.series import looks_of, series_of
 
 
@@ -23,12 +23,12 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         record.run_s = [1e-3, 2e-3]
     series = series_of(records)
     looks = looks_of((s.label, s.family) for s in series)
-    convergence = charts.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True)
+    convergence = studies.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True)
     assert len(convergence["concat"]) == 4
     for chart in (
         convergence,
-        explorer.explorer(series, ["q", "v", "a", "lam"], looks),
-        explorer.accuracy(series, looks, interactive=True),
+        interactive.explorer(series, ["q", "v", "a", "lam"], looks),
+        interactive.accuracy(series, looks, interactive=True),
     ):
         altair.Chart.from_dict(chart, validate=True)
         vega = json.dumps(vl_convert.vegalite_to_vega(chart))
@@ -43,7 +43,7 @@ def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
     records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
     series = series_of(records)
     looks = looks_of((s.label, s.family) for s in series)
-    svg = vl_convert.vegalite_to_svg(charts.convergence(series, ["q", "lam"], looks))
+    svg = vl_convert.vegalite_to_svg(studies.convergence(series, ["q", "lam"], looks))
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
     assert "m: order q 2.00, lam 1.00" in text
     assert "n: order q 2.00, lam 0.00" in text
@@ -68,12 +68,12 @@ def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
     series = series_of(records)
     looks = looks_of((s.label, s.family) for s in series)
     for norm, order in (("end", 2), ("max", 1)):
-        found = guides(charts.convergence(series, ["q", "lam"], looks, norm))
+        found = guides(studies.convergence(series, ["q", "lam"], looks, norm))
         assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
         assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
     odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
     looks = looks_of([("odd", "alpha")])
-    assert guides(charts.convergence(series_of(odd), ["q"], looks)) == {"q": []}
+    assert guides(studies.convergence(series_of(odd), ["q"], looks)) == {"q": []}
 
 
 def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
@@ -82,7 +82,7 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         record.errors["lam"]["end"] = 0.0
         record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
     series, looks = series_of(records), looks_of([("m", "alpha")])
-    chart = charts.convergence(series, ["q", "lam"], looks, "end", interactive=True)
+    chart = studies.convergence(series, ["q", "lam"], looks, "end", interactive=True)
     (choice,) = chart["params"]
     assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
     # Layers hold something in every norm in which there are errors, so that no scale is empty.
@@ -91,7 +91,7 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         assert {row["norm"] for row in rows} == norms
         unnamed = [row for row in rows if not row["name"]]
         assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
-    picture = charts.convergence(series, ["q", "lam"], looks, "end")
+    picture = studies.convergence(series, ["q", "lam"], looks, "end")
     assert [panel["data"]["name"] for panel in picture["concat"]] == ["q"]
 
 

@@ -15,13 +15,13 @@ import msgspec
 import pytest
 from planted import ATTACK, STEPS, Document, everything, plant, planted
 
-from bench.orders import fit_order
-from bench.records import NORMS, Record, Rows, Study, median
-from bench.store import Store
-from reports import html, markdown
-from reports.findings import findings
+from bench.results.orders import fit_order
+from bench.results.records import NORMS, Record, Rows, Study, median
+from bench.results.store import Store
+from reports.pages import html, markdown
 from reports.series import milliseconds, number, series_of
-from reports.tables import summary, targets
+from reports.text.sentences import findings
+from reports.text.tables import summary, targets
 
 
 @pytest.fixture(scope="module")
@@ -367,7 +367,7 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
 
 def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
     code = (
-        "import sys, reports.html, reports.markdown; "
+        "import sys, reports.pages.html, reports.pages.markdown; "
         "print([m for m in ('jax', 'integrators', 'problems', 'altair') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.store import FILE, Store
+from bench.results.store import FILE, Store
 
 PROFILE = """
 samples = 3

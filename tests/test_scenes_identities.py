@@ -13,13 +13,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from problems import MechatronicSystem, formulations, jax, jnp
-from problems.car_axis import CarAxis
-from problems.chain import Chain
-from problems.duffing import Duffing
-from problems.heavy_top import HeavyTop
-from problems.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
-from problems.slider_crank_flexible import SliderCrankFlexible
-from problems.stiff_bar import StiffBar
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.chain import Chain
+from problems.scenes.duffing import Duffing
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
+from problems.scenes.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.stiff_bar import StiffBar
 
 
 def rng():

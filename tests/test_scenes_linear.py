@@ -7,14 +7,14 @@ import pytest
 from helpers import errors_at, slope
 from test_scenes_identities import flipped, solved
 
-from integrators.alpha_family import GeneralizedAlpha
-from problems.driven_springs import DrivenSprings
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.formulations import InconsistentStart, NoConsistentStart, consistent_start
-from problems.friction import Friction
-from problems.oscillator import Oscillator
-from problems.pendulum import Pendulum
-from problems.quarter_car import QuarterCar
 from problems.reference import Reference
+from problems.scenes.driven_springs import DrivenSprings
+from problems.scenes.friction import Friction
+from problems.scenes.oscillator import Oscillator
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.quarter_car import QuarterCar
 
 METHOD = GeneralizedAlpha(start="corrected")
 

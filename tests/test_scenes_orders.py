@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from helpers import errors_at, slope
 
-from integrators.alpha_family import GeneralizedAlpha
-from problems.car_axis import CarAxis
-from problems.chain import Chain
-from problems.duffing import Duffing
-from problems.heavy_top import HeavyTop
-from problems.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
-from problems.slider_crank_flexible import SliderCrankFlexible
-from problems.stiff_bar import StiffBar
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.chain import Chain
+from problems.scenes.duffing import Duffing
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
+from problems.scenes.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.stiff_bar import StiffBar
 
 METHOD = GeneralizedAlpha(formulation="stabilised_index2", start="corrected")
 

@@ -7,18 +7,18 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from integrators import Steps
-from integrators.alpha_family import GeneralizedAlpha, Newmark
+from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from problems import formulations, jax
-from problems.car_axis import CarAxis
-from problems.chain import Chain
-from problems.duffing import Duffing
-from problems.heavy_top import HeavyTop
-from problems.pendulum import Pendulum
 from problems.reference import Reference
-from problems.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
-from problems.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.chain import Chain
+from problems.scenes.duffing import Duffing
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
+from problems.scenes.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.stiff_bar import StiffBar
 from problems.spec import SpecError
-from problems.stiff_bar import StiffBar
 
 
 def drift(scene, z, t):

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from probe import Probe, worst
 
-from integrators import Tolerances, Trajectory, scipy_dae_solvers
-from integrators.scipy_dae_solvers import BDFDAE, RadauDAE, ScipyDAESolver, _compiled
+from integrators import Tolerances, Trajectory
+from integrators.adapters import scipy_dae
+from integrators.adapters.scipy_dae import BDFDAE, RadauDAE, ScipyDAESolver, _compiled
 from problems import MechatronicSystem
 from problems.formulations import dae_layout
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import build
-from problems.spring_mass import SpringMass
 
 INDEX_UP_TO_2 = ("index1", "index2", "stabilised_index2")
 pytestmark = pytest.mark.parametrize("cls", [RadauDAE, BDFDAE], ids=lambda c: c.name)
@@ -150,7 +151,7 @@ def test_a_pole_of_the_solution_ends_the_run_near_it(cls):
 # ---- options ---------------------------------------------------------------------------
 def test_without_the_package_the_reason_says_what_to_install(cls, monkeypatch):
     assert cls().supports(Pendulum()) is None
-    monkeypatch.setattr(scipy_dae_solvers, "find_spec", lambda name: None)
+    monkeypatch.setattr(scipy_dae, "find_spec", lambda name: None)
     reason = cls().supports(Pendulum())
     assert reason == f'{cls.name} needs the package scipy_dae: pip install "stepbench[dae]".'
 

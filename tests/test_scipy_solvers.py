@@ -9,11 +9,11 @@ import pytest
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
-from integrators.callbacks import Calls, Stop
-from integrators.scipy_solvers import BDF, Radau, ScipySolver, _compiled
+from integrators.adapters.callbacks import Calls, Stop
+from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver, _compiled
 from problems import MechatronicSystem
-from problems.pendulum import Pendulum
-from problems.spring_mass import SpringMass
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 
 METHODS = [Radau(), BDF()]
 pytestmark = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)

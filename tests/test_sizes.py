@@ -11,12 +11,12 @@ import pytest
 import vl_convert
 from planted import planted
 
-from bench.measure import MOST_COMPONENTS, rows_of
-from bench.records import Rows, SceneRecord
-from bench.scenes import scene_record
-from problems.chain import Chain
+from bench.results.records import Rows, SceneRecord
+from bench.running.measure import MOST_COMPONENTS, rows_of
+from bench.running.scene_records import scene_record
 from problems.reference import Reference
-from reports import sizes
+from problems.scenes.chain import Chain
+from reports.charts import cost_by_size
 from reports.series import looks_of
 
 
@@ -42,7 +42,7 @@ SCENES = {
 
 def drawn(records, scenes=SCENES):
     looks = looks_of((r.integrator, r.family) for r in records)
-    return sizes.charts(records, scenes, looks)
+    return cost_by_size.charts(records, scenes, looks)
 
 
 def test_the_run_with_the_most_steps_is_drawn_at_its_number_of_unknowns():

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from integrators import alpha_sparse
-from integrators.alpha_family import HHT, GeneralizedAlpha
 from integrators.contract import Steps
-from problems import Variables, formulations, jnp, large, sparsity
-from problems.chain import Chain
+from integrators.methods import generalized_alpha_sparse
+from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
+from problems import Variables, formulations, jnp, sparse_initial_values, sparsity
 from problems.formulations import NoConsistentStart, consistent_start
-from problems.full_car import FullCar
-from problems.pendulum import Pendulum
-from problems.quarter_car import QuarterCar
 from problems.reference import Reference, ReferenceFailed
-from problems.slider_crank import SliderCrank
+from problems.scenes.chain import Chain
+from problems.scenes.full_car import FullCar
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
-from problems.spring_mass import SpringMass
 
 pytest.importorskip("klujax")
 SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)]
@@ -49,7 +49,7 @@ def test_sparse_and_dense_runs_are_the_same(scene, form):
 
 def test_the_pattern_holds_every_entry():
     scene = Chain(links=7)
-    pattern, *_ = alpha_sparse._analysed(scene.template(), True)
+    pattern, *_ = generalized_alpha_sparse._analysed(scene.template(), True)
     rng = np.random.default_rng(4)
 
     def residual(u):
@@ -67,7 +67,7 @@ def test_the_pattern_holds_every_entry():
 
 
 def test_colours_do_not_grow_with_the_chain():
-    ten, hundred = (alpha_sparse._analysed(Chain(links=n), False)[0] for n in (10, 100))
+    ten, hundred = (generalized_alpha_sparse._analysed(Chain(links=n), False)[0] for n in (10, 100))
     assert ten.products == hundred.products
     assert len(hundred.rows) <= 14 * 100
 
@@ -75,7 +75,9 @@ def test_colours_do_not_grow_with_the_chain():
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
     start = consistent_start(scene)
-    z, xdot, jerk, xddot = large.start_of(scene, scene.initial_state(), scene.interval[0])
+    z, xdot, jerk, xddot = sparse_initial_values.start_of(
+        scene, scene.initial_state(), scene.interval[0]
+    )
     for one, other in zip((*z, xdot, jerk, xddot), (*start.z, *start[1:]), strict=True):
         size = np.abs(other).max(initial=1.0)
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9 * size)
@@ -83,7 +85,7 @@ def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
         part = formulations.constrained_part(
             scene, scene.sizes, jnp.asarray(z.q), jnp.asarray(z.t), jnp.asarray(jerk)
         )
-        mine = large.projected(scene, jnp.asarray(z.q), float(z.t), jerk)
+        mine = sparse_initial_values.projected(scene, jnp.asarray(z.q), float(z.t), jerk)
         assert mine == pytest.approx(np.asarray(part), abs=1e-8 * np.abs(part).max())
 
 
@@ -105,10 +107,10 @@ def test_a_start_that_does_not_exist_is_refused(monkeypatch):
 
 def test_size_and_fill_choose_the_solver():
     start = consistent_start(Chain(links=100))
-    assert type(HHT().on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
+    assert type(HHT().on(Chain(links=100), start)) is generalized_alpha_sparse.SparseAlpha
     for newton in ("full", "modified"):
         method = GeneralizedAlpha(newton=newton)
-        assert type(method.on(Chain(links=100), start)) is alpha_sparse.SparseAlpha
+        assert type(method.on(Chain(links=100), start)) is generalized_alpha_sparse.SparseAlpha
         method = GeneralizedAlpha(newton=newton, linear_solver="dense")
         assert method.on(Chain(links=100), start) is method
     small = GeneralizedAlpha()
@@ -169,7 +171,7 @@ def test_without_the_libraries_sparse_is_refused_and_auto_is_dense(monkeypatch):
 def test_a_product_that_is_not_the_mass_matrix_is_found(stepbench, tmp_path):
     (tmp_path / "wrong.py").write_text(
         "from dataclasses import dataclass\n"
-        "from problems.chain import Chain\n"
+        "from problems.scenes.chain import Chain\n"
         "@dataclass(frozen=True)\n"
         "class Wrong(Chain):\n"
         "    'A chain.'\n"

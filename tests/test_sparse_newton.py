@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from integrators import alpha_sparse, klu
-from integrators.alpha_family import GeneralizedAlpha
 from integrators.contract import Steps
+from integrators.methods import generalized_alpha_sparse
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.native import klu
 from problems import MechatronicSystem, State, jnp
-from problems.chain import Chain
 from problems.formulations import consistent_start
-from problems.quarter_car import QuarterCar
 from problems.runtime import jax
-from problems.slider_crank import SliderCrank
-from problems.spring_mass import SpringMass
+from problems.scenes.chain import Chain
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
 
 klujax_cpp = pytest.importorskip("klujax_cpp")
 GROUPS = ("q", "v", "a", "lam", "x", "y")
@@ -82,9 +83,9 @@ def calls(monkeypatch):
 
     for name in ("solve", "solve_by", "factorised"):
         monkeypatch.setattr(klu, name, counted(name, getattr(klu, name)))
-    alpha_sparse._kernel.cache_clear()
+    generalized_alpha_sparse._kernel.cache_clear()
     yield count
-    alpha_sparse._kernel.cache_clear()
+    generalized_alpha_sparse._kernel.cache_clear()
 
 
 @pytest.mark.parametrize("newton", ["full", "modified"])
@@ -147,13 +148,13 @@ def test_a_long_run_frees_every_factorisation(held):
 
 
 def test_without_the_finish_of_a_run_its_last_factorisation_would_stay(held, monkeypatch):
-    monkeypatch.setattr(alpha_sparse, "_finish", lambda state: None)
-    alpha_sparse._kernel.cache_clear()
+    monkeypatch.setattr(generalized_alpha_sparse, "_finish", lambda state: None)
+    generalized_alpha_sparse._kernel.cache_clear()
     run = run_of(Chain(links=6), 20, 0.001, newton="modified")
     analysis = set(held)
     run.execute()
     assert set(held) > analysis
-    alpha_sparse._kernel.cache_clear()
+    generalized_alpha_sparse._kernel.cache_clear()
 
 
 @dataclass(frozen=True)
@@ -215,13 +216,15 @@ def test_a_factorisation_of_another_matrix_is_given_up():
     scene, h = Chain(links=8), 1e-3
     start = consistent_start(scene)
     sparse = GeneralizedAlpha(linear_solver="sparse", newton="modified").on(scene, start)
-    pattern, _ = alpha_sparse._analysed(scene, False)
+    pattern, _ = generalized_alpha_sparse._analysed(scene, False)
     numbers = jax.tree.map(jnp.asarray, sparse.numbers())
-    state = alpha_sparse._begin(False, True, scene, scene.sizes, numbers, start, jnp.asarray(h))
+    state = generalized_alpha_sparse._begin(
+        False, True, scene, scene.sizes, numbers, start, jnp.asarray(h)
+    )
     random = np.random.default_rng(3).normal(size=len(pattern.rows))
     wrong = klu.factorised(numbers.analysis, jnp.asarray(random), instead_of=klu.none())
     good, bad = (
-        alpha_sparse._step(False, pattern, scene, scene.sizes, numbers, begun, h, h)
+        generalized_alpha_sparse._step(False, pattern, scene, scene.sizes, numbers, begun, h, h)
         for begun in (state, state._replace(kept=wrong))
     )
     assert good[1].converged
@@ -230,4 +233,4 @@ def test_a_factorisation_of_another_matrix_is_given_up():
     assert bad[1].newton > good[1].newton
     assert bad[0].a == pytest.approx(np.asarray(good[0].a), rel=1e-8, abs=1e-8)
     for state in (good[0], bad[0]):
-        alpha_sparse._finish(state)
+        generalized_alpha_sparse._finish(state)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from integrators.alpha_family import HHT, GeneralizedAlpha, Newmark
+from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, Newmark
 from problems import spec
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError, build, split_spec
 from problems.system import parameter
 

@@ -17,7 +17,7 @@ from bench.stability.patterns import (
 from bench.stability.spectra import eigenvalues, radii
 from bench.stability.systems import Oscillator
 from integrators import Steps
-from integrators.alpha_family import GeneralizedAlpha, Newmark
+from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 
 #: Largest ratios of two steps in turns that do not grow: rho_inf, gamma fixed, gamma updated.
 SAFE = [

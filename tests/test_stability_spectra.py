@@ -11,7 +11,8 @@ import pytest
 from bench.stability.matrices import matrices
 from bench.stability.spectra import eigenvalues, nearest, radii, spectrum
 from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
-from integrators.alpha_family import (
+from integrators.adapters.diffrax_methods import Dopri8, ImplicitEuler, Kvaerno5
+from integrators.methods.generalized_alpha import (
     HHT,
     WBZ,
     GeneralizedAlpha,
@@ -20,7 +21,6 @@ from integrators.alpha_family import (
     Newmark,
     WBZClassical,
 )
-from integrators.diffrax_solvers import Dopri8, ImplicitEuler, Kvaerno5
 
 OMEGA_H = np.geomspace(1e-2, 1e4, 40)
 POINTS = 1.2 * np.exp(1j * np.arange(1, 6))

@@ -9,9 +9,14 @@ from hypothesis import strategies as st
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
-from bench.stability.theory import Multistep, Recurrence, recurrence_of, stable
-from integrators.alpha_family import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.diffrax_solvers import Kvaerno5
+from integrators.adapters.diffrax_methods import Kvaerno5
+from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
+from integrators.methods.generalized_alpha_theory import (
+    Multistep,
+    Recurrence,
+    recurrence_of,
+    stable,
+)
 
 MEMBERS = [
     GeneralizedAlpha(rho_inf=0.0),

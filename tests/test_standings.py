@@ -7,11 +7,11 @@ import math
 import pytest
 from planted import planted
 
-from bench.records import IntegratorFacts
-from reports import overview
+from bench.results.records import IntegratorFacts
+from reports.charts import overview
 from reports.series import looks_of, series_of
-from reports.standings import overall, standings, verdicts
-from reports.tables import integrators, verdict
+from reports.text.ranking import overall, standings, verdicts
+from reports.text.tables import integrators, verdict
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 

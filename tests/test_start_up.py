@@ -10,21 +10,21 @@ import diffrax
 import jax
 import pytest
 
-from bench.plan import Cell, make_suite, read_profile
-from bench.registry import Registry
-from bench.runner import Runner, Task
+from bench.plugins.registry import Registry
+from bench.running.plan import Cell, make_suite, read_profile
+from bench.running.runner import Runner, Task
+from bench.running.worker import _Bench
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
-from bench.worker import _Bench
 from integrators import Steps, Tolerances
-from integrators.alpha_family import GeneralizedAlpha
-from problems.pendulum import Pendulum
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from problems.scenes.pendulum import Pendulum
 
 
 def test_help_lists_and_plans_are_made_without_a_compiler():
     code = (
-        "import sys; from bench import cli; from bench.plan import *; "
-        "from bench.registry import Registry; registry = Registry(); "
+        "import sys; from bench.commands import main; from bench.running.plan import *; "
+        "from bench.plugins.registry import Registry; registry = Registry(); "
         "assert len(make_suite(*read_profile('quick'), registry).cells) > 100; "
         "print(*sys.modules.keys() & {'jax', 'scipy', 'diffrax', 'vl_convert'})"
     )

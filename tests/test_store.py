@@ -15,8 +15,17 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from bench.records import Environment, Plan, Record, Rows, SceneRecord, Study, flatten, median
-from bench.store import FILE, Store, StoreError
+from bench.results.records import (
+    Environment,
+    Plan,
+    Record,
+    Rows,
+    SceneRecord,
+    Study,
+    flatten,
+    median,
+)
+from bench.results.store import FILE, Store, StoreError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
 NO_ROWS = Rows(t=[], values={})

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from bench.compare import compare
-from bench.store import Store
+from bench.results.compare import compare
+from bench.results.store import Store
 
 TEXT = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)

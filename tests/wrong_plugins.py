@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from integrators import Integrator, PreparedRun, Steps, Work, option
-from integrators.alpha_family import Newmark
+from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
-from problems.pendulum import Pendulum
+from problems.scenes.pendulum import Pendulum
 
 RANDOM = np.random.default_rng(0)
 

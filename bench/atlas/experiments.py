@@ -15,9 +15,9 @@ from typing import Any
 
 import msgspec
 
-from bench.plan import Cell, check_end
-from bench.records import GROUPS, LEVELS, NORMS
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.results.records import GROUPS, LEVELS, NORMS
+from bench.running.plan import Cell, check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.atlas.experiments import Settings
-from bench.records import Record, Rows
+from bench.results.records import Record, Rows
 
 
 def value_of(s: Settings, record: Record, rows: Rows) -> float | None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.stability.systems import LinearSystem
 from integrators.contract import Integrator, Steps
-from integrators.march import StepMethod
+from integrators.native.time_loop import StepMethod
 from problems.formulations import Start, with_rates
 from problems.runtime import jax, jnp
 from problems.spec import SpecError

@@ -21,13 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from integrators import Tolerances, dae, scipy_solvers
-from integrators.ida import IDA, _Equations
-from integrators.scipy_solvers import Radau
-from problems.chain import Chain
-from problems.pendulum import Pendulum
+from integrators import Tolerances
+from integrators.adapters import dae, scipy_ode
+from integrators.adapters.ida import IDA, _Equations
+from integrators.adapters.scipy_ode import Radau
 from problems.runtime import jax, one_thread
-from problems.slider_crank import SliderCrank
+from problems.scenes.chain import Chain
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrank
 
 #: Scene, method, end of the interval, rtol; short, as other work on the machine spares short runs.
 _CASES = (
@@ -74,7 +75,7 @@ class _Case:
             self.name = f"{scene.spec}, IDA{', sparse' if sparse else ''}"
         else:
             at = t, self.run._start
-            self.packed, self.at = scipy_solvers._compiled(*of), (at, at)
+            self.packed, self.at = scipy_ode._compiled(*of), (at, at)
             self.name = f"{scene.spec}, {method.name} of scipy"
 
     def callbacks(self) -> tuple[Callable, Callable]:

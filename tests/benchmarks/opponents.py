@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.measure import relative_errors
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.running.measure import relative_errors
 from integrators import Steps, Tolerances
 from problems.reference import Reference
-from problems.slider_crank import SliderCrank
+from problems.scenes.slider_crank import SliderCrank
 
 SCENE, T_END, STEPS, RHO = SliderCrank(), SliderCrank.interval[1], 20_000, 0.8
 OURS = "generalized_alpha[rho_inf=0.8,newton=modified]"

@@ -31,7 +31,7 @@ from opponents import (
     stepbench,
 )
 
-from bench.environment import environment
+from bench.results.environment import environment
 from integrators import Steps
 from problems.reference import Reference
 from problems.runtime import one_thread

@@ -33,9 +33,9 @@ _SAME = 1e-7
 def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     """One size: seconds, memory and answers of everybody."""
     from integrators import Steps
-    from integrators.alpha_family import GeneralizedAlpha
-    from problems.chain import Chain
+    from integrators.methods.generalized_alpha import GeneralizedAlpha
     from problems.runtime import one_thread
+    from problems.scenes.chain import Chain
 
     one_thread()
 

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from integrators import Steps, Tolerances
-from integrators.alpha_family import GeneralizedAlpha
-from integrators.ida import IDA
-from problems.chain import Chain
+from integrators.adapters.ida import IDA
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.formulations import dae_layout
 from problems.runtime import one_thread
+from problems.scenes.chain import Chain
 
 #: Links, end of the interval in s, and the tolerance at which IDA's error in v is about ours.
 SIZES = ((100, 0.4, 1e-5), (1000, 0.2, 1e-5), (10000, 0.05, 1e-6))

@@ -14,10 +14,10 @@ import time
 import numpy as np
 import pytest
 
-from bench.axes import axis, number, varied
-from bench.batch import Batch
-from bench.maps import outcome_map
-from bench.registry import Registry
+from bench.plugins.registry import Registry
+from bench.sweeps.batch import Batch
+from bench.sweeps.outcome_map import outcome_map
+from bench.sweeps.variation import axis, number, varied
 from integrators import Steps
 
 REGISTRY = Registry()

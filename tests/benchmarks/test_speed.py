@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.registry import Registry
+from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 
 REGISTRY = Registry()

@@ -1,0 +1,207 @@
+"""Running experiments: their cells go through the same workers as those of a suite."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from bench.atlas.experiments import Case, Experiment, Part, Sweep, merged, sweep_of
+from bench.atlas.measures import history, number_of, quantity, value_of, within
+from bench.atlas.results import CaseResult, ExperimentResult, PartResult
+from bench.plugins.registry import Registry, fingerprint
+from bench.results.store import Store
+from bench.running.runner import Lost, Runner, Task
+from bench.running.session import Progress, row_of
+from integrators.contract import Integrator
+from problems.spec import SpecError
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A case to be run: of the part, or of a method that was added (nothing is predicted)."""
+
+    case: Case
+    integrator: Integrator | None
+    sweep: Sweep | None
+    predicted: bool
+    message: str = ""
+
+    def tasks(self) -> list[Task]:
+        if self.sweep is None:
+            return []
+        s, x = self.sweep.settings, self.sweep.x
+        if s.measure == "condition":
+            return [Task("condition", (s.problem, x, s.name))]
+        if s.measure == "linear" and self.integrator:
+            return [Task("linear", (self.integrator.spec, x, s.pattern or (1.0,)))]
+        return [Task("measure", (cell, s.measure == "error")) for cell in self.sweep.cells]
+
+
+def run_experiments(
+    experiments: Sequence[Experiment],
+    added: Sequence[str],
+    registry: Registry,
+    jobs: int,
+    budget_s: float,
+    progress: Progress,
+    memory_gib: float = 4.0,
+) -> Iterator[ExperimentResult]:
+    """Yield what came out of each experiment.
+
+    ``added`` are integrators that go through every part beside those that it names: for them
+    nothing is predicted, but whether they are spared is told.
+    """
+    progress.phase("failure atlas", len(experiments))
+    with Runner(registry.paths, jobs, budget_s, memory_gib) as runner:
+        for experiment in experiments:
+            progress.working(experiment.title)
+            yield _run(experiment, added, registry, runner)
+            progress.advance()
+
+
+def complete(
+    experiments: Sequence[Experiment],
+    added: Sequence[str],
+    store: Store,
+    registry: Registry,
+    jobs: int,
+    progress: Progress,
+    budget_s: float = 60.0,
+) -> list[ExperimentResult]:
+    """Run the experiments that the store does not have as they are now; returns all of them.
+
+    Each result is stored before the next experiment begins.
+    """
+    stored = store.experiments()
+    missing = [
+        e
+        for e in experiments
+        if e.name not in stored or stored[e.name].digest != digest(e, added, registry)
+    ]
+    if missing:
+        for found in run_experiments(missing, added, registry, jobs, budget_s, progress):
+            store.save_experiment(found)
+    stored = store.experiments()
+    return [stored[e.name] for e in experiments]
+
+
+def digest(experiment: Experiment, added: Sequence[str], registry: Registry) -> str:
+    """Changes with the experiment and with the source of all scenes and integrators in it."""
+    parts = [msgspec.json.encode((experiment, list(added)))]
+    for part in experiment.part:
+        for case in part.case:
+            s = merged(part, case)
+            if case.integrator:
+                parts.append(fingerprint(type(registry.integrator(case.integrator))).encode())
+            if s.problem:
+                parts.append(fingerprint(type(registry.problem(s.problem))).encode())
+    parts += [fingerprint(type(registry.integrator(name))).encode() for name in added]
+    return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
+
+
+def _run(
+    experiment: Experiment, added: Sequence[str], registry: Registry, runner: Runner
+) -> ExperimentResult:
+    plans = [(part, _trials(part, added, registry)) for part in experiment.part]
+    groups = defaultdict(list)
+    for _, trials in plans:
+        for trial in trials:
+            for task in trial.tasks():
+                shared = trial.integrator.affinity if trial.integrator else ""
+                group = groups[_problem(trial), shared]
+                if task not in group:
+                    group.append(task)
+    answers = dict(runner.run(groups.values()))
+    return ExperimentResult(
+        **{f: getattr(experiment, f) for f in ("name", "number", "title", "claim", "remedy")},
+        source=experiment.source,
+        digest=digest(experiment, added, registry),
+        parts=[_part(part, trials, answers, registry) for part, trials in plans],
+    )
+
+
+def _problem(trial: _Trial) -> str | None:
+    return trial.sweep.settings.problem if trial.sweep else None
+
+
+def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial]:
+    trials = []
+    for case in part.case:
+        method = registry.integrator(case.integrator) if case.integrator else None
+        trials.append(_Trial(case, method, sweep_of(merged(part, case), method, registry), True))
+    there = {trial.integrator.spec for trial in trials if trial.integrator}
+    # The condition is that of the equations: no method can be added.
+    for name in added if part.measure != "condition" else ():
+        method = registry.integrator(name)
+        if method.spec in there:
+            continue
+        case, sweep, message = Case(predicted=(-math.inf, math.inf), integrator=name), None, ""
+        try:
+            sweep = sweep_of(merged(part), method, registry)
+        except SpecError as error:  # it is refined in a way that this part does not have
+            message = str(error)
+        trials.append(_Trial(case, method, sweep, False, message))
+    return trials
+
+
+def _part(
+    part: Part, trials: Sequence[_Trial], answers: dict[Task, Any], registry: Registry
+) -> PartResult:
+    take = part.take or "last"
+    return PartResult(
+        text=part.text,
+        quantity=quantity(merged(part)),
+        take=take,
+        healthy=_bounds(part.healthy),
+        show=part.show or "",
+        cases=[_case(part, trial, take, answers, registry) for trial in trials],
+    )
+
+
+def _case(
+    part: Part, trial: _Trial, take: str, answers: dict[Task, Any], registry: Registry
+) -> CaseResult:
+    method, sweep, case = trial.integrator, trial.sweep, trial.case
+    y: list[float | None] = []
+    messages, shown = [trial.message], None
+    for task in trial.tasks():
+        answer = answers[task]
+        if task.kind == "measure":
+            record, rows = row_of(task.arguments[0], answer, registry)
+            y.append(value_of(sweep.settings, record, rows))
+            messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
+            # The first run has the longest steps, of which the most are kept as rows.
+            shown = shown or history(sweep.settings.show or "", rows)
+        elif isinstance(answer, Lost):
+            messages.append(answer.message)
+        else:
+            y = answer[sweep.settings.name or ""] if task.kind == "linear" else answer
+    x = list(sweep.x) if sweep else []
+    y += [None] * (len(x) - len(y))
+    own = sweep.settings.take if sweep else None
+    number = number_of(own or take, x, y)
+    return CaseResult(
+        label=case.label or (method.spec if method else ""),
+        integrator=method.spec if method else "",
+        family=(method.family or method.name) if method else "",
+        axis=sweep.axis if sweep else "",
+        x=x,
+        y=y,
+        number=number,
+        predicted=_bounds(case.predicted) if trial.predicted else None,
+        as_predicted=within(number, case.predicted) if trial.predicted else None,
+        healthy=within(number, case.healthy or part.healthy),
+        message=next(filter(None, messages), ""),
+        history=shown,
+    )
+
+
+def _bounds(interval: tuple[float, float]) -> tuple[float | None, float | None]:
+    low, high = interval
+    return low if math.isfinite(low) else None, high if math.isfinite(high) else None

@@ -1,0 +1,120 @@
+"""The commands for those who add scenes and integrators: `stepbench check` and `stepbench new`."""
+
+from __future__ import annotations
+
+import json
+import keyword
+import re
+from importlib import resources
+from pathlib import Path
+
+import click
+
+from bench.commands import options
+from bench.plugins.registry import Registry
+from problems.spec import SpecError, snake_case
+
+_SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
+_WORDS = {"problems": "scene", "integrators": "integrator"}
+
+
+@click.command()
+@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...")
+@click.option("--all", "everything", is_flag=True, help="Check all scenes and integrators.")
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
+def check(
+    names: tuple[str, ...],
+    everything: bool,
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Check that scenes and integrators hold to what is asked of them.
+
+    A name may have options; of a Python file everything in it is checked. One line per check
+    says what was found, and what to mend where it fails. The exit code is 1 if one fails.
+
+    \b
+    Examples:
+      stepbench check pendulum "generalized_alpha[rho_inf=0.5]"
+      stepbench check my_method.py my_scene.py
+      stepbench check --all --json
+    """
+    from bench.commands.terminal import finding_line, say
+    from bench.plugins.conformance.checker import FAILED, Checker, chosen, is_file
+
+    registry = Registry([*plugins, *(name for name in names if is_file(name))])
+    subjects = chosen(registry, names, everything)
+    answers, count, failed = [], 0, 0
+    with Checker(registry, budget) as checker:
+        for kind, text in subjects:
+            if not as_json:
+                say(f"{_WORDS[kind]} {text}")
+            findings = []
+            for finding in checker.check(kind, text):
+                findings.append(vars(finding))
+                count += 1
+                failed += finding.verdict == FAILED
+                if not as_json:
+                    say(finding_line(finding))
+            good = all(finding["verdict"] != FAILED for finding in findings)
+            answers.append({"name": text, "kind": _WORDS[kind], "passed": good, "checks": findings})
+    if as_json:
+        click.echo(json.dumps(answers, indent=2))
+    if failed:
+        raise click.ClickException(f"{failed} of {count} checks failed.")
+    if not as_json:
+        click.echo(f"All {count} checks passed or do not apply.")
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(list(_SKELETONS)))
+@click.argument("name")
+@click.option("--out", type=click.Path(path_type=Path), help="File; NAME.py if not given.")
+def new(kind: str, name: str, out: Path | None) -> None:
+    """Write a small scene or integrator that runs at once, to be changed.
+
+    \b
+    Examples:
+      stepbench new integrator my_method
+      stepbench new problem my_scene --out scenes/my_scene.py
+    """
+    _require_free(name)
+    path = out or Path(f"{name}.py")
+    if path.suffix != ".py":
+        raise SpecError(f"{path} is not the name of a Python file; give one that ends with .py.")
+    skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
+    text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SpecError(f"{path} is there already; give another name or --out.") from None
+    if kind == "integrator":
+        trial = f"stepbench solve pendulum {name} --plugins {path}"
+    else:
+        trial = f"stepbench solve {name} newmark --plugins {path}"
+    click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {path}")
+
+
+def _require_free(name: str) -> None:
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or keyword.iskeyword(name):
+        word = re.sub(r"[^a-z0-9]+", "_", snake_case(name)).strip("_")
+        if not re.match("[a-z]", word) or keyword.iskeyword(word):
+            word = f"my_{word}".strip("_")
+        raise SpecError(f"{name!r} is not a name in small letters, digits and '_'; try {word!r}.")
+    registry = Registry()
+    for kind in _WORDS:
+        plugins = getattr(registry, kind)
+        if name in plugins:
+            taken = plugins[name].origin
+            raise SpecError(f"The name {name!r} is taken by {taken}; try 'my_{name}'.")
+
+
+def _class_name(name: str) -> str:
+    """A class name that the tool reads back as this name."""
+    parts = [part.capitalize() for part in name.split("_")]
+    joined = "".join(parts)
+    return joined if snake_case(joined) == name else "_".join(parts)

@@ -1,0 +1,180 @@
+"""The commands for results that are there: `compare`, `merge`, `open` and `figure`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bench.commands import options
+from bench.commands.scenes import view
+from problems.spec import SpecError
+
+#: Where `stepbench run` puts its results, and the page that it makes of them.
+DEFAULT_OUT = "stepbench-results"
+_PAGE = "report.html"
+#: So many regressions are named on the screen.
+_NAMED = 10
+
+
+def _limits(_: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
+    from bench.results.compare import read_limits
+
+    return read_limits(text) if text is not None else {}
+
+
+@click.command()
+@click.argument("old", type=click.Path(path_type=Path))
+@click.argument("new", type=click.Path(path_type=Path))
+@click.option(
+    "--fail-on",
+    "limits",
+    callback=_limits,
+    metavar="KIND:RATIO,...",
+    help="Exit with 1 if an error, work or time is more than RATIO times the old one, as in "
+    "error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with 'vanished', also if "
+    "NEW lacks a run.",
+)
+@click.option(
+    "--out",
+    "-o",
+    type=click.Path(path_type=Path),
+    help="Folder for comparison.html and comparison.md; no pages if not given.",
+)
+@options.with_as_json
+def compare(
+    old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
+) -> None:
+    """Say what changed from the results in OLD to those in NEW, run by run.
+
+    Errors and counts are compared as they are, times where the samples of both do not overlap
+    and the ratio is beyond the noise. Times from different machines or versions are shown, but
+    are no regression.
+
+    \b
+    Examples:
+      stepbench compare before after --out comparison
+      stepbench compare before after --fail-on error:1.1,work:1.05,time:1.5
+      stepbench compare before after --json > changes.json
+    """
+    import msgspec
+
+    from bench.commands.terminal import say
+    from bench.results.compare import compare as compare_folders
+    from bench.results.compare import regressions
+
+    comparison = compare_folders(old, new)
+    worse = regressions(comparison, limits)
+    if as_json:
+        answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
+        click.echo(msgspec.json.format(msgspec.json.encode(answer), indent=2))
+    else:
+        for line in [*comparison.state(), *comparison.summary()]:
+            say(line)
+    if out:
+        for page in view("comparison")(comparison, worse, out):
+            click.echo(f"Comparison: {page}", err=as_json)
+    if worse:
+        more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""
+        named = "\n".join(worse[:_NAMED])
+        raise click.ClickException(f"{len(worse)} beyond the limits:\n{named}{more}")
+
+
+@click.command()
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER FOLDER...")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="A new folder.")
+def merge(folders: tuple[Path, ...], out: Path) -> None:
+    """Put the results of several folders, from several machines perhaps, into one.
+
+    Each record keeps the machine that measured it. Of a run that several folders have, the one
+    that was measured last is kept; of those measured at one time, that of the folder named last.
+
+    \b
+    Examples:
+      stepbench merge laptop-results cluster-results --out all-results
+    """
+    from bench.results.merge import merge as merge_stores
+
+    merged = merge_stores(folders, out)
+    click.echo(
+        f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
+        f"environments, are in {out}."
+    )
+    for folder, count in merged.twice.items():
+        click.echo(f"{count} of them were there several times; kept is what {folder} measured.")
+    click.echo(f"For the pages: stepbench report {out}")
+
+
+@click.command("open")
+@click.argument("folder", type=click.Path(path_type=Path), default=DEFAULT_OUT)
+def open_(folder: Path) -> None:
+    """Open the report in FOLDER (or a page that is named itself) in the browser.
+
+    \b
+    Examples:
+      stepbench open
+      stepbench open comparison/comparison.html
+    """
+    import webbrowser
+
+    page = folder if folder.suffix == ".html" else folder / _PAGE
+    if not page.is_file():
+        raise SpecError(
+            f"There is no page {page}; 'stepbench run' makes one, and 'stepbench report FOLDER' "
+            "makes it anew."
+        )
+    if not webbrowser.open(page.resolve().as_uri()):
+        raise SpecError(f"No browser could be opened; the page is {page.resolve()}.")
+    click.echo(f"Opened: {page}")
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("kind", metavar="work_precision|convergence|trajectory")
+@click.option("--scene", help="The scene; may be left out if the folder has one.")
+@click.option("--error", metavar="GROUP:NORM", help="Which error, as a:max; q:end if not given.")
+@click.option("--cost", help="seconds, or a count as residuals (if not given) or steps.")
+@click.option(
+    "--component", metavar="GROUP:PLACE", help="What a trajectory shows, as a:Y; q:1 if not given."
+)
+@click.option(
+    "-i", "--integrator", "integrators", multiple=True, help="Only this integrator; repeatable."
+)
+@click.option("--t-end", type=float, help="End time in s, if the scene is there over several.")
+@click.option(
+    "--out",
+    "-o",
+    type=click.Path(path_type=Path),
+    help="File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given.",
+)
+def figure(
+    folder: Path,
+    kind: str,
+    scene: str | None,
+    error: str | None,
+    cost: str | None,
+    component: str | None,
+    integrators: tuple[str, ...],
+    t_end: float | None,
+    out: Path | None,
+) -> None:
+    """Write a single figure for a paper, as wide as a column, from the results in FOLDER.
+
+    \b
+    Examples:
+      stepbench figure stepbench-results work_precision --scene pendulum --error a:max
+      stepbench figure stepbench-results convergence --scene pendulum --error lam:settled \\
+          -i newmark -i hht -o orders.pdf
+      stepbench figure stepbench-results trajectory --scene pendulum --component a:Y -o a.png
+    """
+    given = {"error": error, "cost": cost, "component": component}
+    written = view("figure")(
+        kind,
+        folder,
+        out or Path(f"{kind}.svg"),
+        scene=scene,
+        integrators=integrators,
+        t_end=t_end,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    click.echo(f"Figure: {written}")

@@ -1,0 +1,105 @@
+"""The command of the stability laboratory: `stepbench stability`."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import click
+
+from bench.commands import options
+from bench.plugins.registry import Registry, explain
+from problems.spec import SpecError, build
+
+_SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
+
+
+@click.command()
+@click.argument("names", nargs=-1, required=True, metavar="INTEGRATOR...")
+@click.option(
+    "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to be told."
+)
+@options.with_pattern
+@click.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given.")
+@click.option(
+    "--system",
+    type=click.Choice(_SYSTEMS),
+    default=_SYSTEMS[0],
+    show_default=True,
+    help="Linear test system; for relaxation, omega is the decay rate.",
+)
+@click.option(
+    "--ratios",
+    type=click.Choice(["none", "alternating", "any"]),
+    default="alternating",
+    show_default=True,
+    help="Patterns in which the largest safe step ratio is sought: two steps in turns, which takes "
+    "seconds, or any of up to six, which takes a minute.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default="stepbench-stability",
+    show_default=True,
+    help="Folder of the page.",
+)
+@options.with_plugins
+@options.with_as_json
+def stability(
+    names: tuple[str, ...],
+    at: tuple[float, ...] | None,
+    pattern: tuple[float, ...] | None,
+    zeta: float | None,
+    system: str,
+    ratios: str,
+    out: Path,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Analyse the stability of integrators at constant steps, or in a pattern of steps.
+
+    The amplification matrix of each is found by taking its step on a linear system. From it come
+    the spectral radius, numerical damping, period error, overshoot, stability limit, bifurcation,
+    and the largest ratio of steps that is safe. Writes a page with charts and maps. With --pattern
+    omega h is that of the macro step, and so is the radius.
+
+    \b
+    Examples:
+      stepbench stability "generalized_alpha[rho_inf=0.8]" newmark kvaerno5
+      stepbench stability "generalized_alpha[gamma=updated]" --pattern 0.3,0.7
+      stepbench stability "newmark[beta=0]" --at 1,1.9,2.1 --json
+      stepbench stability my_method --plugins my_method.py
+    """
+    for value in at or ():
+        if not 0 < value < float("inf"):
+            raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
+    if zeta is not None and system != _SYSTEMS[0]:
+        raise SpecError(f"--zeta damps the oscillator; the system {system} has no such number.")
+    registry = Registry(plugins)
+    registry.require_files()
+    methods = [registry.integrator(name) for name in names]
+    specs = [method.spec for method in methods]
+    twice = next((spec for spec in specs if specs.count(spec) > 1), None)
+    if twice:
+        raise SpecError(f"{twice} is named twice.")
+
+    from bench.commands.terminal import show
+    from bench.stability.analysis import SYSTEMS, findings
+    from bench.stability.tables import tables
+
+    scene = build(SYSTEMS[system], {} if zeta is None else {"zeta": zeta}, system)
+    found = []
+    for method in methods:
+        try:
+            found.append(findings(method, scene, pattern or (1.0,), at or (), ratios))
+        except SpecError:
+            raise
+        except Exception as error:  # the method may be a plugin, which may do anything
+            raise SpecError(f"{method.spec} cannot be analysed: {explain(error)}") from error
+    if as_json:
+        click.echo(json.dumps(found, indent=2, allow_nan=False))
+        return
+    show(tables(found))
+    (entry,) = entry_points(group="stepbench.views", name="stability")
+    click.echo(f"Page: {entry.load()(found, out)}")

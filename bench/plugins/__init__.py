@@ -1,0 +1,1 @@
+"""Finding, writing and checking plugins: scenes and integrators."""

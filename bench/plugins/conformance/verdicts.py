@@ -1,0 +1,93 @@
+"""What the checks of both kinds share: verdicts, and the round trip of names."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from bench.plugins.registry import explain
+from problems.spec import SpecError, format_value
+
+PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found: its name, a verdict (one of the three above), and a sentence."""
+
+    check: str
+    verdict: str
+    text: str
+
+
+class Failed(Exception):
+    """A check failed; the message says what to mend."""
+
+
+class DoesNotApply(Exception):
+    """A check has nothing to look at; the message says why."""
+
+
+def shortly(error: BaseException) -> str:
+    """The first sentence on an exception: JAX explains itself at length."""
+    return explain(error).split(". ")[0].rstrip(".") + "."
+
+
+def round_trip(make: Callable[[str], Any], subject: Any) -> str:
+    """Write every option with every notable value and read it back.
+
+    Raises
+    ------
+    Failed
+        If a value is not kept, or the printed name does not make an equal object.
+    """
+    name, count = subject.name, 0
+    _same(make, subject)
+    for field, value in _notable_values(subject):
+        option, shown = field.name, format_value(value)
+        text = f"{name}[{option}={shown}]"
+        try:
+            made = make(text)
+        except SpecError as error:
+            if value == field.default:
+                raise Failed(f"{text} is its own default, and is refused: {error}") from error
+            continue  # two options may exclude each other
+        kept = getattr(made, option)
+        if kept != value:
+            raise Failed(
+                f"{text} is made with {option}={format_value(kept)}; keep options as they are "
+                f"given and derive other values elsewhere."
+            )
+        _same(make, made)
+        count += 1
+    return f"{subject.spec} and {count} other values of its options are read as they are printed."
+
+
+def _same(make: Callable[[str], Any], subject: Any) -> None:
+    try:
+        again = make(subject.spec)
+    except SpecError as error:
+        raise Failed(f"Its printed name {subject.spec!r} cannot be read back: {error}") from error
+    if again != subject or again.spec != subject.spec:
+        raise Failed(
+            f"Its printed name {subject.spec!r} makes another object, {again.spec!r}; declare "
+            f"every option as a field and leave `spec` to the base class."
+        )
+
+
+def _notable_values(subject: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
+    """Defaults, choices, limits and a number with many digits, per option."""
+    for field in dataclasses.fields(subject):
+        meta = field.metadata
+        if "type" not in meta:
+            continue
+        values = [field.default, *(meta.get("choices") or ())]
+        limits = [value for value in (meta.get("low"), meta.get("high")) if value is not None]
+        values += [meta["type"](limit) for limit in limits]
+        if meta["type"] is bool:
+            values += [False, True]
+        if meta["type"] is float:
+            values.append(sum(limits) / 3 if len(limits) == 2 else (field.default or 1.0) / 0.7)
+        yield from ((field, value) for value in dict.fromkeys(values))

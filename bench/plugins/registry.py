@@ -1,0 +1,274 @@
+"""One loader for scenes and integrators, built-in or somebody else's.
+
+Plugins come as entry points (``stepbench.problems``, ``stepbench.integrators``) or as Python files
+named on the command line. One that cannot be loaded is kept with its reason and never stops the
+others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from integrators.contract import Integrator
+from problems import spec
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
+
+
+class PluginError(SpecError):
+    """A plugin that cannot be read or used; the message says why."""
+
+
+@dataclass
+class Plugin:
+    """A name with its class, or the reason why there is none."""
+
+    name: str
+    origin: str
+    cls: type | None
+    reason: str = ""
+
+    @property
+    def summary(self) -> str:
+        """First paragraph of the class's docstring, on one line."""
+        doc = inspect.getdoc(self.cls) if self.cls else None
+        return " ".join(doc.split("\n\n")[0].split()) if doc else ""
+
+    @property
+    def options(self) -> list[dict[str, Any]]:
+        """Options or parameters: name, default, what it means, unit, choices and limits."""
+        fields = dataclasses.fields(self.cls) if self.cls else ()
+        shown = ("doc", "unit", "choices", "low", "high")
+        return [
+            {"name": f.name, "default": f.default}
+            | {key: f.metadata[key] for key in shown if f.metadata.get(key) is not None}
+            for f in sorted(fields, key=lambda f: not f.metadata.get("always"))
+            if "doc" in f.metadata
+        ]
+
+
+class Registry:
+    """All scenes and integrators by name.
+
+    Parameters
+    ----------
+    paths
+        Python files, or folders of them, that define scenes or integrators.
+
+    Raises
+    ------
+    PluginError
+        If a path is empty or not there.
+    """
+
+    def __init__(self, paths: Sequence[str | Path] = ()) -> None:
+        # An empty path, as from an unset shell variable, would mean the current folder.
+        if any(not str(path).strip() for path in paths):
+            raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
+        self.paths = [str(Path(path).resolve()) for path in paths]
+        self._files: set[str] = set()
+        self.problems: dict[str, Plugin] = {}
+        self.integrators: dict[str, Plugin] = {}
+        for kind in KINDS:
+            for entry in sorted(entry_points(group=f"stepbench.{kind}"), key=lambda e: e.name):
+                self._add(kind, _from_entry_point(kind, entry))
+        for path in self.paths:
+            for file in _files(Path(path)):
+                self._files.add(str(file))
+                self._add_file(file)
+
+    def problem(self, text: str, **parameters: Any) -> MechatronicSystem:
+        """Make the scene ``name[parameter=value,...]``.
+
+        Raises
+        ------
+        SpecError
+            If the name, a parameter or a value is not known or not allowed.
+        """
+        return self._make("problems", "scene", text, parameters)
+
+    def integrator(self, text: str) -> Integrator:
+        """Make the integrator ``name[option=value,...]``.
+
+        Raises
+        ------
+        SpecError
+            If the name, an option or a value is not known or not allowed.
+        """
+        return self._make("integrators", "integrator", text, {})
+
+    def require_files(self) -> None:
+        """Raise PluginError if a file named on the command line could not be used."""
+        for plugins in (self.problems, self.integrators):
+            for plugin in plugins.values():
+                if plugin.cls is None and plugin.origin in self._files:
+                    raise PluginError(f"Plugin {plugin.origin} cannot be used: {plugin.reason}")
+
+    def _make(self, kind: str, word: str, text: str, more: dict[str, Any]) -> Any:
+        name, options = spec.split_spec(text)
+        plugins = getattr(self, kind)
+        if name not in plugins:
+            usable = [n for n, plugin in plugins.items() if plugin.cls]
+            raise SpecError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
+        plugin = plugins[name]
+        if plugin.cls is None:
+            raise PluginError(f"The {word} {name!r} is unavailable: {plugin.reason}")
+        twice = next((key for key in more if key in options), None)
+        if twice:
+            raise SpecError(f"{twice!r} is given in {text!r} and again by itself; give it once.")
+        return spec.build(plugin.cls, options | more, name)
+
+    def _add(self, kind: str, plugin: Plugin) -> None:
+        plugins = getattr(self, kind)
+        if plugin.name in plugins:
+            taken = plugins[plugin.name]
+            plugin = Plugin(
+                f"{plugin.name} ({plugin.origin})",
+                plugin.origin,
+                None,
+                f"the name {plugin.name!r} is taken by {taken.origin}; give it another name.",
+            )
+        plugins[plugin.name] = plugin
+
+    def _add_file(self, file: Path) -> None:
+        try:
+            module = _import_file(file)
+        except BaseException as error:  # a plugin may even call sys.exit
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            # It is not known what it would have been: listed under both kinds.
+            for kind in KINDS:
+                self._add(kind, Plugin(file.stem, str(file), None, explain(error)))
+            return
+        found = 0
+        for cls in vars(module).values():
+            kind = _kind_of(cls, module.__name__)
+            if kind:
+                found += 1
+                # A class whose name is of no use is listed, with the reason, under its own.
+                name = cls.name if spec.is_name(cls.name) else cls.__name__
+                self._add(kind, _checked(kind, name, str(file), lambda cls=cls: cls))
+        if not found:
+            reason = "it defines no MechatronicSystem and no Integrator."
+            for kind in KINDS:
+                self._add(kind, Plugin(file.stem, str(file), None, reason))
+
+
+def explain(error: BaseException) -> str:
+    """One sentence on an exception, with the innermost line of code it came from."""
+    if isinstance(error, SyntaxError):
+        return f"{type(error).__name__}: {error.msg} (line {error.lineno})."
+    text = " ".join(str(error).split()) or "no message"
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text.rstrip('.')}{where}."
+
+
+@cache
+def fingerprint(cls: type) -> str:
+    """A digest of the source that a plugin's results come from: it is measured anew when edited.
+
+    The files of the class and its bases, and everything that takes part in every run.
+    """
+    files = {inspect.getsourcefile(base) for base in cls.__mro__ if base is not object}
+    own = {Path(file) for file in files if file}
+    for package in ("problems", "integrators"):
+        own |= set(Path(sys.modules[package].__path__[0]).rglob("*.py"))
+    own.add(Path(__file__).parents[1] / "running" / "measure.py")
+    digest = hashlib.sha256()
+    for file in sorted(own):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+    if not path.is_file():
+        raise PluginError(f"There is no plugin file or folder {path}.")
+    return [path]
+
+
+def _import_file(file: Path) -> Any:
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = f"stepbench_plugin_{file.stem}_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    loader = importlib.util.spec_from_file_location(name, file)
+    if loader is None or loader.loader is None:
+        raise PluginError(f"{file} is not a Python file.")
+    module = importlib.util.module_from_spec(loader)
+    sys.modules[name] = module  # dataclasses look their module up
+    try:
+        # What a plugin prints must not get into the JSON on the standard output.
+        with redirect_stdout(sys.stderr):
+            loader.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _kind_of(cls: Any, module: str) -> str | None:
+    if not inspect.isclass(cls) or cls.__module__ != module or inspect.isabstract(cls):
+        return None
+    return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
+
+
+def _from_entry_point(kind: str, entry: Any) -> Plugin:
+    origin = _package(entry.dist) if entry.dist else entry.value
+    return _checked(kind, entry.name, origin, entry.load)
+
+
+@cache  # a package reads its metadata anew each time, and has many entry points
+def _package(dist: Any) -> str:
+    return f"{dist.name} {dist.version}"
+
+
+def _checked(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:
+    try:
+        with redirect_stdout(sys.stderr):  # an entry point is imported here
+            cls = load()
+        reason = _fault(kind, name, cls)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        cls, reason = None, explain(error)
+    return Plugin(name, origin, None if reason else cls, reason)
+
+
+def _fault(kind: str, name: str, cls: Any) -> str:
+    if not (inspect.isclass(cls) and issubclass(cls, KINDS[kind])):
+        return f"{cls!r} is not a subclass of {KINDS[kind].__name__}."
+    if inspect.isabstract(cls):
+        return f"it lacks {', '.join(sorted(cls.__abstractmethods__))}."
+    if not spec.is_name(cls.name):
+        return (
+            f"its name {cls.name!r} is not a word of letters, digits, '_', '.' and '-' that "
+            f"starts with a letter or '_'."
+        )
+    if cls.name != name:
+        return f"it is registered as {name!r} but calls itself {cls.name!r}."
+    if kind == "problems":
+        missing = [b for b in ("mass", "force", "initial_state") if not cls.has(b)]
+        if missing:
+            return f"it lacks {', '.join(missing)}."
+    # A forgotten decorator leaves bare Field objects behind.
+    bare = [n for n, value in vars(cls).items() if isinstance(value, dataclasses.Field)]
+    if bare:
+        return f"{', '.join(bare)} is not an option yet: decorate {cls.__name__} with @dataclass."
+    return ""

@@ -1,0 +1,1 @@
+"""Records of runs: their types, their store, and what is made of them."""

@@ -1,0 +1,231 @@
+"""What changed from one run folder to another, cell by cell, and what of it is a regression.
+
+A cell is the same if its key is. Where it reached the end in both, three kinds are compared:
+
+- ``error``: per group and norm. Below a hundred times the reference's own error an error says
+  nothing, so that both are taken as at least that.
+- ``work``: counts, exactly.
+- ``time``: medians, where the samples of the two runs do not overlap and the ratio is beyond the
+  noise of both folders; on other machines or versions it is shown, but is no regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from bench.results.comparison import LEAST, Change, Comparison, Ending, Run, factor
+from bench.results.records import GROUPS, NORMS, Environment, Record, median
+from bench.results.store import Store
+from problems.spec import SpecError, suggest
+
+#: The word for cells that NEW lacks, in the limits of a regression.
+VANISHED = "vanished"
+#: Below this many times the reference's own error, an error says nothing.
+TRUST = 100.0
+
+
+def compare(old: Path, new: Path) -> Comparison:
+    """Compare the stores of two run folders.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If a folder holds no readable store.
+    """
+    (before, machines), (after, others) = _read(old), _read(new)
+    shared = [key for key in after if key in before]
+    names = _names([*before.values(), *after.values()])
+    noise = max(LEAST["time"], _noise(before.values()) * _noise(after.values()))
+    judged: Counter[str] = Counter()
+    differences: dict[str, None] = {}
+    endings, changes, untold = [], [], 0
+    for key in shared:
+        one, two = before[key], after[key]
+        run = _run(two, names)
+        pair = _differences(machines.get(one.environment), others.get(two.environment))
+        differences |= dict.fromkeys(pair)
+        if one.status != two.status:
+            endings.append(Ending(run=run, before=one.status))
+        elif one.status == "ok":
+            judged[f"{run.integrator} on {run.scene}"] += 1
+            changes += [*_errors(run, one, two), *_work(run, one, two)]
+            changes += _time(run, one, two, noise, comparable=not pair)
+            untold += min(len(one.run_s), len(two.run_s)) < 2
+    return Comparison(
+        old=str(old),
+        new=str(new),
+        shared=len(shared),
+        edited=sum(before[key].fingerprint != after[key].fingerprint for key in shared),
+        untold=untold,
+        noise=noise,
+        judged=dict(judged),
+        differences=list(differences),
+        endings=endings,
+        changes=changes,
+        vanished=[_run(r, names) for key, r in before.items() if key not in after],
+        appeared=[_run(r, names) for key, r in after.items() if key not in before],
+    )
+
+
+def read_limits(text: str) -> dict[str, float]:
+    """Read "error:1.1,work:1.05,time:1.5,vanished": the largest ratios that are no regression.
+
+    Raises
+    ------
+    SpecError
+        If a kind is not known or given twice, or a ratio is no number or too near to one.
+    """
+    limits: dict[str, float] = {}
+    for item in text.split(","):
+        kind, colon, ratio = (part.strip() for part in item.partition(":"))
+        known = [*LEAST, VANISHED]
+        if kind not in known:
+            raise SpecError(f"There is no kind of regression {kind!r}; {suggest(kind, known)}.")
+        if kind in limits:
+            raise SpecError(f"The limit of {kind} is given twice.")
+        if kind == VANISHED:
+            if colon:
+                raise SpecError(f"{VANISHED!r} takes no limit; write it without {item!r}'s colon.")
+            limits[kind] = math.inf
+            continue
+        try:
+            limits[kind] = float(ratio)
+        except ValueError:
+            raise SpecError(f"{item!r} is not of the form {kind}:ratio, as {kind}:1.5.") from None
+        if not LEAST[kind] <= limits[kind] < math.inf:
+            raise SpecError(
+                f"{item!r} is not allowed; a limit of {kind} is a ratio from {LEAST[kind]:g} up."
+            )
+    return limits
+
+
+def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str]:
+    """What is worse than the limits allow, a sentence each, the worst first.
+
+    Without limits nothing is; with any, a run that no longer reaches the end always is.
+
+    Raises
+    ------
+    SpecError
+        If there are limits, but no run that both folders have.
+    """
+    if not limits:
+        return []
+    if not comparison.shared:
+        raise SpecError(
+            f"{comparison.old} and {comparison.new} have no run in common: nothing can be judged."
+        )
+    found = [str(ending) for ending in comparison.endings if ending.before == "ok"]
+    beyond = [
+        ((change.ratio or 0.0) / limits[change.kind], change)
+        for change in comparison.changes
+        if change.comparable and change.kind in limits
+    ]
+    beyond = sorted((pair for pair in beyond if pair[0] > 1.0), key=lambda pair: -pair[0])
+    found += [f"{change}, limit {factor(limits[change.kind])}" for _, change in beyond]
+    if VANISHED in limits:
+        found += [f"{run}: not in {comparison.new}" for run in comparison.vanished]
+    return found
+
+
+# ---- parts -----------------------------------------------------------------------------
+def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
+    with Store(folder) as store:
+        return store.records(), store.environments()
+
+
+def _names(records: list[Record]) -> dict[tuple[str, float], str]:
+    """A scene's name, with its interval where it has several."""
+    keys = {(r.problem, r.t_end) for r in records}
+    several = Counter(problem for problem, _ in keys)
+    return {(p, t): p if several[p] == 1 else f"{p} to t={t:g} s" for p, t in keys}
+
+
+def _run(record: Record, names: Mapping[tuple[str, float], str]) -> Run:
+    return Run(
+        key=record.key,
+        scene=names[record.problem, record.t_end],
+        integrator=record.integrator,
+        resolution=record.resolution,
+        status=record.status,
+        message=record.message,
+    )
+
+
+def _differences(old: Environment | None, new: Environment | None) -> list[str]:
+    if old is None or new is None:
+        return ["a machine is not known"]
+    one, two = (
+        {"cpu": e.cpu, "cores": e.cores, "platform": e.platform, **e.versions} for e in (old, new)
+    )
+    names = dict.fromkeys([*one, *two])
+    lost = "none"
+    return [
+        f"{name}: {one.get(name, lost)} -> {two.get(name, lost)}"
+        for name in names
+        if one.get(name) != two.get(name)
+    ]
+
+
+def _errors(run: Run, old: Record, new: Record) -> Iterator[Change]:
+    for group in GROUPS:
+        for norm in NORMS:
+            one, two = (r.errors.get(group, {}).get(norm) for r in (old, new))
+            floor = TRUST * max(r.reference_error.get(group, {}).get(norm, 0.0) for r in (old, new))
+            if one is None or two is None:
+                # No number is worse than any error; none in both is no change.
+                ratio = 1.0 if one is two else (math.inf if two is None else 0.0)
+            else:
+                ratio = _ratio(max(one, floor), max(two, floor))
+            if _changed(ratio, LEAST["error"]):
+                yield Change(
+                    run=run, kind="error", name=group, norm=norm, old=one, new=two, ratio=ratio
+                )
+
+
+def _work(run: Run, old: Record, new: Record) -> Iterator[Change]:
+    for name in dict.fromkeys([*old.work, *new.work]):
+        one, two = old.work.get(name), new.work.get(name)
+        if one != two:
+            ratio = None if one is None or two is None else _ratio(one, two)
+            yield Change(run=run, kind="work", name=name, old=one, new=two, ratio=ratio)
+
+
+def _noise(records: Iterable[Record]) -> float:
+    """The ratio of slowest to fastest sample that a quarter of the timed runs reach; 1 of none.
+
+    A busy machine slows all samples of a short run alike, which only the others tell.
+    """
+    spreads = sorted(max(r.run_s) / min(r.run_s) for r in records if len(r.run_s) > 1)
+    return spreads[3 * len(spreads) // 4] if spreads else 1.0
+
+
+def _time(run: Run, old: Record, new: Record, noise: float, comparable: bool) -> Iterator[Change]:
+    if min(len(old.run_s), len(new.run_s)) < 2:
+        return
+    apart = min(new.run_s) > max(old.run_s) or min(old.run_s) > max(new.run_s)
+    one, two = median(old.run_s), median(new.run_s)
+    ratio = _ratio(one, two)
+    if apart and _changed(ratio, noise):
+        yield Change(
+            run=run,
+            kind="time",
+            name="seconds",
+            old=one,
+            new=two,
+            ratio=ratio,
+            comparable=comparable,
+        )
+
+
+def _ratio(old: float, new: float) -> float:
+    if old == new:
+        return 1.0
+    return new / old if old else math.inf
+
+
+def _changed(ratio: float, least: float) -> bool:
+    return ratio > least or ratio < 1 / least

@@ -1,0 +1,109 @@
+"""Errors, constraint residuals and energy of a trajectory, measured against a reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bench.results.records import GROUPS, LEVELS, Rows
+from integrators.contract import Trajectory
+from problems.formulations import compiled
+from problems.reference import Reference
+from problems.system import MechatronicSystem
+
+#: "settled" is the last part of the interval, where the start transient has died out.
+SETTLED_PART = 0.25
+
+
+def finite(value: float) -> float | None:
+    """The value as a float, or None if it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def norms(t: np.ndarray) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+    """Norms over the rows at times t of sizes ``(..., k)``; see `relative_errors`."""
+    last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
+    return {
+        "end": lambda r: r[..., -1],
+        "max": lambda r: r.max(axis=-1),
+        "rms": lambda r: np.sqrt(np.trapezoid(r * r, t) / (t[-1] - t[0])),
+        "settled": lambda r: r[..., last].max(axis=-1),
+    }
+
+
+def relative_errors(
+    trajectory: Trajectory, reference: Reference
+) -> tuple[dict[str, dict[str, float | None]], dict[str, dict[str, float]]]:
+    """Relative error per group and norm over a trajectory's own rows, and the reference's own.
+
+    In every norm it is norm(value - reference) / norm(reference): ``end`` takes the last row,
+    ``max`` the largest row, ``rms`` the root of the mean square over time (trapezoidal rule),
+    ``settled`` the largest row of the last quarter of the interval. A row's size is Euclidean.
+    Where the reference's norm vanishes the error is absolute. The reference's estimated error is
+    taken relative to the same norms.
+    """
+    exact, over = reference(trajectory.t), norms(trajectory.t)
+    errors: dict[str, dict[str, float | None]] = {}
+    floors: dict[str, dict[str, float]] = {}
+    for group in GROUPS:
+        if not exact[group].shape[1]:
+            continue
+        difference = np.linalg.norm(getattr(trajectory, group) - exact[group], axis=1)
+        size = np.linalg.norm(exact[group], axis=1)
+        scales = {name: float(norm(size)) or 1.0 for name, norm in over.items()}
+        errors[group] = {n: finite(norm(difference) / scales[n]) for n, norm in over.items()}
+        floors[group] = {n: reference.error[group] / scale for n, scale in scales.items()}
+    return errors, floors
+
+
+def relative_reference_error(reference: Reference) -> dict[str, float]:
+    """The reference's own estimated error, relative to the largest value of each group."""
+    exact = reference(np.linspace(reference.scene.interval[0], reference.t_end, 100))
+    return {
+        group: float(error / (np.linalg.norm(exact[group], axis=1).max() or 1.0))
+        for group, error in reference.error.items()
+        if exact[group].shape[1]
+    }
+
+
+def histories(scene: MechatronicSystem, trajectory: Trajectory) -> dict[str, np.ndarray]:
+    """What a run violates, per row ``(k,)``: the largest absolute residual of Phi and its first two
+    time derivatives ("position", "velocity", "acceleration"), and the "energy"'s change relative
+    to the largest kinetic energy. A scene without constraints or energy has none of them."""
+    y, p, found = trajectory, scene.parameters(), {}
+    if scene.has("constraint"):
+        levels = compiled(scene).levels(p, y.q, y.v, y.a, y.t)
+        found = {
+            name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
+        }
+    if scene.has("energy"):
+        energy = compiled(scene).energy
+        total = np.asarray(energy(p, y.q, y.v))
+        kinetic = total - np.asarray(energy(p, y.q, 0 * y.v))
+        found["energy"] = np.abs(total - total[0]) / (np.abs(kinetic).max() or 1.0)
+    return found
+
+
+#: Of groups with more components than this, only the first ones are stored.
+MOST_COMPONENTS = 100
+
+
+def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
+    """A trajectory (or a reference's values with "t") as it is stored: up to its first row that is
+    not finite, which could not be read back, and of large groups the first components.
+    """
+    values = trajectory if isinstance(trajectory, dict) else vars(trajectory)
+    t = np.asarray(values["t"])
+    groups = {n: np.asarray(values[n]) for n in (*GROUPS, "xdot") if np.size(values[n])}
+    finite_rows = np.isfinite(t)
+    for rows in groups.values():
+        finite_rows = finite_rows & np.isfinite(rows).all(axis=1)
+    keep = len(t) if finite_rows.all() else int(np.argmin(finite_rows))
+    return Rows(
+        t=t[:keep].tolist(),
+        values={n: rows[:keep, :MOST_COMPONENTS].tolist() for n, rows in groups.items()},
+        notes={n: list(map(finite, r[:keep])) for n, r in values.get("notes", {}).items()},
+    )

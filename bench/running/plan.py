@@ -1,0 +1,357 @@
+"""Plans: which cells are to be measured, read from a profile (TOML) and the command line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bench.plugins.registry import Registry, fingerprint
+from bench.results.records import NORMS, IntegratorFacts, Plan, Record, Study
+from integrators.contract import Integrator, Steps, Tolerances
+from problems import spec
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+#: What a scene is refined over where a profile does not say.
+DEFAULT_HALVINGS = 6
+DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+
+#: What a study can show; "runs" is a table of every run, not shown unless asked for.
+FIGURES = ("trajectory", "convergence", "work_precision")
+TABLES = ("runs",)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run to be measured: a scene, an integrator, an end time and a resolution."""
+
+    problem: str
+    integrator: str
+    t_end: float
+    resolution: Steps | Tolerances
+
+    @property
+    def key(self) -> str:
+        """Readable and unique; the store's key."""
+        r = self.resolution
+        if isinstance(r, Steps):
+            refined = f"h={r.h!r} x {'/'.join(map(repr, r.pattern))}"
+        else:
+            refined = f"rtol={r.rtol!r} atol={r.atol!r}"
+        return f"{self.problem} | {self.integrator} | {refined} | t_end={self.t_end!r}"
+
+    def record(self, registry: Registry, status: str, message: str = "") -> Record:
+        """The row of this cell with what is known without running it."""
+        scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
+        form, t0, r = integrator.formulation, scene.interval[0], self.resolution
+        known: dict[str, Any] = {}
+        if isinstance(r, Steps):
+            h = (self.t_end - t0) / r.count(t0, self.t_end)
+            known = {"h": h, "pattern": r.pattern}
+        else:
+            known = {"rtol": r.rtol, "atol": r.atol}
+        return Record(
+            key=self.key,
+            problem=self.problem,
+            integrator=self.integrator,
+            family=integrator.family or integrator.name,
+            formulation=form if scene.has("constraint") or form == "ode" else "unconstrained",
+            controls=integrator.controls,
+            t0=t0,
+            t_end=self.t_end,
+            status=status,
+            message=message,
+            fingerprint=self.fingerprint(registry),
+            **known,
+        )
+
+    def fingerprint(self, registry: Registry) -> str:
+        """Digest of the source of the cell's scene and integrator."""
+        scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
+        return f"{fingerprint(type(scene))}-{fingerprint(type(integrator))}"
+
+
+class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A ``[[study]]`` of a profile.
+
+    ``vary`` maps option names to values: every integrator is taken with every combination of
+    them. ``norm`` is the norm whose orders are tabled first, ``components`` what is drawn over
+    time, such as "q4" or "x1"; the first few of every group if there are none.
+    """
+
+    problems: list[str]
+    integrators: list[str]
+    vary: dict[str, list[str]] = {}
+    title: str = ""
+    note: str = ""
+    t_end: float | None = None
+    steps: list[float] | None = None
+    pattern: tuple[float, ...] = (1.0,)
+    rtol: list[float] | None = None
+    atol: float | None = None
+    figures: tuple[str, ...] = FIGURES
+    norm: str = "settled"
+    components: list[str] = []
+
+
+class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; and the
+    experiments of the failure ``atlas`` that belong to it (true: all)."""
+
+    study: list[StudyFile]
+    title: str = ""
+    samples: int = 5
+    budget_s: float = 60.0
+    memory_gib: float = 4.0
+    atlas: bool | list[str] = False
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A plan as it is stored, its cells by key in order, the memory limit of a cell, and the
+    experiments of the failure atlas that belong to it (True: all, False: none)."""
+
+    plan: Plan
+    cells: dict[str, Cell]
+    memory_gib: float
+    atlas: bool | list[str] = False
+
+
+def built_in_profiles() -> dict[str, Path]:
+    """The profiles that ship with the tool, by name."""
+    folder = Path(str(resources.files("bench"))) / "profiles"
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def read_profile(name: str) -> tuple[str, ProfileFile]:
+    """Read a built-in profile by name or any TOML file by path; returns its name, too.
+
+    Raises
+    ------
+    SpecError
+        If it is not there, is not TOML, or has an unknown key or a value of the wrong type.
+    """
+    known = built_in_profiles()
+    path = known.get(name, Path(name))
+    if path.suffix != ".toml":
+        raise SpecError(
+            f"There is no profile {name!r}; {spec.suggest(name, known)}, or give a .toml file."
+        )
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SpecError(f"The profile {path} cannot be read: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
+    _check_keys(data, ProfileFile, f"The profile {path}")
+    studies = data.get("study")
+    for study in studies if isinstance(studies, list) else []:
+        if isinstance(study, dict):
+            _check_keys(study, StudyFile, f"A [[study]] of {path}")
+    try:
+        profile = msgspec.convert(data, ProfileFile)
+    except msgspec.ValidationError as error:
+        raise SpecError(f"The profile {path} is not as expected: {error}.") from None
+    return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
+
+
+def _varied(study: StudyFile) -> StudyFile:
+    """The study with every combination of the options that it varies written out."""
+    combinations = [
+        dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
+    ]
+    integrators = []
+    for text in study.integrators:
+        name, options = spec.split_spec(text)
+        for more in combinations:
+            every = ",".join(f"{key}={value}" for key, value in (options | more).items())
+            integrators.append(f"{name}[{every}]" if every else name)
+    return msgspec.structs.replace(study, integrators=integrators, vary={})
+
+
+def _check_keys(data: dict[str, Any], struct: type, where: str) -> None:
+    known = [field.name for field in msgspec.structs.fields(struct)]
+    for key in data:
+        if key not in known:
+            raise SpecError(f"{where} has the unknown key {key!r}; {spec.suggest(key, known)}.")
+
+
+def make_suite(
+    name: str,
+    profile: ProfileFile,
+    registry: Registry,
+    problems: Sequence[str] = (),
+    integrators: Sequence[str] = (),
+) -> Suite:
+    """Make the cells of a profile, restricted or extended by the command line.
+
+    A name in ``problems`` or ``integrators`` selects what the profile has by it; what the profile
+    does not have is added, with the steps and tolerances that the profile gives the others (or
+    the scene's own for a scene of its own).
+
+    Raises
+    ------
+    SpecError
+        If a name, option or number is not known or not allowed, or nothing is left to do.
+    """
+    files = _select_problems(profile.study, registry, problems)
+    if not 0 <= profile.samples <= 1000:
+        raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
+    for key in ("budget_s", "memory_gib"):
+        if not getattr(profile, key) > 0:
+            raise SpecError(f"{key}={getattr(profile, key)} is not allowed; give more than 0.")
+    studies, cells = [], {}
+    placed: defaultdict[str, set[str]] = defaultdict(set)
+    for file in files:
+        for figure in file.figures:
+            if figure not in (known := FIGURES + TABLES):
+                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
+        if file.norm not in NORMS:
+            raise SpecError(f"There is no norm {file.norm!r}; {spec.suggest(file.norm, NORMS)}.")
+        for problem in file.problems:
+            own = [registry.integrator(text) for text in file.integrators]
+            chosen = _select_integrators(own, registry, integrators) if integrators else own
+            # What no study of a scene names by itself goes into its first study alone.
+            taken = _own_specs(profile.study, problem, registry) | placed[problem]
+            chosen = [i for i in chosen if i in own or i.spec not in taken]
+            placed[problem] |= {i.spec for i in chosen}
+            if chosen:
+                study, more = _expand(file, problem, chosen, registry)
+                studies.append(study)
+                cells.update(more)
+    if not cells:
+        raise SpecError("Nothing is left to run; check the names given with -p and -i.")
+    plan = Plan(
+        name=name,
+        title=profile.title or name,
+        samples=profile.samples,
+        budget_s=profile.budget_s,
+        studies=studies,
+        integrators={
+            text: _facts(registry, text)
+            for text in dict.fromkeys(cell.integrator for cell in cells.values())
+        },
+    )
+    # Who asks for a part of the profile does not want the atlas.
+    atlas = False if problems or integrators else profile.atlas
+    return Suite(plan, cells, profile.memory_gib, atlas)
+
+
+def _facts(registry: Registry, text: str) -> IntegratorFacts:
+    integrator = registry.integrator(text)
+    return IntegratorFacts(
+        title=registry.integrators[integrator.name].summary,
+        orders=dict(integrator.orders),
+        formulation=integrator.formulation,
+        source=integrator.source,
+    )
+
+
+def _select_problems(
+    files: list[StudyFile], registry: Registry, wanted: Sequence[str]
+) -> list[StudyFile]:
+    if not wanted:
+        return files
+    selected, integrators = [], [i for file in files for i in file.integrators]
+    asked = [registry.problem(text).spec for text in wanted]
+    for file in files:
+        keep = [p for p in file.problems if registry.problem(p).spec in asked]
+        if keep:
+            selected.append(msgspec.structs.replace(file, problems=keep))
+    there = {registry.problem(p).spec for file in selected for p in file.problems}
+    extra = [p for p in asked if p not in there]
+    if extra:
+        unique = list(dict.fromkeys(integrators))
+        selected.append(StudyFile(problems=extra, integrators=unique))
+    return selected
+
+
+def _select_integrators(
+    mine: list[Integrator], registry: Registry, wanted: Sequence[str]
+) -> list[Integrator]:
+    chosen: dict[str, Integrator] = {}
+    for text in wanted:
+        asked = registry.integrator(text)
+        bare = "[" not in text
+        found = [i for i in mine if i.spec == asked.spec or (bare and i.name == asked.name)]
+        for integrator in found or [asked]:
+            chosen[integrator.spec] = integrator
+    return list(chosen.values())
+
+
+def _own_specs(files: list[StudyFile], problem: str, registry: Registry) -> set[str]:
+    """The integrators that the studies of a scene name themselves."""
+    return {
+        registry.integrator(text).spec
+        for file in files
+        if problem in file.problems
+        for text in file.integrators
+    }
+
+
+def _expand(
+    file: StudyFile, problem: str, integrators: list[Integrator], registry: Registry
+) -> tuple[Study, dict[str, Cell]]:
+    scene = registry.problem(problem)
+    t0, default_end = scene.interval
+    t_end = check_end(t0, default_end if file.t_end is None else file.t_end)
+    steps = file.steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]
+    grids: dict[str, list[Steps | Tolerances]] = {
+        "step": [Steps(h, file.pattern) for h in steps],
+        "tolerance": [Tolerances(r, file.atol) for r in file.rtol or DEFAULT_RTOL],
+    }
+    for grid in grids["step"]:
+        grid.count(t0, t_end)
+    cells = {
+        cell.key: cell
+        for integrator in integrators
+        for resolution in grids[integrator.controls]
+        if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
+    }
+    study = Study(
+        title=file.title or scene.spec,
+        note=file.note,
+        problem=scene.spec,
+        t_end=t_end,
+        figures=list(file.figures),
+        norm=file.norm,
+        components=_components(file, scene),
+        cells=list(cells),
+    )
+    return study, cells
+
+
+def _components(file: StudyFile, scene: MechatronicSystem) -> list[str]:
+    if not file.components:
+        return []
+    sizes = scene.sizes  # needs JAX, which takes a while to load
+    count = {**dict.fromkeys("qva", sizes.nq), "lam": sizes.nl, "x": sizes.nx, "y": sizes.ny}
+    for text in file.components:
+        match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", text)
+        if not match or int(match[2]) > count[match[1]]:
+            raise SpecError(
+                f"{scene.spec} has no component {text!r}; give a group and a number such as q1."
+            )
+    return list(file.components)
+
+
+def check_end(t0: float, t_end: float) -> float:
+    """Return t_end as a float.
+
+    Raises
+    ------
+    SpecError
+        If it does not lie after the start t0.
+    """
+    if not t0 < t_end < float("inf"):
+        raise SpecError(f"The end time {t_end:g} s does not lie after the start at {t0:g} s.")
+    return float(t_end)

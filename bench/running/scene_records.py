@@ -1,0 +1,120 @@
+"""What is shown of a scene: its record, its pictures, and how stiff it is."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.plugins.registry import fingerprint
+from bench.results.records import Rows, SceneRecord
+from bench.running import measure
+from problems.formulations import ode_rate
+from problems.reference import Reference
+from problems.runtime import jax
+from problems.system import MechatronicSystem, Sizes
+
+#: Positions at which a still picture shows a scene.
+GHOSTS = 7
+#: Times at which eigenvalues are taken.
+_SPECTRA = 61
+#: Beyond so many states the eigenvalues are not asked for: they would cost more than the runs.
+_MOST_STATES = 400
+
+_BLOCKS = {
+    "constraint": "0 = Phi(q, t)",
+    "state_rate": "xdot = f(q, v, a, lam, x, y, t)",
+    "output": "y = h(q, v, a, lam, x, y, t)",
+}
+
+
+def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
+    """Everything that a report shows of a scene; less, if it is too large for a reference."""
+    known: dict[str, Any] = {
+        "reference_method": reference.missing,
+        "reference_error": {},
+        "reference": Rows(t=[], values={}),
+    }
+    if not reference.missing:
+        t = np.linspace(scene.interval[0], reference.t_end, 301)
+        known = {
+            "reference_method": reference.method,
+            "reference_error": measure.relative_reference_error(reference),
+            "reference": measure.rows_of({"t": t} | reference(t)),
+            "drawings": drawings(scene, reference, GHOSTS),
+            "rates": rates(scene, reference),
+        }
+    return SceneRecord(
+        problem=scene.spec,
+        t_end=reference.t_end,
+        source=scene.source,
+        coordinates=list(scene.coordinates),
+        sizes=scene.sizes._asdict(),
+        t0=scene.interval[0],
+        fingerprint=fingerprint(type(scene)),
+        tags=list(scene.tags),
+        difficulties=list(scene.difficulties),
+        equations=equations(scene),
+        nominal_step=scene.nominal_step,
+        **known,
+        **scene.describe(),
+    )
+
+
+def equations(scene: MechatronicSystem) -> list[str]:
+    """The equations that a scene has, in the words of the contract."""
+    motion = "M(q) a = g(q, v, t)"
+    motion += " - Phi_q^T lam" if scene.has("constraint") else ""
+    motion += " + L y" if scene.has("output") else ""
+    return [motion, *(text for block, text in _BLOCKS.items() if scene.has(block))]
+
+
+def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list[dict[str, Any]]:
+    """The scene at ``count`` times: ``{"t": s, "lines": [[[x, y], ...], ...]}``, lengths in m."""
+    if not scene.has("draw"):
+        return []
+    t = np.linspace(scene.interval[0], reference.t_end, count)
+    return [
+        {"t": float(now), "lines": [np.asarray(line).tolist() for line in scene.draw(q)]}
+        for now, q in zip(t, reference(t)["q"], strict=True)
+    ]
+
+
+@cache
+def _jacobians(template: MechatronicSystem, sizes: Sizes) -> Any:
+    """Jacobians of the ODE form over rows of times and states."""
+
+    def one(p: dict, t: Any, s: Any) -> Any:
+        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), sizes, t, s))(s)
+
+    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0)))
+
+
+def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
+    """Rates in 1/s from the eigenvalues of the ODE form along the motion.
+
+    ``fastest`` and ``slowest`` are the largest modulus and the smallest that is not rounding,
+    ``decay`` is the fastest decay and ``oscillation`` the fastest oscillation; a large ratio of
+    the first two, or of ``fastest`` and one over the interval, is stiffness. None for a scene too
+    large to ask.
+    """
+    sizes = scene.sizes
+    if 2 * sizes.nq + sizes.nx > _MOST_STATES:
+        return None
+    t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
+    at = reference(t)
+    states = np.concatenate([at["q"], at["v"], at["x"]], axis=1)
+    jacobians = np.asarray(_jacobians(scene.template(), sizes)(scene.parameters(), t, states))
+    if not np.isfinite(jacobians).all():
+        return None
+    values = np.linalg.eigvals(jacobians).ravel()
+    size = np.abs(values)
+    # A constrained ODE form has zeros of multiplicity two; rounding makes roots of them.
+    real = size[size > 1e-5 * max(1.0, size.max())]
+    return {
+        "fastest": float(size.max()),
+        "slowest": float(real.min(initial=size.max())),
+        "decay": float(max(0.0, -values.real.min())),
+        "oscillation": float(np.abs(values.imag).max()),
+    }

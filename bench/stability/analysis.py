@@ -1,0 +1,135 @@
+"""All that the laboratory finds out about one integrator, as plain values for a page or JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.stability import patterns
+from bench.stability.matrices import matrices, steppable
+from bench.stability.spectra import FIRST_STEPS, eigenvalues, nearest, radii, spectrum, summary
+from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
+from integrators.contract import Integrator
+from integrators.methods import generalized_alpha_theory
+from integrators.native.time_loop import StepMethod
+from problems.spec import SpecError
+
+SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
+#: omega h at which numbers are told if none are asked for.
+TOLD = (0.1, 0.5, 1.0, 10.0, 100.0)
+#: Grids of the maps: omega h, values of an option, ratios of steps.
+_ACROSS, _VALUES = np.geomspace(1e-2, 1e4, 43), 31
+_RATIOS = np.geomspace(1.0, 5.0, 31)
+
+
+def findings(
+    method: Integrator,
+    system: LinearSystem,
+    pattern: Sequence[float] = (1.0,),
+    at: Sequence[float] = (),
+    ratios: str = "alternating",
+) -> dict[str, Any]:
+    """Spectrum, theory, maps and safe ratios of a method.
+
+    Maps and ratios are found for methods that are step functions; runs would take minutes.
+    ``ratios`` says in which patterns the largest safe ratio is sought: none, alternating, any.
+
+    Raises
+    ------
+    SpecError
+        As `bench.stability.matrices.matrices` does.
+    """
+    method = steppable(method)
+    told = tuple(at) or TOLD
+    found = spectrum(method, system, pattern, told)
+    places = nearest(found, told)
+    columns = ("omega_h", "radius", "damping", "period_error", "overshoot_q", "overshoot_v")
+    plain = summary(found)
+    steppers = isinstance(method, StepMethod)
+    return plain | {
+        "family": method.family or method.name,
+        "at": {name: [plain[name][k] for k in places] for name in columns},
+        "first_steps": FIRST_STEPS,
+        "theory": _theory(method) if len(pattern) == 1 else None,
+        "maps": [*_option_map(method, system, pattern), _ratio_map(method, system)]
+        if steppers
+        else [],
+        "safe": _safe(method, system, ratios) if steppers and not found.growing else {},
+    }
+
+
+def _safe(method: StepMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
+    """Safe ratios by kind of pattern; a method that grows at constant steps has none."""
+    tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.words()}
+    kinds = list(tried)[: ["none", *tried].index(ratios)]
+    return {kind: vars(patterns.safe_ratio(method, tried[kind], system)) for kind in kinds}
+
+
+def _radii(
+    method: Integrator, system: LinearSystem, pattern: Sequence[float]
+) -> list[float | None]:
+    sizes = radii(eigenvalues(matrices(method, system, _ACROSS, pattern).a))
+    return [float(size) if np.isfinite(size) else None for size in sizes]
+
+
+def _option_map(
+    method: StepMethod, system: LinearSystem, pattern: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Radii over omega h and the option that a method shows first, if that is a bounded number."""
+    for field in dataclasses.fields(method):
+        low, high = field.metadata.get("low"), field.metadata.get("high")
+        if field.metadata.get("always") and field.metadata["type"] is float and None not in (
+            low, high,
+        ):  # fmt: skip
+            break
+    else:
+        return []
+    rows = []
+    for value in np.linspace(low, high, _VALUES):
+        try:
+            member = dataclasses.replace(method, **{field.name: float(value)})
+        except SpecError:  # not every value goes with the other options
+            continue
+        rows.append({"value": float(value), "radii": _radii(member, system, pattern)})
+    return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
+
+
+def _ratio_map(method: StepMethod, system: LinearSystem) -> dict[str, Any]:
+    """Radii over omega H and the ratio of two steps that take turns."""
+    rows = [
+        {"value": float(r), "radii": _radii(method, system, patterns.fractions((1, -1), r))}
+        for r in _RATIOS
+    ]
+    return {"over": "step ratio", "omega_h": _ACROSS.tolist(), "rows": rows}
+
+
+def _theory(method: Integrator) -> dict[str, Any] | None:
+    """The multistep formulas of a method of the generalized-alpha recurrence."""
+    recurrence = generalized_alpha_theory.recurrence_of(method)
+    if recurrence is None:
+        return None
+
+    def told(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
+        return [{"re": root.real, "im": root.imag, "times": count} for root, count in roots]
+
+    formulas = {
+        group: {
+            "rho": formula.rho.tolist(),
+            "sigma": formula.sigma.tolist(),
+            "power": formula.power,
+            "order": formula.order,
+            "zero_roots": told(formula.zero_roots),
+            "zero_stable": formula.zero_stable,
+            "infinity_roots": told(formula.infinity_roots),
+            "infinity_stable": formula.infinity_stable,
+        }
+        for group, formula in (
+            ("q", recurrence.positions),
+            ("v", recurrence.velocities),
+            ("x", recurrence.controller),
+        )
+    }
+    return {"formulas": formulas, "smallest_ratio": recurrence.smallest_ratio}

@@ -1,0 +1,284 @@
+"""Many runs in one compiled program, in blocks of bounded memory.
+
+Side by side, runs wait for the one with the most steps, so the longest are begun first, together;
+one that fails costs the others nothing. Blocks are shared out to threads, as the compiled
+program needs no Python, and JAX has a thread for each processor. Nothing calls back, so that the
+same code runs on a GPU.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.sweeps.batched_steps import ChosenSteps, ConstantSteps, Pace, distinct
+from integrators.contract import Integrator, Steps, Tolerances
+from integrators.native.adaptive_loop import AdaptiveMethod
+from integrators.native.time_loop import StepMethod
+from problems.batched_initial_values import consistent_starts
+from problems.formulations import complete
+from problems.runtime import jax
+from problems.spec import SpecError
+from problems.system import MechatronicSystem, Sizes
+
+#: Most runs side by side, and bytes of their tangents and rows. On a CPU more gain little and
+#: leave the caches; a GPU wants thousands.
+_MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
+_MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
+#: Rows that a kernel has room for, about.
+_ROWS = 256
+
+
+class Run(NamedTuple):
+    """One of many runs. What is equal in several of them is made once."""
+
+    scene: MechatronicSystem
+    method: Integrator
+    resolution: Steps | Tolerances
+
+
+@dataclass(frozen=True)
+class Block:
+    """What some of the runs gave: rows at times t ``(k, r)``, values of shape ``(k, r, n)``.
+
+    ``members`` are the places of these k runs among all, ``status``, ``message`` and ``t_last``
+    tell how and when each ended, ``counts`` ``(k, c)`` what it did; None if that is not counted.
+    A row that was not reached is NaN; ``rows`` ``(k,)`` is how many there are in a complete run.
+    """
+
+    members: np.ndarray
+    status: list[str]
+    message: list[str]
+    t_last: np.ndarray
+    counts: np.ndarray
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    rows: np.ndarray
+
+
+def refuse(method: Integrator, scene: MechatronicSystem) -> None:
+    """Raise SpecError if an integrator cannot run as one program, or not on this scene."""
+    reason = method.supports(scene)
+    if reason:
+        raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
+    if _marching(method, scene) is None:
+        constant = method.at_constant_steps()
+        able = constant is not None and constant.stepped(scene) is not None
+        raise SpecError(
+            f"{method.spec} cannot run many members in one program: that takes steps written as "
+            f"JAX functions of a state; take "
+            f"{constant.spec if able else 'a StepMethod such as generalized_alpha'}."
+        )
+
+
+def _marching(method: Integrator, scene: MechatronicSystem) -> StepMethod | None:
+    """What marches in numbers, at constant steps or at steps of its own."""
+    return method if isinstance(method, AdaptiveMethod) else method.stepped(scene)
+
+
+class Batch:
+    """Runs of one kind of scene by one kind of integrator, as tables of numbers.
+
+    Parameters
+    ----------
+    runs
+        Float parameters, numeric options and steps or tolerances may differ between them.
+    t_end
+        The end of all of them, in s.
+    every_row
+        Keep the rows that a single run keeps, from the start on, instead of the end alone.
+    lanes
+        Runs side by side, a power of two; by the machine and the memory if not given.
+
+    Raises
+    ------
+    SpecError
+        If they cannot be run as one program.
+    """
+
+    def __init__(
+        self, runs: Sequence[Run], t_end: float, every_row: bool = False, lanes: int | None = None
+    ) -> None:
+        scenes, self._of_scene = distinct(run.scene for run in runs)
+        pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)
+        steppers = [_marching(method, scene) for method, scene in pairs]
+        kinds = {stepper.functions() for stepper in steppers}, {s.template() for s in scenes}
+        if any(len(kind) > 1 for kind in kinds):
+            raise SpecError(
+                "The members need different compiled programs; only float parameters of the "
+                "scene, numeric options of the integrator and steps or tolerances can differ."
+            )
+        self._kernel = steppers[0].kernel(scenes[0])
+        self._template, self._sizes = scenes[0].template(), scenes[0].sizes
+        self._states_only, self._every_row = steppers[0].states_only, every_row
+        self._pace = _pace(runs, t_end, every_row)
+        self._starts, without = consistent_starts(scenes)
+        refused = {
+            k: ("unsupported", reason)
+            for k, (method, scene) in enumerate(pairs)
+            if (reason := method.supports(scene))
+        }
+        self._refused = refused | {
+            int(self._of_pair[k]): ("crashed", without[scene])
+            for k, scene in enumerate(self._of_scene)
+            if scene in without
+        }
+        settings = [scene.parameters() for scene in scenes]
+        by_id = {id(stepper): stepper for stepper in steppers}  # many scenes may share one
+        keys, of_stepper = distinct(map(id, steppers))
+        numbers = [by_id[key].numbers() for key in keys]
+        start = jax.tree.map(lambda leaf: leaf[0], self._starts)
+        # Packing one tells the kernel how its numbers are arranged: one part after the other.
+        self._kernel.pack(settings[0], numbers[0], start, self._pace.numbers[0])
+        names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
+        leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
+        self._parameters = np.array([[values[name] for name in names] for values in settings])
+        self._tables = [
+            (self._parameters, self._of_scene),
+            (_table(numbers), of_stepper[self._of_pair]),
+            (np.concatenate(leaves, axis=1), self._of_scene),
+        ]
+        self._times = _table(self._pace.numbers)
+        self._lanes = lanes or _lanes(self._sizes, len(runs))
+
+    def blocks(self, jobs: int | None = None) -> Iterator[Block]:
+        """Run all, a block at a time in each of ``jobs`` threads: one per processor if not given.
+
+        The longest runs come first, so that the last block to end is a short one.
+        """
+        order = self._pace.longest_first()
+        parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
+        jobs = jobs or _processors()
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            # Not all at once: what is not yet asked for takes no memory.
+            waiting: list[Future[Block]] = []
+            for part in parts:
+                waiting.append(pool.submit(self._block, part))
+                if len(waiting) > 2 * jobs:
+                    yield waiting.pop(0).result()
+            while waiting:
+                yield waiting.pop(0).result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def warm(self) -> None:
+        """Compile, and take no step."""
+        nobody = np.zeros(self._lanes, dtype=np.int64)
+        jax.block_until_ready(self._called(nobody, nobody == 0))
+
+    def _called(self, lanes: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
+        tables = [table[of[lanes]] for table, of in self._tables]
+        packed = np.concatenate([*tables, self._times[self._pace.of(lanes, idle)]], axis=1)
+        return self._kernel.batched(packed, *self._pace.wanted(lanes, idle))
+
+    def _block(self, members: np.ndarray) -> Block:
+        # The last member fills the block up, so that one size is compiled; it takes no step there.
+        count = len(members)
+        lanes = np.concatenate([members, np.repeat(members[-1:], self._lanes - count)])
+        scene, pair = self._of_scene[lanes], self._of_pair[lanes]
+        idle = (np.arange(self._lanes) >= count) | np.isin(pair, list(self._refused))
+        answer = tuple(np.array(part) for part in self._called(lanes, idle))
+        t, table, row_counts, ends, counts = self._pace.read(lanes, answer)
+        values = _split(table, self._sizes)
+        if self._states_only:
+            values |= self._completed(scene, t, values)
+        last = [v[np.arange(self._lanes), row_counts - 1] for v in values.values()]
+        finite = np.isfinite(np.concatenate(last, axis=1)).all(axis=1)
+        endings = [self._ending(*e) for e in zip(members, ends, finite, strict=False)]
+        if self._every_row:
+            t, values, row_counts = self._with_start(scene, t, values, row_counts)
+        status, message = map(list, zip(*endings, strict=True))
+        values = {name: value[:count] for name, value in values.items()}
+        t, t_last, row_counts = t[:count], ends[:count, 1], row_counts[:count]
+        return Block(members, status, message, t_last, counts[:count], t, values, row_counts)
+
+    def _ending(self, member: int, end: np.ndarray, finite: bool) -> tuple[str, str]:
+        refused = self._refused.get(int(self._of_pair[member]))
+        if refused:
+            return refused
+        status, message = self._pace.outcome(member, end)
+        if status == "ok" and not finite:
+            return "diverged", "It ended with values that are not finite."
+        return status, message
+
+    def _completed(self, scene: np.ndarray, t: np.ndarray, values: dict) -> dict[str, np.ndarray]:
+        """a, lam, y and xdot at the rows, from the equations of motion."""
+        names = sorted(self._template.parameters())  # as JAX sorts the keys of a dictionary
+        parameters = dict(zip(names, self._parameters[scene].T, strict=True))
+        state = (values[name] for name in ("q", "v", "x"))
+        z, xdot = _completion(self._template, self._sizes)(parameters, *state, t)
+        found = z._asdict() | {"xdot": xdot}
+        return {name: np.asarray(found[name]) for name in ("a", "lam", "y", "xdot")}
+
+    def _with_start(
+        self, scene: np.ndarray, t: np.ndarray, values: dict, row_counts: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        first = self._starts.z._asdict() | {"xdot": self._starts.xdot}
+        values = {
+            name: np.concatenate([first[name][scene][:, None], rows], axis=1)
+            for name, rows in values.items()
+        }
+        return np.concatenate([first["t"][scene][:, None], t], axis=1), values, row_counts + 1
+
+    @property
+    def counts(self) -> tuple[str, ...]:
+        """Names of the counts that mean something."""
+        return self._pace.counts[:1] if self._states_only else self._pace.counts
+
+
+def _pace(runs: Sequence[Run], t_end: float, every_row: bool) -> Pace:
+    t0, resolutions = runs[0].scene.interval[0], [run.resolution for run in runs]
+    if isinstance(runs[0].method, AdaptiveMethod):
+        methods = [run.method for run in runs]
+        return ChosenSteps(resolutions, methods, t0, t_end, every_row)
+    return ConstantSteps(resolutions, t0, t_end, every_row)
+
+
+def _table(trees: Sequence[Any]) -> np.ndarray:
+    return np.array([_numbers(tree) for tree in trees])
+
+
+def _numbers(tree: Any) -> np.ndarray:
+    return np.concatenate([np.ravel(leaf).astype(float) for leaf in jax.tree.leaves(tree)] or [[]])
+
+
+def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
+    """Values by name from rows ``[q, v, a, lam, x, xdot, y, notes]``."""
+    nq, nl, nx, ny = sizes
+    widths = {"q": nq, "v": nq, "a": nq, "lam": nl, "x": nx, "xdot": nx, "y": ny}
+    ends = np.cumsum(list(widths.values()))
+    return dict(zip(widths, np.split(table, ends, axis=2)[: len(widths)], strict=True))
+
+
+def _lanes(sizes: Sizes, count: int) -> int:
+    backend = jax.default_backend()
+    lanes = _MOST_LANES.get(backend, _MOST_LANES_GPU)
+    unknowns = sum(sizes) + sizes.nl
+    each = 8 * (4 * unknowns**2 + _ROWS * 4 * unknowns)
+    most = _MOST_BYTES.get(backend, _MOST_BYTES_GPU) // each
+    while lanes > max(1, most) or lanes // 2 >= count:
+        lanes //= 2
+    return lanes
+
+
+def _processors() -> int:
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+@cache
+def _completion(template: MechatronicSystem, sizes: Sizes) -> Callable:
+    """Program of (parameters, q, v, x, t) with axes of runs and, but for the first, of rows."""
+
+    def one(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
+        return complete(template.with_parameters(p), sizes, q, v, x, t)
+
+    over_rows = jax.vmap(one, in_axes=(None, 0, 0, 0, 0))
+    return jax.jit(jax.vmap(over_rows))

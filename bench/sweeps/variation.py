@@ -1,0 +1,214 @@
+"""What can differ between many runs: step or tolerance, parameters of the scene, options."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.sweeps.batch import Run
+from integrators.contract import Integrator, Steps, Tolerances
+from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
+from problems.system import MechatronicSystem
+
+#: What varies of the time of a run, by the owner of its name, and tolerances' usual ranges.
+_TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}
+_TOLERANCES = {"rtol": (1e-6, 1e-1), "atol": (1e-8, 1e-2)}
+#: A range whose ends differ by this factor is divided evenly in its logarithm.
+_LOGARITHMIC = 10.0
+_RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
+
+
+class Number(NamedTuple):
+    """A number that varies: its name as written, whose it is, and its field there."""
+
+    name: str
+    owner: str
+    field: str
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A number over a range."""
+
+    number: Number
+    low: float
+    high: float
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether equal factors are equal distances; for steps and tolerances they always are."""
+        wide = self.low > 0 and self.high >= _LOGARITHMIC * self.low
+        return wide or (self.number.owner in _TIME and self.low > 0)
+
+    def even(self, count: int) -> np.ndarray:
+        """``count`` values from end to end."""
+        if self.logarithmic:
+            values = np.geomspace(self.low, self.high, count)
+            values[[0, -1]] = self.low, self.high
+            return values
+        return np.linspace(self.low, self.high, count)
+
+    def random(self, count: int, generator: np.random.Generator) -> np.ndarray:
+        """``count`` values drawn evenly from the range."""
+        if self.logarithmic:
+            return np.exp(generator.uniform(math.log(self.low), math.log(self.high), count))
+        return generator.uniform(self.low, self.high, count)
+
+
+def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
+    """The number of a name: ``h``, or for a method that chooses its steps ``rtol`` or ``atol``, a
+    float parameter or option, or one with its owner in front, as ``step.h``, ``tolerance.rtol``,
+    ``scene.gamma`` and ``integrator.gamma``.
+
+    Raises
+    ------
+    SpecError
+        If the name is not known or stands for two things.
+    """
+    time = {method.controls: _TIME[method.controls]}
+    numbers = time | {"scene": numbers_of(type(scene)), "integrator": numbers_of(type(method))}
+    owner, dot, field = name.partition(".")
+    if dot and field in numbers.get(owner, ()):
+        return Number(name, owner, field)
+    owners = [owner for owner, fields in numbers.items() if name in fields]
+    if len(owners) > 1:
+        raise SpecError(
+            f"{name} stands for a number of the {' and of the '.join(owners)}; write "
+            f"{' or '.join(f'{owner}.{name}' for owner in owners)}."
+        )
+    if not owners:
+        known = [field for fields in numbers.values() for field in fields]
+        raise SpecError(
+            f"{name!r} is no number that can vary: not {' or '.join(_TIME[method.controls])}, no "
+            f"float parameter of {scene.name}, and no float option of {method.name}; "
+            f"{suggest(name, known)}."
+        )
+    return Number(name, owners[0], name)
+
+
+def axis(
+    name: str,
+    scene: MechatronicSystem,
+    method: Integrator,
+    ends: tuple[float, float] | None = None,
+) -> Axis:
+    """The axis of a name, over the range that is given or a sensible one.
+
+    A step goes from a twentieth of the scene's nominal one to its fifteenfold, or a third of the
+    interval; rtol from 1e-6 to 1e-1; an option over the values that are allowed; a parameter of the
+    scene from a tenth of its value to tenfold.
+
+    Raises
+    ------
+    SpecError
+        If the name is not known or stands for two things, or the range is not allowed.
+    """
+    found = number(name, scene, method)
+    low, high = ends or _default_range(found, scene, method)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise SpecError(
+            f"The range {low:g}..{high:g} of {name} is not allowed; give two finite numbers, the "
+            f"smaller one first."
+        )
+    varied(scene, method, usual(scene, method), {found: [low, high]})  # says what is wrong
+    return Axis(found, low, high)
+
+
+def usual(scene: MechatronicSystem, method: Integrator) -> Steps | Tolerances:
+    """The steps or tolerances of a run to which none are given."""
+    return Steps(scene.nominal_step) if method.controls == "step" else Tolerances()
+
+
+def varied(
+    scene: MechatronicSystem,
+    method: Integrator,
+    resolution: Steps | Tolerances,
+    values: Mapping[Number, Sequence[float]],
+) -> list[Run]:
+    """The runs with these values, of which each number has as many as there are runs.
+
+    Where rtol varies and atol is rtol/100, it stays so.
+
+    Raises
+    ------
+    SpecError
+        If a value is not allowed.
+    """
+    made: dict[tuple, Any] = {}
+    base = {"scene": scene, "integrator": method, method.controls: resolution}
+
+    def part(owner: str, settings: tuple[tuple[str, float], ...]) -> Any:
+        if (owner, settings) not in made:
+            made[owner, settings] = _with(base[owner], settings)
+        return made[owner, settings]
+
+    runs = []
+    for row in zip(*(np.asarray(v, dtype=float).tolist() for v in values.values()), strict=True):
+        settings: dict[str, list[tuple[str, float]]] = {owner: [] for owner in base}
+        for of, value in zip(values, row, strict=True):
+            settings[of.owner].append((of.field, value))
+        runs.append(Run(*(part(owner, tuple(settings[owner])) for owner in base)))
+    return runs
+
+
+def apart_from(base: MechatronicSystem | Integrator, numbers: Iterable[Number]) -> str:
+    """The printed name without what varies."""
+    owner = "scene" if isinstance(base, MechatronicSystem) else "integrator"
+    varies = {n.field for n in numbers if n.owner == owner}
+    name, settings = split_spec(base.spec)
+    fixed = [f"{key}={value}" for key, value in settings.items() if key not in varies]
+    return f"{name}[{','.join(fixed)}]" if fixed else name
+
+
+def read_ranges(items: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
+    """Read "k:0.8..1.2" as the ends of a range by name."""
+    ranges: dict[str, tuple[float, float]] = {}
+    for item in items:
+        match = _RANGE.fullmatch(item.replace(" ", ""))
+        try:
+            name, *ends = match.groups() if match else ()
+            low, high = map(float, ends)
+        except ValueError:
+            raise SpecError(f"{option} {item!r} is not of the form NAME:LOW..HIGH.") from None
+        if name in ranges:
+            raise SpecError(f"{option} names {name!r} twice.")
+        ranges[name] = low, high
+    return ranges
+
+
+def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
+    if not settings:
+        return base
+    if isinstance(base, Steps):
+        return replace(base, h=settings[0][1])
+    if isinstance(base, Tolerances):
+        follows = base.atol == Tolerances(base.rtol).atol
+        return replace(base, **({"atol": None} if follows else {}) | dict(settings))
+    now = {name: getattr(base, name) for name in options_of(type(base))}
+    return build(type(base), now | dict(settings), base.name)
+
+
+def _default_range(
+    found: Number, scene: MechatronicSystem, method: Integrator
+) -> tuple[float, float]:
+    name, owner, field = found
+    if owner == "step":
+        length = scene.interval[1] - scene.interval[0]
+        return scene.nominal_step / 20, min(15 * scene.nominal_step, length / 3)
+    if owner == "tolerance":
+        return _TOLERANCES[field]
+    of = scene if owner == "scene" else method
+    meta, value = numbers_of(type(of))[field].metadata, getattr(of, field)
+    low, high = (-math.inf if meta["low"] is None else meta["low"],
+                 math.inf if meta["high"] is None else meta["high"])  # fmt: skip
+    if owner == "integrator" and math.isfinite(high - low):
+        return low, high
+    if not value:
+        raise SpecError(f"{name} has no range of its own around {value}; give --range {name}:A..B.")
+    ends = sorted((value / 10, value * 10))
+    return max(low, ends[0]), min(high, ends[1])

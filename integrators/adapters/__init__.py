@@ -1,0 +1,1 @@
+"""Adapters: solvers of other libraries behind the integrator contract."""

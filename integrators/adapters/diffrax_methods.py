@@ -1,0 +1,244 @@
+"""Runge-Kutta methods of diffrax on the explicit ODE form."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from integrators.adapters.diffrax_runs import AdaptiveRun, ConstantRun, marched
+from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
+from integrators.native.time_loop import StepMethod
+from problems.runtime import jnp
+from problems.system import MechatronicSystem
+
+
+def _in_every_group(order: int) -> dict[str, int]:
+    # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
+    return dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
+
+
+@dataclass(frozen=True)
+class DiffraxSolver(Integrator):
+    """Base of the diffrax methods: a method only says which solver it is.
+
+    A constrained scene is taken in its ODE form: accelerations and multipliers are solved from
+    the index-1 equations in every evaluation of the right-hand side, and the constraints drift.
+    Reported q, v and x are the solver's own, at the ends of accepted steps; a, lam, y and xdot
+    solve the equations of motion there.
+
+    ``steps=adaptive`` is diffrax's own loop under its step-size control; the first step is
+    diffrax's 0.01 s. ``steps=constant`` takes the solver's steps on a given grid, step patterns
+    included, without error control and without a limit of steps.
+
+    Work counts: ``residuals`` are evaluations of the right-hand side that are used as such;
+    ``jacobians`` are linearisations of it, each of which is factorised once. They are counted in
+    a second, untimed program.
+    """
+
+    family: ClassVar[str] = "diffrax"
+    root_finder: ClassVar[str] = "none"
+
+    steps: str = option(
+        "adaptive",
+        "adaptive: diffrax's step-size control; constant: equal steps, or a pattern of them",
+        choices=("adaptive", "constant"),
+    )
+    max_steps: int = option(
+        65_536, "most steps in a run of adaptive steps, rejected ones included", low=1
+    )
+
+    @property
+    def formulation(self) -> str:
+        return "ode"
+
+    @property
+    def controls(self) -> str:
+        return "step" if self.steps == "constant" else "tolerance"
+
+    def at_constant_steps(self) -> Integrator | None:
+        return replace(self, steps="constant")
+
+    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
+        return marched(self, scene, counted=False) if self.controls == "step" else None
+
+    @staticmethod
+    @abstractmethod
+    def solver(**options: Any) -> Any:
+        """The diffrax solver; ``options`` holds a root finder, or nothing for diffrax's own."""
+
+    @staticmethod
+    def terms(rate: Callable) -> Any:
+        """The right-hand side as the solver takes it."""
+        import diffrax
+
+        return diffrax.ODETerm(rate)
+
+    def prepare(
+        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
+    ) -> PreparedRun:
+        run = ConstantRun if self.steps == "constant" else AdaptiveRun
+        return run(self, scene, t_end, resolution)
+
+
+@dataclass(frozen=True)
+class ImplicitDiffraxSolver(DiffraxSolver):
+    """Base of the implicit diffrax methods.
+
+    ``root_finder=fair`` is Newton's method at the tolerances of the step-size control, or at
+    constant steps until what is left is round-off. diffrax's own default takes "not yet
+    converged" for "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6
+    KenCarp3 uses up 65,536 steps with it, and 224 with Newton's method. At constant steps diffrax
+    has no default.
+    """
+
+    root_finder: str = option(
+        "fair",
+        "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
+        choices=("fair", "library_default"),
+    )
+
+    def at_constant_steps(self) -> Integrator | None:
+        return super().at_constant_steps() if self.root_finder == "fair" else None
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if self.steps == "constant" and self.root_finder == "library_default":
+            return "diffrax has no default root finder at constant steps; use root_finder=fair."
+        return super().supports(scene)
+
+
+@dataclass(frozen=True)
+class ImplicitEuler(ImplicitDiffraxSolver):
+    """The implicit Euler method: L-stable, one stage, the floor under all the others.
+
+    A step whose Newton iteration fails ends the run: diffrax 0.7.2 does not repeat it with a
+    smaller one as it does for its other implicit methods. Its default root finder is another
+    one, too: a chord method, which waits until it has converged.
+    """
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(1)
+    source: ClassVar[str] = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.ImplicitEuler(**options)
+
+
+class _Kvaerno(ImplicitDiffraxSolver):
+    """What Kvaerno's methods share: the paper."""
+
+    source: ClassVar[str] = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
+
+
+@dataclass(frozen=True)
+class Kvaerno3(_Kvaerno):
+    """Kvaerno's ESDIRK method 3(2): stiffly accurate, L-stable, four stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(3)
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Kvaerno3(**options)
+
+
+@dataclass(frozen=True)
+class Kvaerno4(_Kvaerno):
+    """Kvaerno's ESDIRK method 4(3): stiffly accurate, L-stable, five stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(4)
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Kvaerno4(**options)
+
+
+@dataclass(frozen=True)
+class Kvaerno5(_Kvaerno):
+    """Kvaerno's ESDIRK method 5(4): stiffly accurate, L-stable, seven stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(5)
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Kvaerno5(**options)
+
+
+class _KenCarp(ImplicitDiffraxSolver):
+    """What the methods of Kennedy & Carpenter share: all of the right-hand side is implicit."""
+
+    source: ClassVar[str] = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
+
+    @staticmethod
+    def terms(rate: Callable) -> Any:
+        import diffrax
+
+        nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
+        return diffrax.MultiTerm(nothing, diffrax.ODETerm(rate))
+
+
+@dataclass(frozen=True)
+class KenCarp3(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK3(2)4L[2]SA: ESDIRK, L-stable, four stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(3)
+
+    name: ClassVar[str] = "kencarp3"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.KenCarp3(**options)
+
+
+@dataclass(frozen=True)
+class KenCarp4(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK4(3)6L[2]SA: ESDIRK, L-stable, six stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(4)
+
+    name: ClassVar[str] = "kencarp4"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.KenCarp4(**options)
+
+
+@dataclass(frozen=True)
+class KenCarp5(_KenCarp):
+    """The implicit part of Kennedy & Carpenter's ARK5(4)8L[2]SA: ESDIRK, L-stable, eight stages."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(5)
+
+    name: ClassVar[str] = "kencarp5"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.KenCarp5(**options)
+
+
+@dataclass(frozen=True)
+class Dopri8(DiffraxSolver):
+    """Dormand & Prince's explicit method 8(7), 13 stages: the yardstick where nothing is stiff."""
+
+    orders: ClassVar[dict[str, int]] = _in_every_group(8)
+    source: ClassVar[str] = "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3"
+
+    @staticmethod
+    def solver(**options: Any) -> Any:
+        import diffrax
+
+        return diffrax.Dopri8(**options)

@@ -1,0 +1,289 @@
+"""The members of the generalized-alpha family: one kernel, many schemes.
+
+The step that they share, and its equations, stand in `generalized_alpha_step`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from integrators.contract import option
+from integrators.methods.generalized_alpha_step import (
+    FUNCTIONS,
+    Scheme,
+    first_order_parameters,
+    second_order_parameters,
+)
+from integrators.native.time_loop import StepMethod
+from problems.formulations import Start, is_large
+from problems.sparsity import is_chosen
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+
+def _gamma_policy() -> Any:
+    return option(
+        "fixed",
+        "gamma and theta: fixed, or updated from the step ratio",
+        choices=("fixed", "updated"),
+    )
+
+
+@dataclass(frozen=True)
+class AlphaMethod(StepMethod):
+    """Base of the members of the family: a member only says which scheme it is."""
+
+    family: ClassVar[str] = "generalized-alpha"
+    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+    noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
+    classical: ClassVar[bool] = False
+    guarded: ClassVar[bool] = True
+
+    newton_tol: float = option(
+        1e-12,
+        "relative error that Newton's method may leave in a, lam, xdot and y",
+        low=1e-15,
+        high=1e-2,
+    )
+    newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
+
+    newton: str = option(
+        "full",
+        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
+        choices=("full", "modified"),
+    )
+    linear_solver: str = option(
+        "auto",
+        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
+        choices=("auto", "dense", "sparse"),
+    )
+    formulation: str = option(
+        "index3",
+        "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
+        choices=("index3", "stabilised_index2"),
+    )
+    start: str = option(
+        "consistent",
+        "consistent: aux = a at t0; corrected: shifted to where it belongs, without transient",
+        choices=("consistent", "corrected"),
+    )
+
+    @property
+    def affinity(self) -> str:
+        return f"{self.family} {self.formulation} {self.newton}"
+
+    @abstractmethod
+    def parameters(self) -> tuple[float, ...]:
+        """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        s, claims = self.scheme(), dict(self.orders)
+        if abs(s.gamma - (0.5 + s.alpha_f - s.alpha_m)) > 1e-12:
+            return dict.fromkeys(claims, 1)
+        if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
+            return dict.fromkeys(AlphaMethod.orders, 1)
+        undamped = s.alpha_m == s.alpha_f
+        if scene.has("constraint") and self.formulation == "index3" and undamped:
+            return {"q": 2, "v": 2}  # a and lam oscillate without end
+        return claims
+
+    def scheme(self) -> Scheme:
+        """All that the step is told of this member."""
+        corrected = self.start == "corrected"
+        solver = self.newton_tol, self.newton_max
+        return Scheme(*self.parameters(), corrected, *solver, self.guarded)
+
+    def numbers(self) -> Any:
+        return self.scheme()
+
+    def functions(self) -> tuple[Any, ...]:
+        return FUNCTIONS[self.formulation, self.newton]
+
+    def on(self, scene: MechatronicSystem, start: Start) -> Any:
+        def sparse() -> Any:
+            from integrators.methods.generalized_alpha_sparse import SparseAlpha
+
+            return SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
+
+        chosen = is_chosen(self.linear_solver, is_large(scene), lambda: sparse().pattern())
+        return sparse() if chosen else self
+
+    begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha(AlphaMethod):
+    """Generalized-alpha with true accelerations: second order, damping chosen by rho_inf."""
+
+    source: ClassVar[str] = (
+        "Chung & Hulbert (1993), doi:10.1115/1.2900803; Arnold & Bruels (2007), "
+        "doi:10.1007/s11044-007-9084-0; Bruels & Arnold (2008), doi:10.1115/1.2960475"
+    )
+
+    rho_inf: float = option(
+        0.8,
+        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
+        low=0.0,
+        high=1.0,
+        always=True,
+    )
+    rho_inf_x: float | None = option(
+        None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
+    )
+    gamma: str = option(
+        "fixed",
+        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would "
+        "send them to infinity; or unguarded, without it",
+        choices=("fixed", "updated", "unguarded"),
+    )
+
+    @property
+    def guarded(self) -> bool:
+        """Whether sharp cuts restart the recurrence."""
+        return self.gamma != "unguarded"
+
+    def parameters(self) -> tuple[float, ...]:
+        rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
+        return (
+            *second_order_parameters(self.rho_inf),
+            *first_order_parameters(rho_x),
+            self.gamma != "fixed",
+            self.classical,
+        )
+
+
+@dataclass(frozen=True)
+class HHT(AlphaMethod):
+    """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
+
+    Beyond 1/3 the high frequencies are damped less again, and from 1/2 on it is unstable; such
+    values have to be asked for by ``any_alpha=true``.
+    """
+
+    source: ClassVar[str] = "Hilber, Hughes & Taylor (1977), doi:10.1002/eqe.4290050306"
+
+    alpha: float = option(
+        0.1,
+        "damping parameter in [0, 1/3]; rho_inf = (1-alpha)/(1+alpha)",
+        low=-0.9,
+        high=0.9,
+        always=True,
+    )
+    gamma: str = _gamma_policy()
+    any_alpha: bool = option(False, "take an alpha outside [0, 1/3], too")
+
+    def __post_init__(self) -> None:
+        if not (self.any_alpha or 0 <= self.alpha <= 1 / 3 + 1e-15):
+            raise SpecError(
+                f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
+                f"known to be stable at every step; give any_alpha=true to take it all the same."
+            )
+
+    def parameters(self) -> tuple[float, ...]:
+        gamma = 0.5 + self.alpha
+        rho_inf = (1 - self.alpha) / (1 + self.alpha)
+        return (
+            0.0,
+            self.alpha,
+            0.25 * (gamma + 0.5) ** 2,
+            gamma,
+            *first_order_parameters(rho_inf),
+            self.gamma == "updated",
+            self.classical,
+        )
+
+
+@dataclass(frozen=True)
+class WBZ(AlphaMethod):
+    """Wood-Bossak-Zienkiewicz member: alpha_f = 0, alpha_m = (rho_inf-1)/(rho_inf+1)."""
+
+    source: ClassVar[str] = "Wood, Bossak & Zienkiewicz (1980), doi:10.1002/nme.1620151011"
+
+    rho_inf: float = option(
+        0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
+    )
+    gamma: str = _gamma_policy()
+
+    def parameters(self) -> tuple[float, ...]:
+        alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
+        gamma = 0.5 - alpha_m
+        return (
+            alpha_m,
+            0.0,
+            0.25 * (gamma + 0.5) ** 2,
+            gamma,
+            *first_order_parameters(self.rho_inf),
+            self.gamma == "updated",
+            self.classical,
+        )
+
+
+@dataclass(frozen=True)
+class Newmark(AlphaMethod):
+    """Newmark's method; average acceleration (the trapezoidal rule) by default.
+
+    With gamma = 1/2 it is second order, and beta says which member it is: 1/4 average acceleration,
+    1/6 linear acceleration, 1/12 Fox & Goodwin (fourth order in the period of an undamped
+    oscillator), 0 central differences (explicit where M is constant and the forces do not depend
+    on v). Only 2 beta >= gamma >= 1/2 is stable at every step; see `stability_limit`.
+
+    The controller states take the same weights: x+ = x + h ((1-gamma) xdot + gamma xdot+).
+    """
+
+    source: ClassVar[str] = "Newmark (1959), doi:10.1061/JMCEA3.0000098"
+
+    beta: float = option(
+        0.25, "weight of the end acceleration in q", low=0.0, high=1.0, always=True
+    )
+    gamma: float = option(
+        0.5, "weight of the end acceleration in v", low=0.0, high=1.0, always=True
+    )
+
+    def stability_limit(self) -> float:
+        """Largest omega h at which an undamped oscillator stays bounded (Hughes 1987, ch. 9);
+        infinite if there is none, zero if it never does."""
+        if self.gamma < 0.5:
+            return 0.0
+        return math.inf if 2 * self.beta >= self.gamma else (self.gamma / 2 - self.beta) ** -0.5
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if scene.has("constraint") and math.isfinite(self.stability_limit()):
+            return (
+                f"constraints act like infinite frequencies, and with beta={self.beta:g}, "
+                f"gamma={self.gamma:g} it is not stable there; give 2 beta >= gamma >= 1/2."
+            )
+        return None
+
+    def parameters(self) -> tuple[float, ...]:
+        return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False, self.classical
+
+
+_CLASSICAL_ORDERS = {"q": 2, "v": 2, "a": 1, "lam": 2}
+
+
+@dataclass(frozen=True)
+class GeneralizedAlphaClassical(GeneralizedAlpha):
+    """Generalized-alpha as published in 1993: its acceleration is first order."""
+
+    source: ClassVar[str] = "Chung & Hulbert (1993), doi:10.1115/1.2900803"
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class HHTClassical(HHT):
+    """HHT as published in 1977: its acceleration is first order."""
+
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class WBZClassical(WBZ):
+    """WBZ as published in 1980: its acceleration is first order."""
+
+    orders: ClassVar[dict[str, int]] = _CLASSICAL_ORDERS
+    classical: ClassVar[bool] = True

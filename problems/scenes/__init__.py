@@ -1,0 +1,1 @@
+"""The registered scenes, one file each."""

@@ -1,0 +1,334 @@
+"""A car with semi-active dampers in a lane change, and the same car with passive ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import MechatronicSystem, State, Variables, jax, jnp, lagrange, parameter
+from problems.scenes.damper import SemiActiveDamper
+
+#: Waves of the road: cycles per m, with phases on the left and on the right that were drawn once.
+_WAVES = np.array([0.07, 0.11, 0.16, 0.25, 0.41])
+_PHASES = np.array([[2.4, 1.8, 5.8, 1.5, 4.2], [3.1, 0.9, 5.1, 2.5, 3.0]])
+_LEFT = np.array([1.0, -1.0, 1.0, -1.0])
+_FRONT = np.array([1.0, 1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class _Car(MechatronicSystem):
+    """Body, wheels, tyres and steering, which both cars share; all but the dampers.
+
+    Axes: x forward, y to the left, z up; roll is positive with the left side up, pitch with the
+    nose down. Wheels: front left, front right, rear left, rear right. Roll and pitch are small
+    angles, about axes on the ground: a point (x, y) of the body rises by z + y roll - x pitch,
+    and its centre of mass, h above, moves by (h pitch, -h roll) in the plane. With this
+    kinematics the equations are Lagrange's, without further neglect.
+    """
+
+    interval = (0.0, 12.0)
+    nominal_step = 0.01
+    coordinates = (
+        "x", "y", "heave", "roll", "pitch", "yaw", "wheel front left", "wheel front right",
+        "wheel rear left", "wheel rear right", "steer left", "steer right",
+    )  # fmt: skip
+    source = (
+        "Scenario of Bruels & Arnold (2008), section 7, Figs 12-15; data of the BMW 320i in "
+        "CommonRoad's vehicle models; steering linkage, road and dampers are synthetic"
+    )
+
+    speed: float = parameter(10.0, "m/s", "initial speed")
+    m: float = parameter(965.711, "kg", "sprung mass", low=1e-9)
+    m_front: float = parameter(31.896, "kg", "unsprung mass per front wheel", low=1e-9)
+    m_rear: float = parameter(31.896, "kg", "unsprung mass per rear wheel", low=1e-9)
+    i_x: float = parameter(207.265, "kg m^2", "roll inertia of the body", low=1e-9)
+    i_y: float = parameter(1565.818, "kg m^2", "pitch inertia of the body", low=1e-9)
+    i_z: float = parameter(1791.6, "kg m^2", "yaw inertia of the car", low=1e-9)
+    i_steer: float = parameter(1.0, "kg m^2", "inertia of a steered wheel about z", low=1e-9)
+    h: float = parameter(0.61373, "m", "height of the body's centre of mass above the ground")
+    a: float = parameter(1.1562, "m", "distance of the front axle", low=1e-9)
+    b: float = parameter(1.42272, "m", "distance of the rear axle", low=1e-9)
+    track_front: float = parameter(1.38684, "m", "track of the front axle", low=1e-9)
+    track_rear: float = parameter(1.36398, "m", "track of the rear axle", low=1e-9)
+    offset_front: float = parameter(
+        0.0, "m", "offset of the centre of mass to the left of the front axle's middle"
+    )
+    offset_rear: float = parameter(0.0, "m", "the same for the rear axle")
+    k_front: float = parameter(24453.1, "N/m", "spring per front wheel", low=0.0)
+    k_rear: float = parameter(19635.5, "N/m", "spring per rear wheel", low=0.0)
+    k_tyre: float = parameter(158294.0, "N/m", "vertical stiffness of a tyre", low=0.0)
+    anti_roll: float = parameter(0.0, "N m/rad", "anti-roll bar of the front axle", low=0.0)
+    gravity: float = parameter(9.81, "m/s^2", "gravity")
+    friction: float = parameter(1.0489, "1", "largest lateral tyre force per load (D)", low=0.0)
+    shape: float = parameter(1.3507, "1", "shape of the tyre's force (C)", low=1e-9)
+    slope: float = parameter(21.92, "1/rad", "tyre's slope per load (B C D)", low=0.0)
+    curvature: float = parameter(-0.0074722, "1", "curvature of the tyre's force (E)")
+    trail: float = parameter(0.03, "m", "trail of the tyre forces behind the wheel's centre")
+    arm: float = parameter(0.12, "m", "length of the steering arms, forward", low=1e-9)
+    arm_out: float = parameter(0.02, "m", "their ends' offset to the outside")
+    rack_width: float = parameter(0.7, "m", "distance of the rack's ends", low=1e-9)
+    rack: float = parameter(0.014, "m", "displacement of the rack, left and then right")
+    t_left: float = parameter(2.5, "s", "time of the displacement to the left")
+    t_right: float = parameter(3.5, "s", "time of the displacement to the right")
+    pulse: float = parameter(
+        0.45, "s", "half length of a displacement, where 42 percent are left", low=1e-9
+    )
+    rough: float = parameter(8e-3, "m", "amplitude of the road's longest wave")
+
+    # ---- geometry -----------------------------------------------------------------------
+    def _axles(self, front: Any, rear: Any) -> Any:
+        """A value per wheel from those of the axles."""
+        return _FRONT * front + (1 - _FRONT) * rear
+
+    def _places(self) -> tuple[Any, Any]:
+        """x and y of the wheels from the body's centre of mass."""
+        half = self._axles(self.track_front, self.track_rear) / 2
+        offset = self._axles(self.offset_front, self.offset_rear)
+        return self._axles(self.a, -self.b), _LEFT * half - offset
+
+    def corners(self) -> Any:
+        """Heights of the corners by heave, roll and pitch, shape ``(4, 3)``."""
+        x, y = self._places()
+        return jnp.stack([jnp.ones(4), y, -x], axis=1)
+
+    def stretch(self, q: Any) -> Any:
+        """Extension of springs and dampers in m, shape ``(4,)``; also their speed, from v."""
+        return self.corners() @ q[2:5] - q[6:10]
+
+    def road(self, t: Any) -> Any:
+        """Height of the road under each wheel in m, at the initial speed; zero at t = 0."""
+        x, _ = self._places()
+        way = self.speed * t + x
+        phases = np.where(_LEFT[:, None] > 0, _PHASES[0], _PHASES[1])
+        waves = jnp.sin(2 * np.pi * _WAVES * way[:, None] + phases) @ (_WAVES[0] / _WAVES)
+        return self.rough * jnp.tanh(0.1 * self.speed * t) * waves
+
+    def rack_displacement(self, t: Any) -> Any:
+        """Displacement of the rack to the left in m."""
+        left, right = ((t - at) / self.pulse for at in (self.t_left, self.t_right))
+        return self.rack * (jnp.cosh(left) ** -2 - jnp.cosh(right) ** -2)
+
+    # ---- equations of motion ------------------------------------------------------------
+    def _kinetic(self, q: Any, v: Any) -> Any:
+        c, s = jnp.cos(q[5]), jnp.sin(q[5])
+        ahead, aside = c * v[0] + s * v[1], c * v[1] - s * v[0]
+        (roll, pitch), (roll_rate, pitch_rate, yaw_rate) = q[3:5], v[3:6]
+        body = jnp.stack(
+            [
+                ahead + self.h * (pitch_rate + yaw_rate * roll),
+                aside - self.h * (roll_rate - yaw_rate * pitch),
+                v[2],
+            ]
+        )
+        unsprung = self._axles(self.m_front, self.m_rear)
+        turning = jnp.stack([self.i_x, self.i_y, self.i_z]) @ v[3:6] ** 2
+        turning = turning + self.i_steer * jnp.sum((yaw_rate + v[10:]) ** 2)
+        plane = jnp.sum(unsprung) * (ahead**2 + aside**2)
+        return 0.5 * (self.m * (body @ body) + plane + turning + unsprung @ v[6:10] ** 2)
+
+    def _potential(self, q: Any, t: Any) -> Any:
+        springs = self._axles(self.k_front, self.k_rear) @ self.stretch(q) ** 2
+        tyres = self.k_tyre * jnp.sum((q[6:10] - self.road(t)) ** 2)
+        twist = q[3] - (q[6] - q[7]) / self.track_front
+        falling = self.m * self.gravity * self.h * (q[3] ** 2 + q[4] ** 2)
+        return 0.5 * (springs + tyres + self.anti_roll * twist**2 - falling)
+
+    def tyre_loads(self, q: Any, t: Any) -> Any:
+        """Vertical forces on the tyres in N, shape ``(4,)``."""
+        lever = self._axles(
+            self.offset_front / self.track_front, self.offset_rear / self.track_rear
+        )
+        share = self._axles(self.b, self.a) / (self.a + self.b) * (0.5 + lever * _LEFT)
+        weight = self.gravity * (self.m * share + self._axles(self.m_front, self.m_rear))
+        return weight - self.k_tyre * (q[6:10] - self.road(t))
+
+    def contact_velocities(self, q: Any, v: Any) -> tuple[Any, Any]:
+        """Velocities of the tyres' contacts along and across the wheels, each ``(4,)``."""
+        x, y = self._places()
+        c, s = jnp.cos(q[5]), jnp.sin(q[5])
+        ahead = c * v[0] + s * v[1] - y * v[5]
+        aside = c * v[1] - s * v[0] + x * v[5]
+        steer, rate = (jnp.concatenate([w[10:], jnp.zeros(2)]) for w in (q, v))
+        c, s = jnp.cos(steer), jnp.sin(steer)
+        return c * ahead + s * aside, c * aside - s * ahead - self.trail * (v[5] + rate)
+
+    def tyre_forces(self, q: Any, v: Any, t: Any) -> Any:
+        """Lateral forces on the tyres in N, to the left of each wheel, shape ``(4,)``.
+
+        The magic formula D sin(C atan(B s - E (B s - atan(B s)))) at the slip angle s.
+        """
+        along, across = self.contact_velocities(q, v)
+        stiff = self.slope / (self.shape * self.friction) * -jnp.arctan2(across, along)
+        bent = stiff - self.curvature * (stiff - jnp.arctan(stiff))
+        return self.friction * self.tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
+
+    def mass(self, q: Any) -> Any:
+        return lagrange.mass(self._kinetic, q)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        g = lagrange.force(self._kinetic, lambda q: self._potential(q, t), q, v)
+        _, transposed = jax.vjp(lambda v: self.contact_velocities(q, v)[1], v)
+        return g + transposed(self.tyre_forces(q, v, t))[0]
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        # (d.d - l^2)/(2 l), so that a multiplier is a tie rod's force: positive when compressed.
+        left, steer = _LEFT[:2], q[10:]
+        c, s = jnp.cos(steer), jnp.sin(steer)
+        inside = (self.track_front - self.rack_width) / 2
+        length = inside + self.arm_out
+        dx = self.arm * (c - 1) - left * self.arm_out * s
+        dy = left * (inside + self.arm_out * c) + self.arm * s - self.rack_displacement(t)
+        dz = self.stretch(q)[:2]
+        return (dx**2 + dy**2 + dz**2 - length**2) / (2 * length)
+
+    def initial_state(self) -> State:
+        # In equilibrium: all is at rest but the steered wheels, which follow the rack.
+        t = jnp.asarray(self.interval[0])
+        rack, rack_rate = map(float, jax.jvp(self.rack_displacement, (t,), (jnp.ones_like(t),)))
+        inside, left = (self.track_front - self.rack_width) / 2, _LEFT[:2]
+        ends = self.arm + 1j * left * self.arm_out
+        rods, steer = inside + self.arm_out, np.zeros(2)
+        for _ in range(8):
+            turned = ends * np.exp(1j * steer)
+            rod = turned - self.arm + 1j * (left * inside - rack)
+            slope = np.imag(turned.conj() * rod)  # of |rod|^2/2 by the angle
+            steer = steer - (np.abs(rod) ** 2 - rods**2) / (2 * slope)
+        q, v = np.zeros(12), np.zeros(12)
+        q[10:], v[10:] = steer, rod.imag * rack_rate / slope
+        v[0] = self.speed
+        return State(q=q, v=v)
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        # Oblique, from behind; it travels with x. Heights and tilts are enlarged five times.
+        view = np.array([[0.75, -0.75, 0.0], [0.35, 0.25, 1.0]])
+        c, s = np.cos(q[5]), np.sin(q[5])
+        x, y = map(np.asarray, self._places())
+        turn, large = np.array([[c, -s], [s, c]]), 5.0
+
+        def seen(points: np.ndarray) -> np.ndarray:
+            plane = points[:, :2] @ turn.T + [0.0, q[1]]
+            return np.column_stack([plane, points[:, 2]]) @ view.T
+
+        def outline(front: float, rear: float, wide: float, height: float) -> np.ndarray:
+            along = np.array([front, front, -rear, -rear, front])
+            across = wide * np.array([1, -1, -1, 1, 1])
+            rise = large * (q[2] + across * q[3] - along * q[4])
+            lean = large * height * np.array([q[4], -q[3]])
+            return np.column_stack([along + lean[0], across + lean[1], height + rise])
+
+        floor, roof = outline(2.0, 2.1, 0.8, 0.45), outline(0.5, 1.3, 0.6, 1.4)
+        lines = [floor, roof, *(np.array(pair) for pair in zip(floor[:4], roof[:4], strict=True))]
+        angle = np.linspace(0, 2 * np.pi, 21)
+        for k, steer in enumerate([q[10], q[11], 0.0, 0.0]):
+            rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)])
+            across = y[k] + rim[:, 0] * np.sin(steer)
+            height = 0.34 + rim[:, 1] + large * q[6 + k]
+            lines.append(np.column_stack([x[k] + rim[:, 0] * np.cos(steer), across, height]))
+        return [seen(line) for line in lines]
+
+
+@dataclass(frozen=True)
+class FullCarPassive(_Car):
+    """A car with linear dampers in a lane change: the yardstick of ``full_car``.
+
+    Tests a rheonomic index-3 system with a slow motion, unbounded coordinates and tyre forces that
+    saturate, without a controller. What is left out is said there.
+    """
+
+    tags = ("constrained", "index 3", "rheonomic", "vehicle", "multibody")
+    difficulties = ("the rack moves the constraints: velocities need Phi_t, too",)
+
+    c_front: float = parameter(1786.24, "N s/m", "damper per front wheel", low=0.0)
+    c_rear: float = parameter(1649.08, "N s/m", "damper per rear wheel", low=0.0)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        pull = self._axles(self.c_front, self.c_rear) * self.stretch(v)
+        _, transposed = jax.vjp(self.stretch, q)
+        return super().force(q, v, t) - transposed(pull)[0]
+
+
+@dataclass(frozen=True)
+class FullCar(SemiActiveDamper, _Car):
+    """A car with semi-active dampers in a lane change: constraints and controller in one loop.
+
+    The example that generalized-alpha for mechatronic systems was made for, at the smallest size
+    that keeps its structure: a body with six freedoms and four wheels, a steering linkage whose
+    tie rods are constraints that the moving rack drives (index 3), four dampers with stiff chamber
+    pressures, and a controller in three stages, from the currents up: (a) the inverse of the
+    damper's characteristic makes a current from the demanded force and the damper's speed; (b) the
+    accelerations of the four corners are transformed to heave, roll and pitch, and forces back; (c)
+    each of the three is integrated, with a leak, and multiplied by a gain. Steering is open loop,
+    without drive or brakes: after the lane change the car drifts sideways and has lost speed.
+
+    x = [4 rebound pressures, 4 compression pressures, heave, roll and pitch velocities estimated];
+    y = [4 currents, 4 damper forces]; wheels are front left and right, rear left and right. All
+    vertical coordinates are counted from the static equilibrium. lam are the forces of the tie
+    rods, positive when compressed.
+
+    Left out: spin and longitudinal slip of the wheels, camber, lift-off and lag of the tyres, roll
+    centres above the ground, the inertia of unsprung masses in load transfer, products of roll,
+    pitch and their rates in the inertia, and sensors and valves with dynamics: none changes the
+    kind of equations. The road passes under the wheels at the initial speed.
+    """
+
+    tags = ("mechatronic", "constrained", "index 3", "rheonomic", "stiff controller states",
+            "vehicle", "multibody")  # fmt: skip
+    difficulties = (
+        "index 3 and acceleration feedback in one step",
+        "stiff chamber pressures and currents that run from limit to limit",
+        "at the nominal step a and y are far from the asymptotic range",
+    )
+
+    # Softer than for one wheel, as if with bushings: an explicit reference stays affordable.
+    bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
+    leak: float = parameter(0.2, "1/s", "leak of the controller's integrators", low=0.0)
+    gain_heave: float = parameter(60000.0, "N s/m", "damping asked for in heave")
+    gain_roll: float = parameter(30000.0, "N m s/rad", "damping asked for in roll")
+    gain_pitch: float = parameter(60000.0, "N m s/rad", "damping asked for in pitch")
+    v_switch: float = parameter(
+        0.03, "m/s", "damper speed over which its demanded force changes sides", low=1e-9
+    )
+    p_demand: float = parameter(0.1, "MPa", "rounding of the demanded pressure at zero", low=1e-9)
+
+    def modal(self) -> Any:
+        """Heave, roll and pitch by the four corners, shape ``(3, 4)``; least squares."""
+        corners = self.corners()
+        return jnp.linalg.solve(corners.T @ corners, corners.T)
+
+    def demanded_current(self, force: Any, speed: Any) -> Any:
+        """Current in A at which the steady damper has this force at this speed of extension.
+
+        Extending, a_piston - a_rod carries the rebound pressure and displaces the oil; compressing,
+        with equal pressures in both chambers, a_rod. A force that the damper cannot have asks for a
+        valve as wide as possible.
+        """
+        side = jnp.tanh(speed / self.v_switch)
+        area = 0.5 * ((1 + side) * (self.a_piston - self.a_rod) + (1 - side) * self.a_rod)
+        pressure = 1e-6 * force * side / area
+        pressure = 0.5 * (pressure + jnp.sqrt(pressure**2 + self.p_demand**2))
+        flow = area * jnp.sqrt(speed**2 + self.v_switch**2)
+        opened = flow / jnp.sqrt(2e6 * pressure / self.density)
+        part = (opened - self.soft_area) / (self.firm_area - self.soft_area)
+        return self.i_min + part * (self.i_max - self.i_min)
+
+    def state_rate(self, z: Variables) -> Any:
+        rates = self.pressure_rates(z.x[:4], z.x[4:8], z.y[:4], self.stretch(z.v))
+        accelerations = self.corners() @ z.a[2:5]
+        velocities = self.modal() @ accelerations - self.leak * z.x[8:]
+        return jnp.concatenate([*rates, velocities])
+
+    def output(self, z: Variables) -> Any:
+        gains = jnp.stack([self.gain_heave, self.gain_roll, self.gain_pitch])
+        demanded = self.modal().T @ (gains * z.x[8:])
+        currents = self.demanded_current(demanded, self.stretch(z.v))
+        forces = self.damper_force(z.x[:4], z.x[4:8])
+        return jnp.concatenate([self.limited_current(currents), forces])
+
+    def actuation(self) -> Any:
+        pull = jax.jacfwd(self.stretch)(jnp.zeros(12)).T
+        return jnp.concatenate([jnp.zeros((12, 4)), -pull], axis=1)
+
+    def initial_state(self) -> State:
+        return super().initial_state()._replace(x=np.zeros(11))

@@ -1,0 +1,115 @@
+"""A quarter car with a semi-active damper, controlled by the body's acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from problems import State, Variables, jnp, parameter
+from problems.scenes.damper import SemiActiveDamper
+
+#: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall
+#: like 1/frequency, which is a road whose slope has no preferred frequency.
+_WAVES = np.geomspace(0.05, 0.8, 9)
+_PHASES = np.array([3.18, 2.74, 5.57, 3.53, 0.41, 5.02, 1.27, 0.63, 5.92])
+
+
+@dataclass(frozen=True)
+class QuarterCar(SemiActiveDamper):
+    """Body and wheel over a bump and a rough road; the damper's valve obeys a skyhook controller.
+
+    The application of a semi-active suspension in its smallest form. It tests what makes the loop
+    hard: the measured acceleration enters the controller's rates; the pressures are stiff (poles
+    of 1e2 to 4e3 1/s), and the force on body and wheel is an output of theirs; check valves, the
+    current's limits and the skyhook's switching are nonlinear on very different scales. The
+    controller integrates the body's acceleration to a velocity, with a leak, and asks for current
+    where this velocity and the damper's have the same sign, so that the damper can oppose it.
+
+    x = [pressures of the rebound and of the compression chamber, relative to the accumulator's;
+    estimated velocity]; y = [current, damper force]. q is counted from the static equilibrium,
+    where weights and the spring's preload cancel. Left out: lift-off of the tyre and its damping,
+    geometry of the suspension, sensor noise and delay; they would add linear states or corners.
+    """
+
+    interval = (0.0, 4.0)
+    nominal_step = 5e-3
+    tags = ("mechatronic", "smooth", "stiff controller states", "vehicle")
+    difficulties = (
+        "the acceleration is fed back in the step",
+        "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
+        "currents run from limit to limit: the asymptotic range begins at small steps",
+    )
+    coordinates = ("body", "wheel")
+    source = (
+        "Application of Bruels & Arnold (2008), section 7, reduced to one wheel; masses, spring "
+        "and tyre of the BMW 320i in CommonRoad's vehicle models; synthetic damper"
+    )
+
+    m_body: float = parameter(241.43, "kg", "quarter of the sprung mass", low=1e-9)
+    m_wheel: float = parameter(31.896, "kg", "unsprung mass", low=1e-9)
+    k: float = parameter(24453.1, "N/m", "stiffness of the spring", low=0.0)
+    k_tyre: float = parameter(158294.0, "N/m", "vertical stiffness of the tyre", low=0.0)
+    speed: float = parameter(15.0, "m/s", "speed of travel")
+    bump: float = parameter(0.05, "m", "height of the bump")
+    bump_length: float = parameter(1.5, "m", "half length of the bump, where 1/e is left", low=1e-9)
+    bump_place: float = parameter(12.0, "m", "way to the middle of the bump")
+    corner: float = parameter(
+        0.0, "1", "0: a smooth bump; 1: two planes that meet in corners", low=0.0, high=1.0
+    )
+    rough: float = parameter(2e-3, "m", "amplitude of the road's longest wave")
+    leak: float = parameter(0.5, "1/s", "leak of the controller's integrator", low=0.0)
+    gain: float = parameter(3.0, "A s/m", "current asked for per velocity of the body")
+    v_switch: float = parameter(
+        0.03, "m/s", "damper speed over which the skyhook switches", low=1e-9
+    )
+
+    def road(self, t: Any) -> Any:
+        """Height of the road under the wheel in m, scalar; zero where the run starts."""
+        way = self.speed * t
+        waves = jnp.sin(2 * np.pi * _WAVES * way + _PHASES) @ (_WAVES[0] / _WAVES)
+        fade_in = jnp.tanh(way / 5.0)
+        far = (way - self.bump_place) / self.bump_length
+        smooth, planes = jnp.exp(-(far**2)), jnp.maximum(1 - jnp.abs(far), 0.0)
+        shape = smooth + self.corner * (planes - smooth)
+        return self.rough * fade_in * waves + self.bump * shape
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(jnp.stack([self.m_body, self.m_wheel]))
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        spring = self.k * (q[1] - q[0])
+        tyre = self.k_tyre * (self.road(t) - q[1])
+        return jnp.stack([spring, tyre - spring])
+
+    def state_rate(self, z: Variables) -> Any:
+        p_reb, p_comp, v_body = z.x
+        rates = self.pressure_rates(p_reb, p_comp, z.y[0], z.v[0] - z.v[1])
+        return jnp.stack([*rates, z.a[0] - self.leak * v_body])
+
+    def output(self, z: Variables) -> Any:
+        p_reb, p_comp, v_body = z.x
+        direction = jnp.tanh((z.v[0] - z.v[1]) / self.v_switch)
+        current = self.limited_current(self.i_min + self.gain * v_body * direction)
+        return jnp.stack([current, self.damper_force(p_reb, p_comp)])
+
+    def actuation(self) -> Any:
+        return np.array([[0.0, -1.0], [0.0, 1.0]])
+
+    def initial_state(self) -> State:
+        return State(q=np.zeros(2), v=np.zeros(2), x=np.zeros(3))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        # Motions are drawn four times as large: they are small against the heights.
+        body, wheel = 1.1 + 4 * float(q[0]), 0.35 + 4 * float(q[1])
+        angle = np.linspace(0, 2 * np.pi, 25)
+        rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)]) + [0.0, wheel]
+        box = np.array([[-3, 0], [3, 0], [3, 2], [-3, 2], [-3, 0]]) * 0.2 + [0.0, body]
+        height = np.linspace(wheel, body, 12)
+        side = np.where(np.arange(12) % 2, 0.06, -0.06)
+        side[[0, -1]] = 0.0
+        middle = 0.5 * (wheel + body)
+        cylinder = np.array([[0.18, wheel], [0.18, middle]])
+        rod = np.array([[0.18, middle - 0.1], [0.18, body]])
+        return [rim, box, np.column_stack([side - 0.18, height]), cylinder, rod]

@@ -1,0 +1,1 @@
+"""Pages (HTML and Markdown), made from a store alone."""
