@@ -17,7 +17,7 @@ from problems.formulations import (
     with_rates,
 )
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes, State, Variables
+from problems.system import MechatronicSystem, State, Variables
 
 
 def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[int, str]]:
@@ -39,7 +39,7 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
     parameters = {name: np.array([values[name] for values in settings]) for name in settings[0]}
     count, filled = len(scenes), 1 << (len(scenes) - 1).bit_length()
     places = np.minimum(np.arange(filled), count - 1)  # few sizes are compiled
-    program = _program(first.template(), first.sizes)
+    program = _program(first.template())
     t0 = first.interval[0]
     together = State(*(np.array(part)[places] for part in zip(*states, strict=True)))
     answer = program({n: v[places] for n, v in parameters.items()}, *together, t0)
@@ -64,15 +64,15 @@ def _state(scene: MechatronicSystem) -> State:
 
 
 @cache
-def _program(template: MechatronicSystem, sizes: Sizes) -> Callable:
+def _program(template: MechatronicSystem) -> Callable:
     """Program of (parameters, q, v, x, t) of many scenes: starts, and the largest violation of the
     constraints in units of q and v."""
 
     def one(p: dict, q: object, v: object, x: object, t: object) -> tuple:
         scene, t = template.with_parameters(p), jnp.asarray(t, dtype=float)
-        z, *rates = with_rates(scene, sizes, q, v, x, t)
+        z, *rates = with_rates(scene, q, v, x, t)
         worst = jnp.asarray(0.0)
-        if sizes.nl:
+        if scene.sizes.nl:
             levels = (scene.constraint(q, t), q), (constraint_velocity(scene, q, v, t), v)
             for residual, of in levels:
                 scale = jnp.maximum(1.0, jnp.max(jnp.abs(of)))

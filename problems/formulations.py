@@ -92,22 +92,20 @@ def _split(sizes: Sizes, u: Any) -> tuple[Any, Any, Any]:
     return u[:nq], u[nq : nq + nl], u[nq + nl :]
 
 
-def algebraic_residual(
-    scene: MechatronicSystem, sizes: Sizes, u: Any, q: Any, v: Any, x: Any, t: Any
-) -> Any:
+def algebraic_residual(scene: MechatronicSystem, u: Any, q: Any, v: Any, x: Any, t: Any) -> Any:
     """The index-1 equations for u = [a, lam, y] at given q, v, x, t; shape ``(nq + nl + ny,)``."""
-    a, lam, y = _split(sizes, u)
+    a, lam, y = _split(scene.sizes, u)
     z = Variables(q, v, a, lam, x, y, t)
     rows = [dynamics_residual(scene, z)]
-    if sizes.nl:
+    if scene.sizes.nl:
         rows.append(constraint_acceleration(scene, q, v, a, t))
-    if sizes.ny:
+    if scene.sizes.ny:
         rows.append(y - scene.output(z))
     return jnp.concatenate(rows)
 
 
 def solve_algebraic(
-    scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any
+    scene: MechatronicSystem, q: Any, v: Any, x: Any, t: Any
 ) -> tuple[Any, Any, Any]:
     """Solve the index-1 equations for (a, lam, y) at given q, v, x, t.
 
@@ -117,11 +115,11 @@ def solve_algebraic(
     """
 
     def residual(u: Any) -> Any:
-        return algebraic_residual(scene, sizes, u, q, v, x, t)
+        return algebraic_residual(scene, u, q, v, x, t)
 
-    guess = jnp.zeros(sizes.nq + sizes.nl + sizes.ny)
-    if not sizes.ny:
-        return _split(sizes, -jnp.linalg.solve(jax.jacfwd(residual)(guess), residual(guess)))
+    guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
+    if not scene.sizes.ny:
+        return _split(scene.sizes, -jnp.linalg.solve(jax.jacfwd(residual)(guess), residual(guess)))
 
     def newton(residual: Callable, guess: Any) -> Any:
         def go_on(carry: tuple) -> Any:
@@ -139,47 +137,47 @@ def solve_algebraic(
     def tangent_solve(linear: Callable, rhs: Any) -> Any:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
 
-    return _split(sizes, jax.lax.custom_root(residual, guess, newton, tangent_solve))
+    return _split(scene.sizes, jax.lax.custom_root(residual, guess, newton, tangent_solve))
 
 
-def complete(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> tuple:
+def complete(scene: MechatronicSystem, q: Any, v: Any, x: Any, t: Any) -> tuple:
     """Solve for all variables at a state: ``(Variables, xdot)``."""
-    a, lam, y = solve_algebraic(scene, sizes, q, v, x, t)
+    a, lam, y = solve_algebraic(scene, q, v, x, t)
     z = Variables(q, v, a, lam, x, y, t)
-    return z, scene.state_rate(z) if sizes.nx else jnp.zeros(0)
+    return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)
 
 
-def ode_rate(scene: MechatronicSystem, sizes: Sizes, t: Any, s: Any) -> Any:
+def ode_rate(scene: MechatronicSystem, t: Any, s: Any) -> Any:
     """Right-hand side of the explicit ODE for s = [q, v, x], shape ``(2 nq + nx,)``."""
-    q, v, x = jnp.split(s, [sizes.nq, 2 * sizes.nq])
-    z, xdot = complete(scene, sizes, q, v, x, t)
+    q, v, x = jnp.split(s, [scene.sizes.nq, 2 * scene.sizes.nq])
+    z, xdot = complete(scene, q, v, x, t)
     return jnp.concatenate([v, z.a, xdot])
 
 
-def with_rates(scene: MechatronicSystem, sizes: Sizes, q: Any, v: Any, x: Any, t: Any) -> tuple:
+def with_rates(scene: MechatronicSystem, q: Any, v: Any, x: Any, t: Any) -> tuple:
     """Variables, xdot, and the next derivatives along the motion: jerk ``(nq,)``, xddot ``(nx,)``.
 
     The derivatives are one Jacobian-vector product of `complete` in the direction of the motion.
     """
-    z, xdot = complete(scene, sizes, q, v, x, t)
+    z, xdot = complete(scene, q, v, x, t)
     _, (dz, xddot) = jax.jvp(
-        lambda q, v, x, t: complete(scene, sizes, q, v, x, t),
+        lambda q, v, x, t: complete(scene, q, v, x, t),
         (q, v, x, t),
         (v, z.a, xdot, jnp.ones_like(t)),
     )
     return z, xdot, dz.a, xddot
 
 
-def constrained_part(scene: MechatronicSystem, sizes: Sizes, q: Any, t: Any, w: Any) -> Any:
+def constrained_part(scene: MechatronicSystem, q: Any, t: Any, w: Any) -> Any:
     """Project w on the range of M^-1 Phi_q^T, the directions that constraints act in.
 
     One solve with the augmented matrix, so that M need not be regular.
     """
     jacobian = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
-    corner = jnp.zeros((sizes.nl, sizes.nl))
+    corner = jnp.zeros((scene.sizes.nl, scene.sizes.nl))
     augmented = jnp.block([[scene.mass(q), jacobian.T], [jacobian, corner]])
-    return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(sizes.nq), jacobian @ w]))[
-        : sizes.nq
+    return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(scene.sizes.nq), jacobian @ w]))[
+        : scene.sizes.nq
     ]
 
 
@@ -203,21 +201,19 @@ def dae_layout(sizes: Sizes, formulation: str) -> Layout:
     return Layout(*(slice(a, b) for a, b in pairwise(ends)), size=ends[-1])
 
 
-def dae_residual(
-    scene: MechatronicSystem, sizes: Sizes, formulation: str, t: Any, w: Any, wdot: Any
-) -> Any:
+def dae_residual(scene: MechatronicSystem, formulation: str, t: Any, w: Any, wdot: Any) -> Any:
     """Fully implicit residual F(t, w, wdot) of index3, index2, stabilised_index2 or index1.
 
     The derivative of v plays the part of the acceleration, so that no unknowns are added. The
     stabilised form is that of Gear, Gupta & Leimkuhler (1985):
     0 = qdot - v + Phi_q^T mu, with Phi = 0 and d/dt Phi = 0.
     """
-    at = dae_layout(sizes, formulation)
+    at = dae_layout(scene.sizes, formulation)
     q, v, a = w[at.q], w[at.v], wdot[at.v]
     z = Variables(q, v, a, w[at.lam], w[at.x], w[at.y], t)
     kinematic = wdot[at.q] - v
     rows = [dynamics_residual(scene, z), *control_residuals(scene, z, wdot[at.x])]
-    if sizes.nl:
+    if scene.sizes.nl:
         if formulation in ("index3", "stabilised_index2"):
             rows.append(scene.constraint(q, t))
         if formulation in ("index2", "stabilised_index2"):
@@ -257,7 +253,7 @@ class Compiled(NamedTuple):
 
 
 @cache
-def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
+def _compiled(template: MechatronicSystem) -> Compiled:
     names = list(template.parameters())
 
     def at(p: dict) -> MechatronicSystem:
@@ -272,12 +268,12 @@ def _compiled(template: MechatronicSystem, sizes: Sizes) -> Compiled:
         )
 
     return Compiled(
-        start=jax.jit(lambda p, q, v, x, t: with_rates(at(p), sizes, q, v, x, t)),
-        ode=jax.jit(lambda p, t, s: ode_rate(at(p), sizes, t, s)),
+        start=jax.jit(lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
         rate=jax.jit(
-            lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), sizes, t, s)
+            lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), t, s)
         ),
-        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), sizes, q, v, x, t)),
+        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=_over_rows(levels),
         energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
     )
@@ -304,7 +300,7 @@ def _over_rows(function: Callable) -> Callable:
 
 def compiled(scene: MechatronicSystem) -> Compiled:
     """The compiled functions of a scene, shared by all its parameter values."""
-    return _compiled(scene.template(), scene.sizes)
+    return _compiled(scene.template())
 
 
 class Start(NamedTuple):

@@ -14,7 +14,7 @@ from problems.formulations import (
 )
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
-from problems.system import MechatronicSystem, Sizes, State, Variables
+from problems.system import MechatronicSystem, State, Variables
 
 _TOLERANCE, _MOST = 1e-9, 50
 #: Pivots that are smaller, relative to the largest, are rounding.
@@ -31,7 +31,7 @@ def start_of(scene: MechatronicSystem, state: State, t: float) -> tuple:
     from scipy.sparse.linalg import splu
 
     sizes, p = scene.sizes, scene.parameters()
-    pattern, residual, values, total = _functions(scene.template(), sizes)
+    pattern, residual, values, total = _functions(scene.template())
     u = np.zeros(pattern.size)
     solve = None
     for _ in range(_MOST):
@@ -89,16 +89,16 @@ def projected(scene: MechatronicSystem, q: np.ndarray, t: float, w: np.ndarray) 
 
 
 @cache
-def _functions(template: MechatronicSystem, sizes: Sizes) -> tuple:
+def _functions(template: MechatronicSystem) -> tuple:
     """Pattern, residual, its values, and its derivative along the motion, compiled."""
 
     def at(p: dict, *state: Any) -> Any:
-        return lambda u: algebraic_residual(template.with_parameters(p), sizes, u, *state)
+        return lambda u: algebraic_residual(template.with_parameters(p), u, *state)
 
     def total(p: dict, u: Any, q: Any, v: Any, x: Any, t: Any, xdot: Any) -> Any:
-        scene, a = template.with_parameters(p), u[: sizes.nq]
+        scene, a = template.with_parameters(p), u[: template.sizes.nq]
         return jax.jvp(
-            lambda q, v, x, t: algebraic_residual(scene, sizes, u, q, v, x, t),
+            lambda q, v, x, t: algebraic_residual(scene, u, q, v, x, t),
             (q, v, x, t),
             (v, a, xdot, jnp.ones_like(t)),
         )[1]
@@ -106,7 +106,7 @@ def _functions(template: MechatronicSystem, sizes: Sizes) -> tuple:
     start = template.initial_state()
     pattern = Pattern(
         at(template.parameters(), *map(jnp.asarray, start), jnp.asarray(template.interval[0])),
-        sizes.nq + sizes.nl + sizes.ny,
+        template.sizes.nq + template.sizes.nl + template.sizes.ny,
     )
     residual = jax.jit(lambda p, u, *state: at(p, *state)(u))
     values = jax.jit(lambda p, u, *state: pattern.values(at(p, *state), u))

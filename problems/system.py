@@ -205,5 +205,6 @@ class MechatronicSystem:
 
     def template(self) -> Self:
         """The scene with default float parameters: the key under which compiled code is kept."""
+        self.sizes  # noqa: B018 - found now: copies keep it, and where they are traced it is late
         numbers = spec.numbers_of(type(self))
         return self.with_parameters({name: field.default for name, field in numbers.items()})

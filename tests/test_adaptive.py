@@ -69,13 +69,13 @@ def test_it_does_so_with_any_damping(rho_inf):
 def local_errors(method, scene, ratios, h):
     """Estimated and true errors of each of some steps: the truth starts from the same q, v, x."""
     begin, step, read, estimate, *_ = method.functions()
-    sizes, numbers, start = scene.sizes, method.numbers(), consistent_start(scene)
+    numbers, start = method.numbers(), consistent_start(scene)
     p, rate = scene.parameters(), compiled(scene).ode
-    t, state, pairs = scene.interval[0], begin(scene, sizes, numbers, start, jnp.asarray(h)), []
+    t, state, pairs = scene.interval[0], begin(scene, numbers, start, jnp.asarray(h)), []
     for ratio in ratios:
         h *= ratio
-        new, _ = step(scene, sizes, numbers, state, t + h, jnp.asarray(h))
-        estimated = estimate(sizes, numbers, state, new, h)
+        new, _ = step(scene, numbers, state, t + h, jnp.asarray(h))
+        estimated = estimate(numbers, state, new, h)
         old, now = read(state), read(new)
         s0 = np.concatenate([old.q, old.v, old.x])
         exact = solve_ivp(
@@ -231,8 +231,8 @@ def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
     method = GeneralizedAlphaAdaptive()
     *functions, right, ratio, order = method.functions()
 
-    def hopeless(sizes, numbers, before, after, h):
-        errors = right(sizes, numbers, before, after, h)
+    def hopeless(numbers, before, after, h):
+        errors = right(numbers, before, after, h)
         return errors._replace(q=jnp.where(after.alpha.q > 2.0, 1e6, errors.q))
 
     class Planted(GeneralizedAlphaAdaptive):

@@ -48,14 +48,14 @@ def test_modified_newton_solves_the_same_equations_with_few_tangents(formulation
 def test_an_old_tangent_is_given_up_where_it_stops_contracting():
     method, scene = GeneralizedAlpha(newton="modified"), SpringMass()
     begin, step, _ = method.functions()
-    sizes, numbers = scene.sizes, method.numbers()
+    numbers = method.numbers()
     h = jnp.asarray(0.05)
-    state = begin(scene, sizes, numbers, consistent_start(scene), h)
-    state, first = step(scene, sizes, numbers, state, 0.05, h)
+    state = begin(scene, numbers, consistent_start(scene), h)
+    state, first = step(scene, numbers, state, 0.05, h)
     assert first.jacobians >= 1  # none was there
-    _, with_kept = step(scene, sizes, numbers, state, 0.1, h)
+    _, with_kept = step(scene, numbers, state, 0.1, h)
     wrong = state._replace(kept=-3.0 * state.kept)
-    spoiled, report = step(scene, sizes, numbers, wrong, 0.1, h)
+    spoiled, report = step(scene, numbers, wrong, 0.1, h)
     assert report.converged
     assert report.jacobians > with_kept.jacobians
     assert np.isfinite(spoiled.q).all()

@@ -136,7 +136,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        functions = _step_functions(Kvaerno3, "fair", scene.template(), scene.sizes, counted)
+        functions = _step_functions(Kvaerno3, "fair", scene.template(), counted)
         assert _Marched(scene.parameters(), *functions).kernel(scene).compilations == 1
 
 
@@ -171,7 +171,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = adaptive_programs(Kvaerno5, "fair", scene.template(), scene.sizes, method.max_steps)
+    programs = adaptive_programs(Kvaerno5, "fair", scene.template(), method.max_steps)
     assert programs.timed._cache_size() == programs.counted._cache_size() == 1
 
 

@@ -158,12 +158,12 @@ def test_every_dae_formulation_vanishes_on_the_motion(scene, formulation):
     for name in ("q", "v", "x", "lam", "y"):
         w[getattr(at, name)] = getattr(start.z, name)
     wdot[at.q], wdot[at.v], wdot[at.x] = start.z.v, start.z.a, start.xdot
-    residual = np.asarray(form.dae_residual(scene, sizes, formulation, start.z.t, w, wdot))
+    residual = np.asarray(form.dae_residual(scene, formulation, start.z.t, w, wdot))
     assert residual.size == at.size
     assert np.abs(residual).max() < 1e-12 * max(1.0, np.abs(w).max(), np.abs(wdot).max())
     # ... and off it it does not: each row answers to some variable.
     jacobian = jax.jacfwd(
-        lambda s: form.dae_residual(scene, sizes, formulation, start.z.t, w + s, wdot + 3.7 * s)
+        lambda s: form.dae_residual(scene, formulation, start.z.t, w + s, wdot + 3.7 * s)
     )(np.zeros(at.size))
     assert (np.abs(np.asarray(jacobian)).max(axis=1) > 0).all()
 

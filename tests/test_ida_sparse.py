@@ -48,7 +48,7 @@ def is_sparse(run):
 
 
 def of(scene, formulation):
-    return scene.template(), scene.sizes, formulation
+    return scene.template(), formulation
 
 
 # ---- the Jacobian ----------------------------------------------------------------------

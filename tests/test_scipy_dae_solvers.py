@@ -67,7 +67,7 @@ def test_the_jacobians_are_the_derivatives_of_the_equations(cls, formulation):
     scene, generator = Pendulum(), np.random.default_rng(2)
     n = dae_layout(scene.sizes, formulation).size
     p, w, wdot = (np.array(list(scene.parameters().values())), *generator.normal(size=(2, n)))
-    packed = _compiled(scene.template(), scene.sizes, formulation)
+    packed = _compiled(scene.template(), formulation)
     residual, jacobians = (f.at(p) for f in packed)
 
     def differences(move):

@@ -50,14 +50,14 @@ def test_other_parameters_and_another_end_are_taken_without_compiling_again(meth
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-6
-    functions = _compiled(scene.template(), scene.sizes)
+    functions = _compiled(scene.template())
     assert [f.program._cache_size() for f in functions] == [1, 1]
 
 
 def test_the_jacobian_is_the_derivative_of_the_right_hand_side(method):
     scene = Pendulum()
     p, s = np.array(list(scene.parameters().values())), np.array([0.6, -0.7, 0.3, 0.9])
-    rate, jacobian = (f.at(p) for f in _compiled(scene.template(), scene.sizes))
+    rate, jacobian = (f.at(p) for f in _compiled(scene.template()))
     differences = [(rate(0.0, s + d) - rate(0.0, s - d)) / 2e-6 for d in 1e-6 * np.eye(4)]
     assert jacobian(0.0, s) == pytest.approx(np.stack(differences, axis=1), abs=1e-7)
 

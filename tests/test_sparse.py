@@ -83,7 +83,7 @@ def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9 * size)
     if scene.sizes.nl:
         part = formulations.constrained_part(
-            scene, scene.sizes, jnp.asarray(z.q), jnp.asarray(z.t), jnp.asarray(jerk)
+            scene, jnp.asarray(z.q), jnp.asarray(z.t), jnp.asarray(jerk)
         )
         mine = sparse_initial_values.projected(scene, jnp.asarray(z.q), float(z.t), jerk)
         assert mine == pytest.approx(np.asarray(part), abs=1e-8 * np.abs(part).max())

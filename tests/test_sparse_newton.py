@@ -218,13 +218,11 @@ def test_a_factorisation_of_another_matrix_is_given_up():
     sparse = GeneralizedAlpha(linear_solver="sparse", newton="modified").on(scene, start)
     pattern, _ = generalized_alpha_sparse._analysed(scene, False)
     numbers = jax.tree.map(jnp.asarray, sparse.numbers())
-    state = generalized_alpha_sparse._begin(
-        False, True, scene, scene.sizes, numbers, start, jnp.asarray(h)
-    )
+    state = generalized_alpha_sparse._begin(False, True, scene, numbers, start, jnp.asarray(h))
     random = np.random.default_rng(3).normal(size=len(pattern.rows))
     wrong = klu.factorised(numbers.analysis, jnp.asarray(random), instead_of=klu.none())
     good, bad = (
-        generalized_alpha_sparse._step(False, pattern, scene, scene.sizes, numbers, begun, h, h)
+        generalized_alpha_sparse._step(False, pattern, scene, numbers, begun, h, h)
         for begun in (state, state._replace(kept=wrong))
     )
     assert good[1].converged

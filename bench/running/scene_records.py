@@ -13,7 +13,7 @@ from bench.running import measure
 from problems.formulations import ode_rate
 from problems.reference import Reference
 from problems.runtime import jax
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 #: Positions at which a still picture shows a scene.
 GHOSTS = 7
@@ -82,11 +82,11 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
 
 
 @cache
-def _jacobians(template: MechatronicSystem, sizes: Sizes) -> Any:
+def _jacobians(template: MechatronicSystem) -> Any:
     """Jacobians of the ODE form over rows of times and states."""
 
     def one(p: dict, t: Any, s: Any) -> Any:
-        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), sizes, t, s))(s)
+        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
 
     return jax.jit(jax.vmap(one, in_axes=(None, 0, 0)))
 
@@ -105,7 +105,7 @@ def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | 
     t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
     at = reference(t)
     states = np.concatenate([at["q"], at["v"], at["x"]], axis=1)
-    jacobians = np.asarray(_jacobians(scene.template(), sizes)(scene.parameters(), t, states))
+    jacobians = np.asarray(_jacobians(scene.template())(scene.parameters(), t, states))
     if not np.isfinite(jacobians).all():
         return None
     values = np.linalg.eigvals(jacobians).ravel()

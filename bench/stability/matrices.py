@@ -27,7 +27,7 @@ from integrators.native.time_loop import StepMethod
 from problems.formulations import Start, with_rates
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 #: Entries of a matrix below this size are rounding, at steps of about one time unit.
 _NOISE = 1e-9
@@ -102,7 +102,7 @@ def _by_stepping(
     method: StepMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
 ) -> Matrices:
     begin, step, read = method.functions()
-    program = _program(begin, step, read, system.template(), system.sizes)
+    program = _program(begin, step, read, system.template())
     slots = np.zeros(_SLOTS)
     slots[: len(pattern)] = pattern
     fixed = system.parameters(), method.numbers(), system.deviations(), slots, len(pattern)
@@ -133,7 +133,7 @@ def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @cache
 def _program(
-    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem, sizes: Sizes
+    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem
 ) -> Callable:
     """Program of (parameters, numbers, deviations, pattern, its length, macro steps); one
     compilation serves all members of a family, all parameters, steps and patterns."""
@@ -144,16 +144,16 @@ def _program(
         ends = jnp.cumsum(hs)
 
         def started(s: Any) -> Any:
-            q, v, x = jnp.split(s, [sizes.nq, 2 * sizes.nq])
-            start = Start(*with_rates(scene, sizes, q, v, x, jnp.asarray(0.0)))
-            return begin(scene, sizes, numbers, start, hs[0])
+            q, v, x = jnp.split(s, [template.sizes.nq, 2 * template.sizes.nq])
+            start = Start(*with_rates(scene, q, v, x, jnp.asarray(0.0)))
+            return begin(scene, numbers, start, hs[0])
 
         first = jax.tree.map(jnp.asarray, started(jnp.zeros(deviations.shape[1])))
         rest, unravel = ravel_pytree(first)
 
         def advance(flat: Any) -> tuple:
             def single(k: Any, carry: tuple) -> tuple:
-                state, report = step(scene, sizes, numbers, carry[0], ends[k], hs[k])
+                state, report = step(scene, numbers, carry[0], ends[k], hs[k])
                 return state, carry[1] & report.converged
 
             state, converged = jax.lax.fori_loop(0, slots, single, (unravel(flat), True))
@@ -173,7 +173,7 @@ def _program(
             columns = after[1:] - after[0], shown[1:] - shown[0], converged[1:]
             return after[0], jnp.where(settled > 0, 2.0, 1.0 * still), k + 1, columns
 
-        n, shown = rest.size, 2 * sizes.nq + sizes.nx
+        n, shown = rest.size, 2 * template.sizes.nq + template.sizes.nx
         nothing = jnp.zeros((n, n)), jnp.zeros((n, shown)), jnp.zeros(n, dtype=bool)
         a, c, converged = jax.lax.while_loop(
             lambda carry: carry[1] < 2, again, (rest, 0.0, 0, nothing)

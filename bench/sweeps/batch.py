@@ -274,11 +274,11 @@ def _processors() -> int:
 
 
 @cache
-def _completion(template: MechatronicSystem, sizes: Sizes) -> Callable:
+def _completion(template: MechatronicSystem) -> Callable:
     """Program of (parameters, q, v, x, t) with axes of runs and, but for the first, of rows."""
 
     def one(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
-        return complete(template.with_parameters(p), sizes, q, v, x, t)
+        return complete(template.with_parameters(p), q, v, x, t)
 
     over_rows = jax.vmap(one, in_axes=(None, 0, 0, 0, 0))
     return jax.jit(jax.vmap(over_rows))

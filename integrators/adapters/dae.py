@@ -35,31 +35,31 @@ class SparseJacobian(NamedTuple):
 
 @cache
 def equations(
-    template: MechatronicSystem, sizes: Sizes, formulation: str
+    template: MechatronicSystem, formulation: str
 ) -> tuple[Callable, tuple[int | None, ...]]:
     """F(p, t, w, wdot), traceable, for any parameter values p, an array; and the lengths of its
     arguments (None for the scalar)."""
-    names, n = list(template.parameters()), dae_layout(sizes, formulation).size
+    names, n = list(template.parameters()), dae_layout(template.sizes, formulation).size
 
     def residual(p: Any, t: Any, w: Any, wdot: Any) -> Any:
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
-        return dae_residual(scene, sizes, formulation, t, w, wdot)
+        return dae_residual(scene, formulation, t, w, wdot)
 
     return residual, (len(names), None, n, n)
 
 
 @cache
-def packed_residual(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Packed:
+def packed_residual(template: MechatronicSystem, formulation: str) -> Packed:
     """F, compiled."""
-    residual, lengths = equations(template, sizes, formulation)
+    residual, lengths = equations(template, formulation)
     return Packed(residual, *lengths)
 
 
 @cache
-def packed_jacobian(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Packed:
+def packed_jacobian(template: MechatronicSystem, formulation: str) -> Packed:
     """dF/dw + cj dF/dwdot at (p, t, w, wdot, cj), compiled; transposed: directions give columns,
     and turning them inside costs as much as computing them."""
-    residual, lengths = equations(template, sizes, formulation)
+    residual, lengths = equations(template, formulation)
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
         function = _along(residual, p, t, w, wdot, cj)
@@ -70,7 +70,7 @@ def packed_jacobian(template: MechatronicSystem, sizes: Sizes, formulation: str)
 
 
 @cache
-def pattern(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Pattern:
+def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
     """Which entries dF/dw + cj dF/dwdot can have, found by following the program of F.
 
     Raises
@@ -78,7 +78,7 @@ def pattern(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Patt
     problems.sparsity.NoPattern
         If it cannot be followed.
     """
-    residual, lengths = equations(template, sizes, formulation)
+    residual, lengths = equations(template, formulation)
     p, n = jnp.array(list(template.parameters().values())), lengths[-1]
     # Whatever w, wdot and cj are, the pattern is the same; nothing that is known to be zero or
     # one may hide an entry.
@@ -87,10 +87,10 @@ def pattern(template: MechatronicSystem, sizes: Sizes, formulation: str) -> Patt
 
 
 @cache
-def sparse_jacobian(template: MechatronicSystem, sizes: Sizes, formulation: str) -> SparseJacobian:
+def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJacobian:
     """dF/dw + cj dF/dwdot on its `pattern`."""
-    residual, lengths = equations(template, sizes, formulation)
-    found = pattern(template, sizes, formulation)
+    residual, lengths = equations(template, formulation)
+    found = pattern(template, formulation)
     order = np.lexsort((found.rows, found.columns))
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:

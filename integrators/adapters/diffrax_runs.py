@@ -23,7 +23,7 @@ from integrators.contract import (
 from integrators.native.time_loop import Reading, StepMethod, StepReport
 from problems.formulations import Start, compiled, consistent_start, ode_rate
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
     from integrators.adapters.diffrax_methods import DiffraxSolver
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 _NEWTON_TOLERANCE = 1e-9
 
 
-def right_hand_side(template: MechatronicSystem, sizes: Sizes) -> Callable:
+def right_hand_side(template: MechatronicSystem) -> Callable:
     """The ODE form of a scene as a compiled function of (t, s, p)."""
-    return jax.jit(lambda t, s, p: ode_rate(template.with_parameters(p), sizes, t, s))
+    return jax.jit(lambda t, s, p: ode_rate(template.with_parameters(p), t, s))
 
 
 def count_work(method: DiffraxSolver, counts: Counts, steps: int, rejected: int) -> Work:
@@ -80,7 +80,6 @@ def adaptive_programs(
     method: type[DiffraxSolver],
     root_finder: str,
     template: MechatronicSystem,
-    sizes: Sizes,
     max_steps: int,
 ) -> _Programs:
     """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the result."""
@@ -90,7 +89,7 @@ def adaptive_programs(
     options = {}
     if root_finder == "fair":
         options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-    rate, solver = right_hand_side(template, sizes), method.solver(**options)
+    rate, solver = right_hand_side(template), method.solver(**options)
     if root_finder != "none":  # the results of an explicit step are constants, and stay so
         solver = _traced_once(type(solver))(**options)
 
@@ -134,7 +133,7 @@ class AdaptiveRun(PreparedRun):
         self._method, self._scene = method, scene
         self._t0, self._t_end = scene.interval[0], float(t_end)
         self._programs = adaptive_programs(
-            type(method), method.root_finder, scene.template(), scene.sizes, method.max_steps
+            type(method), method.root_finder, scene.template(), method.max_steps
         )
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
@@ -211,7 +210,6 @@ def _step_functions(
     method: type[DiffraxSolver],
     root_finder: str,
     template: MechatronicSystem,
-    sizes: Sizes,
     counted: bool,
 ) -> tuple[Callable, Callable, Callable]:
     """``begin``, ``step`` and ``read`` of the march, made of the solver's own step.
@@ -221,7 +219,7 @@ def _step_functions(
     from diffrax import RESULTS
     from optimistix import Newton, max_norm
 
-    rate = right_hand_side(template, sizes)
+    rate = right_hand_side(template)
     terms = method.terms(watch(rate) if counted else rate)
 
     def solver(atol: Any) -> Any:
@@ -229,7 +227,7 @@ def _step_functions(
             return method.solver()
         return method.solver(root_finder=Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm))
 
-    def begin(scene: MechatronicSystem, sizes: Sizes, p: dict, start: Start, h: Any) -> _State:
+    def begin(scene: MechatronicSystem, p: dict, start: Start, h: Any) -> _State:
         z = start.z
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
@@ -240,7 +238,7 @@ def _step_functions(
         return _State(s, solver(atol).init(terms, z.t, z.t + h, s, p), atol)
 
     def step(
-        scene: MechatronicSystem, sizes: Sizes, p: dict, state: _State, t: Any, h: Any
+        scene: MechatronicSystem, p: dict, state: _State, t: Any, h: Any
     ) -> tuple[_State, StepReport]:
         s, _, _, handed_on, result = solver(state.atol).step(
             terms, t - h, t, state.s, p, state.handed_on, made_jump=False
@@ -250,9 +248,9 @@ def _step_functions(
     def read(state: _State) -> Reading:
         # What the equations give is made at the kept rows, outside of the timed part. Until
         # then zeros stand for it, or NaN where the march has to see that a state is not finite.
-        q, v, x = jnp.split(state.s, [sizes.nq, 2 * sizes.nq])
+        q, v, x = jnp.split(state.s, [template.sizes.nq, 2 * template.sizes.nq])
         nothing = 0 * jnp.sum(state.s)
-        lam, y = (jnp.full(n, nothing) for n in (sizes.nl, sizes.ny))
+        lam, y = (jnp.full(n, nothing) for n in (template.sizes.nl, template.sizes.ny))
         return Reading(q, v, nothing + 0 * q, lam, x, 0 * x, y)
 
     return begin, step, read
@@ -280,9 +278,7 @@ class _Marched(StepMethod):
 
 def marched(method: DiffraxSolver, scene: MechatronicSystem, counted: bool) -> StepMethod:
     """The solver's steps as the march takes them; counted ones are for `run_counted`."""
-    functions = _step_functions(
-        type(method), method.root_finder, scene.template(), scene.sizes, counted
-    )
+    functions = _step_functions(type(method), method.root_finder, scene.template(), counted)
     return _Marched(scene.parameters(), *functions)
 
 

@@ -129,7 +129,7 @@ class _IDARun(PreparedRun):
             "rtol": resolution.rtol,
             "atol": atol,
         }
-        of = scene.template(), sizes, form
+        of = scene.template(), form
         p = np.array(list(scene.parameters().values()))
         if sparsity.is_chosen(method.linear_solver, is_large(scene), lambda: dae.pattern(*of)):
             from scipy.sparse import csc_matrix

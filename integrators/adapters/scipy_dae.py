@@ -17,7 +17,7 @@ from integrators.adapters.scipy_ode import SteppedRun
 from integrators.contract import Integrator, PreparedRun, Tolerances, option
 from problems.formulations import FORMULATIONS, dae_layout
 from problems.runtime import jax
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,11 @@ class BDFDAE(ScipyDAESolver):
 
 
 @cache
-def _compiled(template: MechatronicSystem, sizes: Sizes, formulation: str) -> tuple[Packed, Packed]:
+def _compiled(template: MechatronicSystem, formulation: str) -> tuple[Packed, Packed]:
     """F and (dF/dw, dF/dwdot) at (p, t, w, wdot) for any parameter values."""
-    residual, lengths = equations(template, sizes, formulation)
+    residual, lengths = equations(template, formulation)
     jacobians = Packed(jax.jacfwd(residual, argnums=(2, 3)), *lengths)
-    return packed_residual(template, sizes, formulation), jacobians
+    return packed_residual(template, formulation), jacobians
 
 
 class _ScipyDAERun(SteppedRun):
@@ -119,7 +119,7 @@ class _ScipyDAERun(SteppedRun):
         atol = absolute_tolerances(sizes, method.formulation, resolution.atol, tested)
         self._tolerances = {"rtol": resolution.rtol, "atol": atol}
         p = np.array(list(scene.parameters().values()))
-        packed = _compiled(scene.template(), sizes, method.formulation)
+        packed = _compiled(scene.template(), method.formulation)
         self._functions = [f.at(p) for f in packed]
         for function in self._functions:
             function(self._t0, w, self._wdot)  # compiles

@@ -23,7 +23,7 @@ from integrators.contract import (
 )
 from problems.formulations import consistent_start, ode_rate
 from problems.runtime import jax
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
@@ -161,14 +161,14 @@ class SteppedRun(PreparedRun):
 
 
 @cache
-def _compiled(template: MechatronicSystem, sizes: Sizes) -> tuple[Packed, Packed]:
+def _compiled(template: MechatronicSystem) -> tuple[Packed, Packed]:
     """f(p, t, s) and df/ds for any parameter values p, an array."""
     names = list(template.parameters())
-    lengths = len(names), None, 2 * sizes.nq + sizes.nx
+    lengths = len(names), None, 2 * template.sizes.nq + template.sizes.nx
 
     def rate(p: Any, t: Any, s: Any) -> Any:
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
-        return ode_rate(scene, sizes, t, s)
+        return ode_rate(scene, t, s)
 
     return Packed(rate, *lengths), Packed(jax.jacfwd(rate, argnums=2), *lengths)
 
@@ -181,7 +181,7 @@ class _ScipyRun(SteppedRun):
         super().__init__(scene, t_end, np.concatenate([z.q, z.v, z.x]))
         self._method, self._resolution = method, resolution
         p = np.array(list(scene.parameters().values()))
-        self._functions = [f.at(p) for f in _compiled(scene.template(), scene.sizes)]
+        self._functions = [f.at(p) for f in _compiled(scene.template())]
         for function in self._functions:
             function(self._t0, self._start)  # compiles
 

@@ -37,7 +37,7 @@ from integrators.native.adaptive_loop import AdaptiveMethod, Errors
 from integrators.native.time_loop import Reading, StepReport
 from problems.formulations import Start
 from problems.runtime import jnp
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 #: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps
 #: but not the stability at every step: these are a few percent below the largest ratios at which
@@ -64,11 +64,9 @@ class _State(NamedTuple):
     gap: Any
 
 
-def _begin(
-    begin: Any, scene: MechatronicSystem, sizes: Sizes, numbers: _Numbers, start: Start, h: Any
-) -> _State:
+def _begin(begin: Any, scene: MechatronicSystem, numbers: _Numbers, start: Start, h: Any) -> _State:
     zero = 0.0 * h
-    alpha = begin(scene, sizes, numbers.scheme, start, h)
+    alpha = begin(scene, numbers.scheme, start, h)
     return _State(alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero)
 
 
@@ -79,14 +77,13 @@ def _bend(m: Any, f: Any, bend: Any, shift_end: Any, h: Any) -> Any:
 def _step(
     step: Any,
     scene: MechatronicSystem,
-    sizes: Sizes,
     numbers: _Numbers,
     state: _State,
     t: Any,
     h: Any,
 ) -> tuple[_State, StepReport]:
     s, before = numbers.scheme, state.alpha
-    alpha, report = step(scene, sizes, s, before, t, h)
+    alpha, report = step(scene, s, before, t, h)
     bend, bend_x = _bends(s, state, h)
     return _State(
         alpha,
@@ -112,7 +109,7 @@ def _read(read: Any, state: _State) -> Reading:
     return read(state.alpha)
 
 
-def _estimate(sizes: Sizes, numbers: _Numbers, before: _State, after: _State, h: Any) -> Errors:
+def _estimate(numbers: _Numbers, before: _State, after: _State, h: Any) -> Errors:
     """Local errors of q, v and x; for a and lam what a straight line between two steps leaves."""
     s, w = numbers.scheme, weights(numbers.scheme, before.alpha, h)
     bend, bend_x = _bends(s, before, h)

@@ -25,7 +25,7 @@ from problems.formulations import Start
 from problems.runtime import jax, jnp
 from problems.sparse_initial_values import projected
 from problems.sparsity import Pattern
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 
 class SparseNumbers(NamedTuple):
@@ -85,9 +85,7 @@ def _analysed(template: MechatronicSystem, stabilised: bool) -> tuple[Pattern, A
     )  # fmt: skip
     weights = generalized_alpha_step.weights(scheme, state, h)
     t = jnp.asarray(template.interval[0])
-    equations = generalized_alpha_step.equations(
-        stabilised, template, sizes, scheme, state, weights, t, h
-    )
+    equations = generalized_alpha_step.equations(stabilised, template, scheme, state, weights, t, h)
     n = sizes.nq + sizes.nl * (2 if stabilised else 1) + sizes.nx + sizes.ny
     pattern = Pattern(equations.residual, n)
     return pattern, klujax.analyze(jnp.asarray(pattern.rows), jnp.asarray(pattern.columns), n)
@@ -135,22 +133,19 @@ class GuardedKernel:
 def _kernel(template: MechatronicSystem, stabilised: bool, modified: bool) -> GuardedKernel:
     pattern, _ = _analysed(template, stabilised)
     begin, step = partial(_begin, stabilised, modified), partial(_step, stabilised, pattern)
-    return GuardedKernel(
-        kernel(begin, step, generalized_alpha_step.read, template, template.sizes, _finish)
-    )
+    return GuardedKernel(kernel(begin, step, generalized_alpha_step.read, template, _finish))
 
 
 def _begin(
     stabilised: bool,
     modified: bool,
     scene: MechatronicSystem,
-    sizes: Sizes,
     numbers: SparseNumbers,
     start: Start,
     h: Any,
 ) -> AlphaState:
     state = generalized_alpha_step.begin(
-        stabilised, False, scene, sizes, numbers.scheme, start, h, numbers.constrained_jerk
+        stabilised, False, scene, numbers.scheme, start, h, numbers.constrained_jerk
     )
     return state._replace(kept=klu.none()) if modified else state
 
@@ -159,7 +154,6 @@ def _step(
     stabilised: bool,
     pattern: Pattern,
     scene: MechatronicSystem,
-    sizes: Sizes,
     numbers: SparseNumbers,
     state: AlphaState,
     t: Any,
@@ -167,7 +161,7 @@ def _step(
 ) -> tuple[AlphaState, StepReport]:
     linear = _linear(pattern, numbers.analysis)
     return generalized_alpha_step.step(
-        stabilised, False, scene, sizes, numbers.scheme, state, t, h, linear
+        stabilised, False, scene, numbers.scheme, state, t, h, linear
     )
 
 

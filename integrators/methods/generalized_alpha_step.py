@@ -37,7 +37,7 @@ from integrators.native.time_loop import Reading, StepReport, largest
 from problems import formulations
 from problems.formulations import Start
 from problems.runtime import jnp
-from problems.system import MechatronicSystem, Sizes, Variables
+from problems.system import MechatronicSystem, Variables
 
 _EPS = float(np.finfo(float).eps)
 #: Unknowns are guessed ahead where that was so much better than staying put the last time; in a
@@ -174,7 +174,6 @@ def begin(
     stabilised: bool,
     modified: bool,
     scene: MechatronicSystem,
-    sizes: Sizes,
     numbers: Scheme,
     start: Start,
     h: Any,
@@ -189,19 +188,19 @@ def begin(
     z, s, on = start.z, numbers, jnp.where(numbers.corrected, 1.0, 0.0)
     shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
     v = z.v
-    if sizes.nl and not stabilised:
+    if scene.sizes.nl and not stabilised:
         c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
         part = constrained_jerk
         if part is None:
-            part = formulations.constrained_part(scene, sizes, z.q, z.t, start.jerk)
+            part = formulations.constrained_part(scene, z.q, z.t, start.jerk)
         v = v + on * c * h**2 * part
     aux = z.a + on * shift * start.jerk
     auxx = start.xdot + on * shift_x * start.xddot
-    n = sizes.nq + sizes.nl * (2 if stabilised else 1) + sizes.nx + sizes.ny
+    n = scene.sizes.nq + scene.sizes.nl * (2 if stabilised else 1) + scene.sizes.nx + scene.sizes.ny
     inverse = jnp.full((n, n) if modified else (0, 0), jnp.nan)  # none yet
     return AlphaState(
         z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma, s.theta,
-        z.a, inverse, jnp.full((2, sizes.nq + sizes.nl + sizes.nx + sizes.ny), jnp.nan),
+        z.a, inverse, jnp.full((2, sum(scene.sizes)), jnp.nan),
         jnp.asarray(False),
     )  # fmt: skip
 
@@ -227,7 +226,6 @@ class Equations(NamedTuple):
 def equations(
     stabilised: bool,
     scene: MechatronicSystem,
-    sizes: Sizes,
     s: Scheme,
     state: AlphaState,
     w: Weights,
@@ -246,8 +244,8 @@ def equations(
     x_base = state.x + h * ((1 - theta) * auxx + theta * auxx_base)
     q_slope, v_slope = h**2 * s.beta * aux_slope, h * gamma * aux_slope
     x_slope = h * theta * auxx_slope
-    nmu = sizes.nl if stabilised else 0
-    cuts = np.cumsum([sizes.nq, sizes.nl, nmu, sizes.nx])
+    nmu = scene.sizes.nl if stabilised else 0
+    cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, nmu, scene.sizes.nx])
 
     def at(u: Any) -> tuple[Variables, Any]:
         a, lam, mu, xdot, y = jnp.split(u, cuts)
@@ -262,7 +260,7 @@ def equations(
     def residual(u: Any) -> Any:
         z, xdot = at(u)
         rows = [formulations.dynamics_residual(scene, z)]
-        if sizes.nl:
+        if scene.sizes.nl:
             rows.append(scene.constraint(z.q, t) / q_slope)
         if nmu:
             rows.append(formulations.constraint_velocity(scene, z.q, z.v, t) / v_slope)
@@ -276,7 +274,7 @@ def equations(
         2 * _EPS * size / slope
         for size, slope in ((largest(q_base, 1.0), q_slope), (largest(v_base), v_slope))
     )
-    of_a = (of_v if nmu else of_q) if sizes.nl else 0.0
+    of_a = (of_v if nmu else of_q) if scene.sizes.nl else 0.0
     # What is rounding in a is rounding in what the controller makes of it.
     part = jnp.minimum(of_a / (largest(state.a) + 1e-300), _MOST_ROUNDING)
     of_control = [part * largest(now, 0.0) for now in (state.xdot, state.y)]
@@ -288,7 +286,6 @@ def step(
     stabilised: bool,
     modified: bool,
     scene: MechatronicSystem,
-    sizes: Sizes,
     numbers: Scheme,
     state: AlphaState,
     t: Any,
@@ -298,10 +295,10 @@ def step(
     """A step of size h to time t; ``linear`` as in `newton`."""
     s = numbers
     w = weights(s, state, h)
-    e = equations(stabilised, scene, sizes, s, state, w, t, h)
+    e = equations(stabilised, scene, s, state, w, t, h)
     old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
     ahead = extrapolated(old, state.slopes, h, state.h)
-    no_mu = jnp.zeros(sizes.nl if stabilised else 0)
+    no_mu = jnp.zeros(scene.sizes.nl if stabilised else 0)
     guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
     guess = jnp.where(state.smooth, *guesses)
     u, kept, report = newton(

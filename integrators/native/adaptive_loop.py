@@ -51,7 +51,7 @@ from integrators.native.time_loop import (
 )
 from problems.formulations import Start, consistent_start
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 _OK, _MOST_STEPS, _ERROR, _NEWTON, _NOT_FINITE, _DIVERGED = range(6)
 
@@ -113,7 +113,7 @@ class AdaptiveMethod(StepMethod):
     def functions(self) -> tuple[Callable, Callable, Callable, Callable, Callable, int]:
         """``begin``, ``step`` and ``read`` as in StepMethod; then three for the control:
 
-        ``estimate(sizes, numbers, before, after, h) -> Errors``
+        ``estimate(numbers, before, after, h) -> Errors``
             of the step from one state to the next
         ``ratios(numbers)``
             smallest and largest ratio of neighbouring steps that the controller chooses of its own
@@ -122,7 +122,7 @@ class AdaptiveMethod(StepMethod):
         """
 
     def kernel(self, scene: MechatronicSystem) -> Kernel:
-        return kernel(*self.functions(), scene.template(), scene.sizes)
+        return kernel(*self.functions(), scene.template())
 
     def span(self, t0: float, t_end: float, tolerances: Tolerances) -> Span:
         """What a run's kernel takes last."""
@@ -211,7 +211,6 @@ def kernel(
     ratios: Callable,
     order: int,
     template: MechatronicSystem,
-    sizes: Sizes,
 ) -> Kernel:
     """The compiled march of an adaptive method on a scene, for any numbers and parameters.
 
@@ -275,13 +274,13 @@ def kernel(
 
     @small_matrices.without_products
     def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple:
-        return step(template.with_parameters(p), sizes, numbers, state, t, h)
+        return step(template.with_parameters(p), numbers, state, t, h)
 
     def march(p: dict, numbers: Any, start: Start, span: Span, wanted: Any) -> tuple:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
         h0 = jnp.maximum(first_step(start, span), smallest)
-        state = begin(scene, sizes, numbers, start, h0)
+        state = begin(scene, numbers, start, h0)
         first = read(state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
         lowest, highest = ratios(numbers)
@@ -298,7 +297,7 @@ def kernel(
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
             now = read(state)
-            errors = estimate(sizes, numbers, m.state, state, h)
+            errors = estimate(numbers, m.state, state, h)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))
             error = size_of(errors, read(m.state), now, peaks, span)
             sane = jnp.isfinite(error) & jnp.isfinite(largest(now.q, now.v, now.a, now.lam))

@@ -29,7 +29,7 @@ from integrators.contract import (
 from integrators.native import small_matrices
 from problems.formulations import Start, consistent_start
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
 
 #: A run whose q or v has grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
@@ -100,13 +100,13 @@ class StepMethod(Integrator):
 
     @staticmethod
     @abstractmethod
-    def begin(scene: MechatronicSystem, sizes: Sizes, numbers: Any, start: Start, h: Any) -> Any:
+    def begin(scene: MechatronicSystem, numbers: Any, start: Start, h: Any) -> Any:
         """The method's state at t0, before a first step of size h."""
 
     @staticmethod
     @abstractmethod
     def step(
-        scene: MechatronicSystem, sizes: Sizes, numbers: Any, state: Any, t: Any, h: Any
+        scene: MechatronicSystem, numbers: Any, state: Any, t: Any, h: Any
     ) -> tuple[Any, StepReport]:
         """Advance the state by h to time t."""
 
@@ -121,7 +121,7 @@ class StepMethod(Integrator):
 
     def kernel(self, scene: MechatronicSystem) -> Kernel:
         """The compiled march on a scene; shared by all methods with the same functions."""
-        return kernel(*self.functions(), scene.template(), scene.sizes)
+        return kernel(*self.functions(), scene.template())
 
     def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
         return self if self.controls == "step" else None
@@ -272,7 +272,6 @@ def kernel(
     step: Callable,
     read: Callable,
     template: MechatronicSystem,
-    sizes: Sizes,
     finish: Callable | None = None,
 ) -> Kernel:
     """The compiled march of a method on a scene, for any numbers and parameters; ``finish`` frees
@@ -280,13 +279,13 @@ def kernel(
 
     @small_matrices.without_products
     def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
-        return step(template.with_parameters(p), sizes, numbers, state, t, h)
+        return step(template.with_parameters(p), numbers, state, t, h)
 
     def march(
         p: dict, numbers: Any, start: Start, clock: Clock, rows: Any, row_count: Any
     ) -> tuple:
         scene = template.with_parameters(p)
-        state = begin(scene, sizes, numbers, start, step_times(clock, 0)[1])
+        state = begin(scene, numbers, start, step_times(clock, 0)[1])
         first = read(state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
 

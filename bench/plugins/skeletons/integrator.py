@@ -27,20 +27,19 @@ class NewIntegrator(StepMethod):
         return (self.place,)  # traced: other values compile nothing new
 
     @staticmethod
-    def begin(scene, sizes, numbers, start, h):
+    def begin(scene, numbers, start, h):
         z = start.z  # consistent values at the start, with a, lam and y
         return Reading(z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y)
 
     @staticmethod
-    def step(scene, sizes, numbers, s, t, h):
+    def step(scene, numbers, s, t, h):
         (c,) = numbers
         weight = 1 / (2 * c)  # of the inner stage
         # The state s is that of t - h; `complete` solves for a, lam, y and xdot at q, v, x.
         v = s.v + c * h * s.a
-        z, xdot = complete(scene, sizes, s.q + c * h * s.v, v, s.x + c * h * s.xdot, t - h + c * h)
+        z, xdot = complete(scene, s.q + c * h * s.v, v, s.x + c * h * s.xdot, t - h + c * h)
         end, xdot = complete(
             scene,
-            sizes,
             s.q + h * ((1 - weight) * s.v + weight * v),
             s.v + h * ((1 - weight) * s.a + weight * z.a),
             s.x + h * ((1 - weight) * s.xdot + weight * xdot),
