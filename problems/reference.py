@@ -15,9 +15,8 @@ import numpy as np
 
 from problems.formulations import compiled, consistent_start
 from problems.runtime import jnp
-from problems.system import MechatronicSystem
+from problems.system import GROUPS, MechatronicSystem
 
-GROUPS = ("q", "v", "a", "lam", "x", "y")
 _RTOL = 3e-14
 #: Coordinates and multipliers beyond which no reference is made: each of its many evaluations is a
 #: dense solve.

@@ -25,6 +25,9 @@ import numpy as np
 from problems import spec
 from problems.runtime import jax
 
+#: Groups of variables in which errors are told.
+GROUPS = ("q", "v", "a", "lam", "x", "y")
+
 
 class Variables(NamedTuple):
     """All variables of a system at one time: q, v, a ``(nq,)``, lam ``(nl,)``, x ``(nx,)``,
@@ -54,6 +57,11 @@ class Sizes(NamedTuple):
     nl: int
     nx: int
     ny: int
+
+    def of(self, group: str) -> int:
+        """Number of entries of a group, or of "xdot"."""
+        owner = {"lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+        return getattr(self, owner.get(group, "nq"))
 
 
 def parameter(

@@ -6,6 +6,8 @@ from typing import Any
 
 import msgspec
 
+from problems.system import GROUPS
+
 #: Version of the rows below. A store of another version is refused with a hint.
 SCHEMA = 1
 
@@ -13,7 +15,6 @@ SCHEMA = 1
 #: are taken once they have lasted this long, in s.
 TIMING_SECONDS = 1.0
 
-GROUPS = ("q", "v", "a", "lam", "x", "y")
 NORMS = ("end", "max", "rms", "settled")
 LEVELS = ("position", "velocity", "acceleration")
 
