@@ -17,6 +17,7 @@ import numpy as np
 from bench.stability.matrices import Matrices, matrices, steppable
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
+from integrators.multistep import multiple
 
 #: omega h of the charts, 30 to a decade.
 OMEGA_H = np.geomspace(1e-2, 1e4, 181)
@@ -129,21 +130,6 @@ def eigenvalues(a: np.ndarray) -> np.ndarray:
 def radii(roots: np.ndarray) -> np.ndarray:
     """Spectral radii ``(k,)``."""
     return np.abs(roots).max(axis=1)
-
-
-def multiple(roots: np.ndarray, within: float = _ONE_ROOT) -> list[tuple[complex, int]]:
-    """Roots with their multiplicities, the largest first.
-
-    Rounding eps moves a k-fold root by eps^(1/k), but the mean of what becomes of it only by eps.
-    """
-    groups: list[list[complex]] = []
-    for root in sorted(roots[np.isfinite(roots)], key=abs, reverse=True):
-        near = [g for g in groups if abs(np.mean(g) - root) < within]
-        if near:
-            near[0].append(root)
-        else:
-            groups.append([root])
-    return [(complex(np.mean(g)), len(g)) for g in groups]
 
 
 def principal(roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0) -> np.ndarray:

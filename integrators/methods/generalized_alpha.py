@@ -12,14 +12,15 @@ from typing import Any, ClassVar
 
 from integrators.contract import option
 from integrators.methods.generalized_alpha_step import (
-    FUNCTIONS,
+    AlphaStep,
     Scheme,
     first_order_parameters,
     second_order_parameters,
 )
-from integrators.native.time_loop import StepMethod
-from problems.formulations import Start, is_large
-from problems.sparsity import is_chosen
+from integrators.methods.generalized_alpha_theory import recurrence_of
+from integrators.multistep import MultistepForm
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_method import NewtonOptions
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -33,7 +34,7 @@ def _gamma_policy() -> Any:
 
 
 @dataclass(frozen=True)
-class AlphaMethod(StepMethod):
+class AlphaMethod(NewtonOptions):
     """Base of the members of the family: a member only says which scheme it is."""
 
     family: ClassVar[str] = "generalized-alpha"
@@ -42,24 +43,6 @@ class AlphaMethod(StepMethod):
     classical: ClassVar[bool] = False
     guarded: ClassVar[bool] = True
 
-    newton_tol: float = option(
-        1e-12,
-        "relative error that Newton's method may leave in a, lam, xdot and y",
-        low=1e-15,
-        high=1e-2,
-    )
-    newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
-
-    newton: str = option(
-        "full",
-        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
-        choices=("full", "modified"),
-    )
-    linear_solver: str = option(
-        "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
-        choices=("auto", "dense", "sparse"),
-    )
     formulation: str = option(
         "index3",
         "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
@@ -92,26 +75,16 @@ class AlphaMethod(StepMethod):
 
     def scheme(self) -> Scheme:
         """All that the step is told of this member."""
-        corrected = self.start == "corrected"
-        solver = self.newton_tol, self.newton_max
-        return Scheme(*self.parameters(), corrected, *solver, self.guarded)
+        return Scheme(*self.parameters(), self.start == "corrected", self.guarded)
 
     def numbers(self) -> Any:
         return self.scheme()
 
-    def functions(self) -> tuple[Any, ...]:
-        return FUNCTIONS[self.formulation, self.newton]
+    def functions(self) -> StepFunctions:
+        return AlphaStep(self.formulation == "stabilised_index2")
 
-    def on(self, scene: MechatronicSystem, start: Start) -> Any:
-        def sparse() -> Any:
-            from integrators.methods.generalized_alpha_sparse import SparseAlpha
-
-            return SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
-
-        chosen = is_chosen(self.linear_solver, is_large(scene), lambda: sparse().pattern())
-        return sparse() if chosen else self
-
-    begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
+    def multistep_form(self) -> MultistepForm | None:
+        return recurrence_of(self.scheme()).form
 
 
 @dataclass(frozen=True)
