@@ -88,14 +88,14 @@ def matrices(
     SpecError
         If the method has no constant steps, refuses the system, or hides its memory.
     """
-    method, steps = steppable(method), np.asarray(steps, dtype=float)
-    pattern = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
+    method, macro_steps = steppable(method), np.asarray(steps, dtype=float)
+    fractions = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
     reason = method.supports(system)
     if reason:
         raise SpecError(f"{method.spec} does not take {system.name}: {reason}")
     if isinstance(method, NativeMethod):
-        return _by_stepping(method, system, steps, pattern)
-    return _by_running(method, system, steps, pattern)
+        return _by_stepping(method, system, macro_steps, fractions)
+    return _by_running(method, system, macro_steps, fractions)
 
 
 # ---- methods whose step is a function ----------------------------------------------------

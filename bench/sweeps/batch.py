@@ -59,11 +59,11 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
     if method.step_method(scene) is None:
         constant = method.at_constant_steps()
-        able = constant is not None and constant.step_method(scene) is not None
+        able = constant.spec if constant and constant.step_method(scene) else ""
         raise SpecError(
             f"{method.spec} cannot run many members in one program: that takes steps written as "
             f"JAX functions of a state; take "
-            f"{constant.spec if able else 'a StepMethod such as generalized_alpha'}."
+            f"{able or 'a StepMethod such as generalized_alpha'}."
         )
 
 

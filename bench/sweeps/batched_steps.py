@@ -51,21 +51,27 @@ class Times(Protocol):
 
     def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
         """The compiled time loop of a method on a kind of scene."""
+        ...
 
     def longest_first(self) -> np.ndarray:
         """The places of all runs in the order in which they are best begun."""
+        ...
 
     def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
         """Places in ``numbers``; those that are idle shall take no step."""
+        ...
 
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
         """Which rows a kernel shall keep, as it takes them."""
+        ...
 
     def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
         """Rows and endings from what a kernel returned."""
+        ...
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         """Status and message of a run."""
+        ...
 
 
 class ConstantSteps:

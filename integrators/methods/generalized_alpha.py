@@ -13,7 +13,9 @@ from typing import Any, ClassVar
 from integrators.contract import option
 from integrators.methods.generalized_alpha_step import (
     AlphaStep,
+    FirstOrder,
     Scheme,
+    SecondOrder,
     first_order_parameters,
     second_order_parameters,
 )
@@ -41,7 +43,6 @@ class AlphaMethod(NewtonOptions):
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False
-    guarded: ClassVar[bool] = True
 
     formulation: str = option(
         "index3",
@@ -55,12 +56,26 @@ class AlphaMethod(NewtonOptions):
     )
 
     @property
+    def guarded(self) -> bool:
+        """Whether sharp cuts restart the recurrence, where weights are updated."""
+        return True
+
+    @property
     def affinity(self) -> str:
         return f"{self.family} {self.formulation} {self.newton}"
 
     @abstractmethod
-    def parameters(self) -> tuple[float, ...]:
-        """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
+    def second_order(self) -> SecondOrder:
+        """The algorithmic parameters for q."""
+
+    @abstractmethod
+    def first_order(self) -> FirstOrder:
+        """The algorithmic parameters for x."""
+
+    @property
+    def updated(self) -> bool:
+        """Whether gamma and theta follow the step ratio."""
+        return False
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         s, claims = self.scheme(), dict(self.orders)
@@ -75,7 +90,8 @@ class AlphaMethod(NewtonOptions):
 
     def scheme(self) -> Scheme:
         """All that the step is told of this member."""
-        return Scheme(*self.parameters(), self.start == "corrected", self.guarded)
+        policy = self.updated, self.classical, self.start == "corrected", self.guarded
+        return Scheme(*self.second_order(), *self.first_order(), *policy)
 
     def numbers(self) -> Any:
         return self.scheme()
@@ -115,17 +131,17 @@ class GeneralizedAlpha(AlphaMethod):
 
     @property
     def guarded(self) -> bool:
-        """Whether sharp cuts restart the recurrence."""
         return self.gamma != "unguarded"
 
-    def parameters(self) -> tuple[float, ...]:
-        rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
-        return (
-            *second_order_parameters(self.rho_inf),
-            *first_order_parameters(rho_x),
-            self.gamma != "fixed",
-            self.classical,
-        )
+    @property
+    def updated(self) -> bool:
+        return self.gamma != "fixed"
+
+    def second_order(self) -> SecondOrder:
+        return second_order_parameters(self.rho_inf)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters(self.rho_inf if self.rho_inf_x is None else self.rho_inf_x)
 
 
 @dataclass(frozen=True)
@@ -155,18 +171,16 @@ class HHT(AlphaMethod):
                 f"known to be stable at every step; give any_alpha=true to take it all the same."
             )
 
-    def parameters(self) -> tuple[float, ...]:
+    @property
+    def updated(self) -> bool:
+        return self.gamma == "updated"
+
+    def second_order(self) -> SecondOrder:
         gamma = 0.5 + self.alpha
-        rho_inf = (1 - self.alpha) / (1 + self.alpha)
-        return (
-            0.0,
-            self.alpha,
-            0.25 * (gamma + 0.5) ** 2,
-            gamma,
-            *first_order_parameters(rho_inf),
-            self.gamma == "updated",
-            self.classical,
-        )
+        return SecondOrder(0.0, self.alpha, 0.25 * (gamma + 0.5) ** 2, gamma)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters((1 - self.alpha) / (1 + self.alpha))
 
 
 @dataclass(frozen=True)
@@ -180,18 +194,17 @@ class WBZ(AlphaMethod):
     )
     gamma: str = _gamma_policy()
 
-    def parameters(self) -> tuple[float, ...]:
+    @property
+    def updated(self) -> bool:
+        return self.gamma == "updated"
+
+    def second_order(self) -> SecondOrder:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
         gamma = 0.5 - alpha_m
-        return (
-            alpha_m,
-            0.0,
-            0.25 * (gamma + 0.5) ** 2,
-            gamma,
-            *first_order_parameters(self.rho_inf),
-            self.gamma == "updated",
-            self.classical,
-        )
+        return SecondOrder(alpha_m, 0.0, 0.25 * (gamma + 0.5) ** 2, gamma)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters(self.rho_inf)
 
 
 @dataclass(frozen=True)
@@ -230,8 +243,11 @@ class Newmark(AlphaMethod):
             )
         return None
 
-    def parameters(self) -> tuple[float, ...]:
-        return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False, self.classical
+    def second_order(self) -> SecondOrder:
+        return SecondOrder(0.0, 0.0, self.beta, self.gamma)
+
+    def first_order(self) -> FirstOrder:
+        return FirstOrder(0.0, 0.0, self.gamma)
 
 
 _CLASSICAL_ORDERS = {"q": 2, "v": 2, "a": 1, "lam": 2}

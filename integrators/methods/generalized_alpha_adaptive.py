@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 #: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps
 #: but not the stability at every step: these are a few percent below the largest ratios at which
 #: no pattern of up to six steps grows (``stepbench stability --ratios any``).
-_GROWTH = ((0.0, 2.0), (0.5, 2.0), (0.6, 1.75), (0.7, 1.4), (0.8, 1.15), (0.9, 1.03), (1.0, 1.01))
+_RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+_GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
 class Numbers(NamedTuple):
@@ -193,7 +194,7 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
     )
 
     def numbers(self) -> Numbers:
-        growth = float(np.interp(self.rho_inf, *zip(*_GROWTH, strict=True)))
+        growth = float(np.interp(self.rho_inf, _RHO, _GROWTH))
         return Numbers(self.scheme(), self.error_test == "all", growth)
 
     def functions(self) -> StepFunctions:

@@ -68,6 +68,23 @@ class Scheme(NamedTuple):
     guarded: bool
 
 
+class SecondOrder(NamedTuple):
+    """Algorithmic parameters for q."""
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+
+
+class FirstOrder(NamedTuple):
+    """Algorithmic parameters for x."""
+
+    delta_m: float
+    delta_f: float
+    theta: float
+
+
 class AlphaState(NamedTuple):
     """Everything that a step hands to the next one."""
 
@@ -96,17 +113,17 @@ class AlphaState(NamedTuple):
     smooth: Array
 
 
-def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
-    """alpha_m, alpha_f, beta, gamma of Chung & Hulbert (1993) in the paper's signs."""
+def second_order_parameters(rho_inf: float) -> SecondOrder:
+    """The parameters for q of Chung & Hulbert (1993) in the paper's signs."""
     alpha_m, alpha_f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     gamma = 0.5 + alpha_f - alpha_m
-    return alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma
+    return SecondOrder(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
 
 
-def first_order_parameters(rho_inf: float) -> tuple[float, float, float]:
-    """delta_m, delta_f, theta of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
+def first_order_parameters(rho_inf: float) -> FirstOrder:
+    """The parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
     delta_m, delta_f = (3 * rho_inf - 1) / (2 * (rho_inf + 1)), rho_inf / (rho_inf + 1)
-    return delta_m, delta_f, 0.5 + delta_f - delta_m
+    return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m)
 
 
 def updated_weight(alpha_m: Any, alpha_f: Any, shift: Any, h: Any) -> tuple[Any, Any]:

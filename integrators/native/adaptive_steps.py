@@ -107,19 +107,19 @@ class AdaptiveRun(PreparedRun):
         self._start, self._noted = consistent_start(scene), noted
         t0 = scene.interval[0]
         self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
-        self._kernel = kernel(program, scene.template())
+        self.kernel = kernel(program, scene.template())
         packs = [scene.parameters(), numbers, self._start]
-        self._arguments = self._kernel.pack(*packs, self._span)
+        self.arguments = self.kernel.pack(*packs, self._span)
         self._keep, self._drop = jnp.asarray(1), jnp.asarray(0)
         # A loop over no time compiles the kernel and costs nothing else.
-        nothing = self._kernel.pack(*packs, self._span._replace(t_end=t0))
-        jax.block_until_ready(self._kernel(nothing, self._drop))
+        nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
+        jax.block_until_ready(self.kernel(nothing, self._drop))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self._kernel(self._arguments, self._drop))
+        return jax.block_until_ready(self.kernel(self.arguments, self._drop))
 
     def measure(self) -> Trajectory:
-        early, spread, last, end = map(np.asarray, self._kernel(self._arguments, self._keep))
+        early, spread, last, end = map(np.asarray, self.kernel(self.arguments, self._keep))
         ending, t, *counts = end
         status, message = Ending(int(ending)).outcome(
             float(t), self._span.t_end, self._span.max_steps
@@ -139,15 +139,15 @@ def in_order(rows: np.ndarray) -> np.ndarray:
 class _SparseKernel(SparseKernel):
     """At chosen steps; tries are counted, rejected ones included."""
 
-    def most_steps(self, packed: Any, wanted: Any) -> int:
+    def most_steps(self, packed: Any, *wanted: Any) -> int:
         return int(self.unpacked(packed)[-1].max_steps)
 
-    def limited(self, steps: int, packed: Any, wanted: Any) -> tuple:
+    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
         *others, last = self.unpacked(packed)
-        return self.pack(*others, last._replace(max_steps=steps)), wanted
+        return self.pack(*others, last._replace(max_steps=steps)), *wanted
 
-    def up_to(self, steps: int, packed: Any, wanted: Any) -> Any:
-        *rows, end = self._attempt(*self.limited(steps, packed, wanted))
+    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+        *rows, end = self._attempt(*self.limited(steps, packed, *wanted))
         return *rows, end.at[0].set(_NOT_FINITE)
 
 

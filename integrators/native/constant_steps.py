@@ -87,18 +87,18 @@ class ConstantStepsRun(PreparedRun):
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
         self._start, self._noted, self._t_end = start, noted, float(t_end)
-        self._kernel = kernel(program, scene.template())
-        self._arguments = self._kernel.pack(scene.parameters(), numbers, start, clock)
+        self.kernel = kernel(program, scene.template())
+        self.arguments = self.kernel.pack(scene.parameters(), numbers, start, clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
         self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
-        jax.block_until_ready(self._kernel(self._arguments, self._end_only[0], jnp.asarray(0)))
+        jax.block_until_ready(self.kernel(self.arguments, self._end_only[0], jnp.asarray(0)))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self._kernel(self._arguments, *self._end_only))
+        return jax.block_until_ready(self.kernel(self.arguments, *self._end_only))
 
     def measure(self) -> Trajectory:
-        rows, end = (np.asarray(part) for part in self._kernel(self._arguments, *self._all_rows))
+        rows, end = (np.asarray(part) for part in self.kernel(self.arguments, *self._all_rows))
         kept = np.flatnonzero(rows[: len(self._rows), 0] == self._rows)
         ending, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
@@ -110,15 +110,18 @@ class ConstantStepsRun(PreparedRun):
 class _SparseKernel(SparseKernel):
     """At constant steps; ``wanted`` are the step numbers of rows, and how many of them count."""
 
-    def most_steps(self, packed: Any, rows: Any, row_count: Any) -> int:
+    def most_steps(self, packed: Any, *wanted: Any) -> int:
+        rows, row_count = wanted
         return int(rows[row_count - 1])
 
-    def limited(self, steps: int, packed: Any, rows: Any, row_count: Any) -> tuple:
+    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+        rows, row_count = wanted
         return packed, jnp.full_like(rows, steps), jnp.ones_like(row_count)
 
-    def up_to(self, steps: int, packed: Any, rows: Any, row_count: Any) -> Any:
+    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+        rows, row_count = wanted
         kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
-        _, end = self._attempt(*self.limited(steps, packed, rows, row_count))
+        _, end = self._attempt(*self.limited(steps, packed, *wanted))
         t, _ = step_times(self.unpacked(packed)[-1], steps)
         return kept, jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
 

@@ -30,7 +30,7 @@ class Kernel:
         def run(packed: Any, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
 
-        self._compiled = jax.jit(run)
+        self.compiled = jax.jit(run)
         # Side by side, many numbers are treated alike: registers as wide as they come.
         wide = {"xla_cpu_prefer_vector_width": 512}
         self._many = jax.jit(jax.vmap(run), compiler_options=wide)
@@ -61,7 +61,7 @@ class Kernel:
         return self._unpack(packed)
 
     def __call__(self, packed: Any, *wanted: Any) -> Any:
-        return self._compiled(packed, *wanted)
+        return self.compiled(packed, *wanted)
 
     def batched(self, packed: Any, *wanted: Any) -> Any:
         """Many runs in one program: every argument has one more axis in front."""
@@ -70,7 +70,7 @@ class Kernel:
     @property
     def compilations(self) -> int:
         """How many programs were compiled; one serves all schemes, steps and parameters."""
-        return self._compiled._cache_size()
+        return self.compiled._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class SparseKernel(Kernel):

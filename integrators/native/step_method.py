@@ -132,8 +132,7 @@ class StepMethod(NativeMethod, StepFunctions):
 
     def with_numbers(self, numbers: Any) -> Self:
         copy = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__)
-        copy.__dict__.update(numbers)
+        vars(copy).update(vars(self) | numbers)
         return copy
 
 
