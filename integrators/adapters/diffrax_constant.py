@@ -81,11 +81,11 @@ class DiffraxStep(StepFunctions):
         work.count(converged=result == RESULTS.successful)
         return State(s, handed_on, state.atol)
 
-    def read(self, state: State) -> Reading:
+    def read(self, scene: MechatronicSystem, state: State) -> Reading:
         # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
         # then zeros stand for them, or NaN where the time loop has to see that a state is not
         # finite.
-        nq, nl, _, ny = self.template.sizes
+        nq, nl, _, ny = scene.sizes
         q, v, x = jnp.split(state.s, [nq, 2 * nq])
         nothing = 0 * jnp.sum(state.s)
         lam, y = (jnp.full(n, nothing) for n in (nl, ny))
