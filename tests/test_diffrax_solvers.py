@@ -11,6 +11,8 @@ from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
 from integrators.adapters.counting import run_counted
+from integrators.adapters.diffrax_adaptive import adaptive_programs
+from integrators.adapters.diffrax_constant import marched
 from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
     Dopri8,
@@ -22,7 +24,6 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
-from integrators.adapters.diffrax_runs import _Marched, _step_functions, adaptive_programs
 from problems import MechatronicSystem, jnp
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -35,11 +36,7 @@ IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, Ken
 class Dopri5(DiffraxSolver):
     """An explicit method, whose evaluations can be counted on the fingers."""
 
-    @staticmethod
-    def solver(**options):
-        import diffrax
-
-        return diffrax.Dopri5()
+    library_class = "Dopri5"
 
 
 @dataclass(frozen=True)
@@ -136,8 +133,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        functions = _step_functions(Kvaerno3, "fair", scene.template(), counted)
-        assert _Marched(scene.parameters(), *functions).kernel(scene).compilations == 1
+        assert marched(method.scheme(), scene, counted).kernel(scene).compilations == 1
 
 
 def test_the_counted_march_takes_the_timed_steps_and_more_of_them_than_max_steps():
@@ -171,7 +167,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = adaptive_programs(Kvaerno5, "fair", scene.template(), method.max_steps)
+    programs = adaptive_programs(method.scheme(), scene.template(), method.max_steps)
     assert programs.timed._cache_size() == programs.counted._cache_size() == 1
 
 

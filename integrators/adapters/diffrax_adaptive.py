@@ -1,0 +1,164 @@
+"""Runs of diffrax's solvers at adaptive steps: diffrax's own loop under its step-size control."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
+from integrators.adapters.trajectories import trajectory_from_states
+from integrators.contract import PreparedRun, Tolerances, Trajectory, spread_rows
+from problems.formulations import compiled, consistent_start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+
+@cache
+def _traced_once(kind: type) -> type:
+    """The same solver with a compiled step, so that JAX keeps its trace.
+
+    diffrax traces a step three times to find its constant results. The program stays the same.
+    """
+    import equinox
+
+    @equinox.filter_jit
+    def compiled_step(solver: Any, *arguments: Any) -> Any:
+        return kind.step(solver, *arguments)
+
+    def step(self: Any, *arguments: Any) -> Any:
+        return compiled_step(self, *arguments)
+
+    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+
+
+class AdaptivePrograms(NamedTuple):
+    """Compiled solves: one to be timed; one that keeps all steps, for `run_counted`."""
+
+    timed: Callable
+    counted: Callable
+
+
+@cache
+def adaptive_programs(
+    scheme: Scheme, template: MechatronicSystem, max_steps: int
+) -> AdaptivePrograms:
+    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the result."""
+    import diffrax
+    import optimistix
+
+    options = {}
+    if scheme.root_finder == "fair":
+        options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
+    rate, solver = right_hand_side(template), scheme.solver(**options)
+    if scheme.root_finder != "none":  # the results of an explicit step are constants, and stay so
+        solver = _traced_once(type(solver))(**options)
+
+    def program(rate: Callable, save: Any) -> Callable:
+        def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
+            # A step near the rounding of time cannot help. Without this limit diffrax would
+            # go on trying ever smaller ones until max_steps.
+            smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
+            solution = diffrax.diffeqsolve(
+                scheme.terms(rate),
+                solver,
+                t0,
+                t_end,
+                None,
+                s0,
+                args=p,
+                stepsize_controller=diffrax.PIDController(
+                    rtol=rtol, atol=atol, dtmin=smallest, force_dtmin=False
+                ),
+                saveat=save,
+                max_steps=max_steps,
+                adjoint=diffrax.ForwardMode(),
+                throw=False,
+            )
+            return solution.ts, solution.ys, solution.stats, solution.result
+
+        return jax.jit(solve)
+
+    return AdaptivePrograms(
+        timed=program(rate, diffrax.SaveAt(t1=True)),
+        counted=program(watch(rate), diffrax.SaveAt(steps=True)),
+    )
+
+
+class AdaptiveRun(PreparedRun):
+    """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
+
+    def __init__(
+        self,
+        scheme: Scheme,
+        max_steps: int,
+        scene: MechatronicSystem,
+        t_end: float,
+        resolution: Tolerances,
+    ) -> None:
+        self._scheme, self._max_steps, self._scene = scheme, max_steps, scene
+        self._t0, self._t_end = scene.interval[0], float(t_end)
+        self._programs = adaptive_programs(scheme, scene.template(), max_steps)
+        z = consistent_start(scene).z
+        self._s0 = np.concatenate([z.q, z.v, z.x])
+        arguments = (scene.parameters(), self._s0, self._t0, self._t_end, resolution.rtol,
+                     resolution.atol)  # fmt: skip
+        self._arguments = jax.tree.map(jnp.asarray, arguments)
+        # A solve over no time compiles the program and costs nothing else.
+        p, s0, t0, _, *tolerances = self._arguments
+        jax.block_until_ready(self._programs.timed(p, s0, t0, t0, *tolerances))
+
+    def execute(self) -> Any:
+        return jax.block_until_ready(self._programs.timed(*self._arguments))
+
+    def measure(self) -> Trajectory:
+        try:
+            self.execute()  # the warm-up
+            solution, counts = run_counted(self._programs.counted, *self._arguments)
+        except jax.errors.JaxRuntimeError as error:
+            reason = str(error).splitlines()[0]
+            return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")
+        t, s, stats, result = solution
+        accepted, rejected = (int(stats[f"num_{k}_steps"]) for k in ("accepted", "rejected"))
+        t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
+        s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
+        status, message = self._outcome(result, t[-1], s[-1])
+        keep, nq = spread_rows(accepted), self._scene.sizes.nq
+        q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
+        trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
+        work = work_of(self._scheme, counts, accepted, rejected)
+        return replace(trajectory, status=status, message=message, work=work)
+
+    def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
+        """Status and message; t and s are the last accepted time and state."""
+        from diffrax import RESULTS
+
+        if result == RESULTS.successful and np.isfinite(s).all():
+            return "ok", ""
+        if not self._defined_after(t, s):
+            status, reason = "diverged", "the right-hand side is not finite from here on"
+            cure = "check the scene's equations beyond this time or use a smaller rtol"
+        elif result == RESULTS.max_steps_reached:
+            status, reason = "budget_exceeded", f"{self._max_steps} steps were used up"
+            cure = "raise max_steps or use a larger rtol"
+        elif result == RESULTS.dt_min_reached:
+            status, reason = "step_too_small", "the step size fell to the rounding of time"
+            cure = "use a larger rtol, or a smaller one if the solution changes abruptly here"
+        else:
+            status = "newton_failed"
+            reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"
+            other = self._scheme.root_finder == "library_default"
+            cure = f"use {'root_finder=fair or ' if other else ''}another rtol"
+        return status, f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
+
+    def _defined_after(self, t: float, s: np.ndarray) -> bool:
+        """Whether the right-hand side is finite here and a few smallest steps later."""
+        rate, p = compiled(self._scene).ode, self._scene.parameters()
+        here = np.asarray(rate(p, t, s))
+        ahead = 1e-13 * max(abs(self._t0), abs(self._t_end))
+        later = np.asarray(rate(p, t + ahead, s + ahead * here))
+        return bool(np.isfinite([s, here, later]).all())
