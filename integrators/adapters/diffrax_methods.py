@@ -44,9 +44,9 @@ class DiffraxSolver(Integrator):
     family: ClassVar[str] = "diffrax"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
-    # An option of implicit methods, hence without annotation.
-    root_finder = "none"
     formulation = "ode"
+    #: An option of implicit methods; annotated here, it is the first option in printed names.
+    root_finder: ClassVar[str] = "none"
 
     steps: str = option(
         "adaptive",
@@ -102,7 +102,7 @@ class ImplicitDiffraxSolver(DiffraxSolver):
     has no default.
     """
 
-    root_finder: str = option(
+    root_finder: str = option(  # pyright: ignore[reportIncompatibleVariableOverride]
         "fair",
         "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
         choices=("fair", "library_default"),
