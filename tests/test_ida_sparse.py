@@ -126,10 +126,10 @@ def test_sparse_and_dense_runs_are_the_same(scene, formulation):
 def test_a_wrong_entry_costs_calls_that_the_dense_run_does_not_make(factor):
     scene, dense = Chain(links=5), finished(Chain(links=5), 0.1, linear_solver="dense")
     planted = prepared(scene, 0.1, linear_solver="sparse")
-    residual, jacobian = planted._functions
-    wrong = np.ones(len(planted._options["sparsity"].data))
+    residual, jacobian = planted.functions
+    wrong = np.ones(len(planted.options["sparsity"].data))
     wrong[7] = factor
-    planted._functions = residual, lambda *z: wrong * np.asarray(jacobian(*z))
+    planted.functions = residual, lambda *z: wrong * np.asarray(jacobian(*z))
     assert planted.measure().work.residuals > dense.work.residuals
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
 from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
-from integrators.adapters.trajectories import trajectory_from_states
+from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, spread_rows
 from problems.formulations import compiled, consistent_start
 from problems.runtime import jax, jnp
@@ -141,19 +141,19 @@ class AdaptiveRun(PreparedRun):
             return "ok", ""
         if not self._defined_after(t, s):
             status, reason = "diverged", "the right-hand side is not finite from here on"
-            cure = "check the scene's equations beyond this time or use a smaller rtol"
+            remedy = "check the scene's equations beyond this time or use a smaller rtol"
         elif result == RESULTS.max_steps_reached:
             status, reason = "budget_exceeded", f"{self._max_steps} steps were used up"
-            cure = "raise max_steps or use a larger rtol"
+            remedy = "raise max_steps or use a larger rtol"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"
-            cure = "use a larger rtol, or a smaller one if the solution changes abruptly here"
+            remedy = "use a larger rtol, or a smaller one if the solution changes abruptly here"
         else:
             status = "newton_failed"
             reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"
             other = self._scheme.root_finder == "library_default"
-            cure = f"use {'root_finder=fair or ' if other else ''}another rtol"
-        return status, f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
+            remedy = f"use {'root_finder=fair or ' if other else ''}another rtol"
+        return status, early_end_message(t, self._t_end, reason, remedy)
 
     def _defined_after(self, t: float, s: np.ndarray) -> bool:
         """Whether the right-hand side is finite here and a few smallest steps later."""

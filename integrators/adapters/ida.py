@@ -14,6 +14,7 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, advice, all_finite
+from integrators.adapters.trajectories import early_end_message
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -152,7 +153,7 @@ class _IDARun(PreparedRun):
         from sksundae import ida
 
         equations = IDAEquations(*self.functions, self._method.max_calls)
-        # SUNDIALS writes its complaints to standard output; the status says the same.
+        # SUNDIALS writes its warnings to standard output; the status says the same.
         with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
             with warnings.catch_warnings():
                 # IDA warns that the sparse Jacobian comes from our function, as intended.
@@ -169,13 +170,13 @@ class _IDARun(PreparedRun):
 
     def execute(self) -> Any:
         with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as (solver, _):
-            # Up to the end, where IDA stops exactly: nothing is interpolated.
+            # IDA stops exactly at the end: nothing is interpolated.
             return solver.step(self._t_end, "normal", self._t_end)
 
     def measure(self) -> Trajectory:
-        """The same steps as ``execute``, asked for one by one so that none is lost in a failure."""
+        # The steps of ``execute``, one by one: a failure loses none of them.
         t, w = [self.start[0]], [self.start[1]]
-        flag, failure = 0, None
+        flag, early_end = 0, None
         with self._solver() as (solver, equations):
             try:
                 while t[-1] < self._t_end and flag >= 0:
@@ -185,11 +186,12 @@ class _IDARun(PreparedRun):
                         t.append(float(step.t))
                         w.append(step.y)
             except EarlyEnd as end:
-                failure = (end.status, end.reason)
+                early_end = end.with_traceback(None)  # whose frames would keep the solver alive
             except RuntimeError as error:
-                failure = ("crashed", f"IDA gave up: {error}")
+                early_end = EarlyEnd("crashed", f"IDA gave up: {error}")
         if flag < 0:
-            failure = _ENDINGS.get(flag, ("crashed", f"IDA returned the flag {flag}"))
+            unknown = "crashed", f"IDA returned the flag {flag}"
+            early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))
         work = Work(
             steps=len(t) - 1,
             residuals=equations.residuals,
@@ -200,18 +202,16 @@ class _IDARun(PreparedRun):
         trajectory = dae.trajectory_from_vectors(
             self._scene, self.layout, np.array(t)[keep], np.array(w)[keep]
         )
-        if failure is None:
+        if early_end is None:
             return replace(trajectory, work=work)
-        message = self._message(*failure, t[-1])
-        return replace(trajectory, status=failure[0], message=message, work=work)
+        status, remedy = early_end.status, self._advice(early_end.status)
+        message = early_end_message(t[-1], self._t_end, early_end.reason, remedy)
+        return replace(trajectory, status=status, message=message, work=work)
 
-    def _message(self, status: str, reason: str, t: float) -> str:
-        """The time and the reason of an early end, and a remedy."""
-        method = self._method
-        if self._scene.has("constraint") and method.formulation in ("index3", "index2"):
-            remedy = "use formulation=stabilised_index2"
-        elif self._scene.has("constraint") and method.multipliers_in_error_test:
-            remedy = "use multipliers_in_error_test=false"
-        else:
-            remedy = advice(status)
-        return f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {remedy}."
+    def _advice(self, status: str) -> str:
+        if self._scene.has("constraint"):
+            if self._method.formulation in ("index3", "index2"):
+                return "use formulation=stabilised_index2"
+            if self._method.multipliers_in_error_test:
+                return "use multipliers_in_error_test=false"
+        return advice(status)

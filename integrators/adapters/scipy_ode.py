@@ -18,7 +18,7 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
-from integrators.adapters.trajectories import trajectory_from_states
+from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -138,10 +138,7 @@ class ScipyRun(PreparedRun):
         work = equations.work(len(t) - 1)
         if end is None:
             return replace(trajectory, work=work)
-        message = (
-            f"Ended at t={t[-1]:.6g} s of {self._t_end:g} s: {end.reason}; "
-            f"{self._advice(end.status)}."
-        )
+        message = early_end_message(t[-1], self._t_end, end.reason, self._advice(end.status))
         return replace(trajectory, status=end.status, message=message, work=work)
 
     def _solve(

@@ -1,4 +1,7 @@
-"""Trajectories of solvers that give q, v and x alone: the equations of motion give the rest."""
+"""Trajectories of solvers of other libraries.
+
+Some solvers give q, v and x alone. The equations of motion then give the other variables.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +42,11 @@ def trajectory_from_states(
     """
     z, xdot = _solve(scene, t, q, v, x)
     return Trajectory(t, q, v, z.a, z.lam, x, xdot, z.y)
+
+
+def early_end_message(t: float, t_end: float, reason: str, remedy: str) -> str:
+    """The message of a run to t_end that ended at t (s); reason and remedy are clauses."""
+    return f"Ended at t={t:.6g} s of {t_end:g} s: {reason}; {remedy}."
 
 
 def _solve(
