@@ -1,4 +1,4 @@
-"""How a scene is stepped: the integrator contract, the generalized-alpha family, adapters."""
+"""Time integrators: their contract, native methods, adapters to other libraries."""
 
 from integrators.contract import (
     Integrator,
@@ -9,5 +9,21 @@ from integrators.contract import (
     Work,
     option,
 )
+from integrators.native.step_functions import Errors, Reading, StepFunctions
+from integrators.native.step_method import ErrorControl, ImplicitStepMethod, StepMethod
 
-__all__ = ["Integrator", "PreparedRun", "Steps", "Tolerances", "Trajectory", "Work", "option"]
+__all__ = [
+    "ErrorControl",
+    "Errors",
+    "ImplicitStepMethod",
+    "Integrator",
+    "PreparedRun",
+    "Reading",
+    "StepFunctions",
+    "StepMethod",
+    "Steps",
+    "Tolerances",
+    "Trajectory",
+    "Work",
+    "option",
+]

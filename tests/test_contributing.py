@@ -27,15 +27,18 @@ def plugins(tmp_path_factory):
     return folder
 
 
-def test_there_are_three_examples_of_less_than_40_lines_of_code():
-    assert set(EXAMPLES) == {"ramp_oscillator.py", "bathe.py", "euler.py"}
+def test_the_examples_have_less_than_40_lines_of_code():
+    assert set(EXAMPLES) == {"ramp_oscillator.py", "bathe.py", "euler_dae.py", "euler.py"}
     for code in EXAMPLES.values():
         assert sum(bool(line.strip()) for line in code.splitlines()) < 40
 
 
 @pytest.mark.parametrize(
     ("kind", "name"),
-    [("problems", "ramp_oscillator"), ("integrators", "bathe"), ("integrators", "euler")],
+    [
+        ("problems", "ramp_oscillator"),
+        *(("integrators", name) for name in ("bathe", "euler_dae", "euler")),
+    ],
 )
 def test_the_examples_pass_every_check(plugins, kind, name):
     registry = Registry([plugins])
@@ -43,7 +46,7 @@ def test_the_examples_pass_every_check(plugins, kind, name):
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("bathe", 2), ("euler", 1)])
+@pytest.mark.parametrize(("integrator", "order"), [("bathe", 2), ("euler_dae", 1), ("euler", 1)])
 def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
     result = stepbench(
         "order",

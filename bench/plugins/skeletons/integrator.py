@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from integrators import option
-from integrators.native.step_functions import Reading
-from integrators.native.step_method import StepMethod
+from integrators import Reading, StepMethod, option
 from problems.formulations import complete
 
 
