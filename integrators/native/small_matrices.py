@@ -1,8 +1,8 @@
 """Dense linear algebra of small matrices, without a call of a library.
 
 A loop that calls a library (LAPACK, or a routine for matrix products) is run piece by piece, and on
-small systems handing over from piece to piece costs far more than the arithmetic. The functions here
-call none, so that the whole time loop becomes one compiled function (see `problems.runtime`).
+small systems handing over from piece to piece costs far more than the arithmetic. The functions
+here call none, so that the whole time loop becomes one compiled function (see `problems.runtime`).
 """
 
 from __future__ import annotations
