@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.runtime import jnp
 from problems.system import GROUPS, MechatronicSystem
 

@@ -6,9 +6,9 @@ import contextlib
 
 import numpy as np
 
-from problems import sparse_initial_values
-from problems.formulations import compiled, is_large
-from problems.sparsity import NoPattern
+from problems.compiled import compiled
+from problems.sparse_initial_values import sparse_complete
+from problems.sparsity import NoPattern, prefers_sparse
 from problems.system import MechatronicSystem, State, Variables
 
 
@@ -29,10 +29,10 @@ def rows_from_states(
 def _complete(
     scene: MechatronicSystem, q: np.ndarray, v: np.ndarray, x: np.ndarray, t: np.ndarray
 ) -> tuple[Variables, np.ndarray]:
-    if is_large(scene):  # many dense systems side by side would not fit into memory
+    if prefers_sparse(scene):  # many dense systems side by side would not fit into memory
         with contextlib.suppress(NoPattern):
             rows = [
-                sparse_initial_values.start_of(scene, State(*state), time)[:2]
+                sparse_complete(scene, State(*state), time)
                 for *state, time in zip(q, v, x, t, strict=True)
             ]
             variables, rates = zip(*rows, strict=True)

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.adapters.callbacks import Packed
-from problems.formulations import Layout, consistent_start, dae_layout, dae_residual
+from problems.formulations import Layout, dae_layout, dae_residual
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes

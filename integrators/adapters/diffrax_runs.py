@@ -21,7 +21,9 @@ from integrators.contract import (
     spread_rows,
 )
 from integrators.native.time_loop import Reading, StepMethod, StepReport
-from problems.formulations import Start, compiled, consistent_start, ode_rate
+from problems.compiled import compiled
+from problems.formulations import Start, ode_rate
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 

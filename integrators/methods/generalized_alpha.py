@@ -18,8 +18,8 @@ from integrators.methods.generalized_alpha_step import (
     second_order_parameters,
 )
 from integrators.native.time_loop import StepMethod
-from problems.formulations import Start, is_large
-from problems.sparsity import is_chosen
+from problems.formulations import Start
+from problems.sparsity import uses_sparse
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -108,7 +108,7 @@ class AlphaMethod(StepMethod):
 
             return SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
 
-        chosen = is_chosen(self.linear_solver, is_large(scene), lambda: sparse().pattern())
+        chosen = uses_sparse(self.linear_solver, scene, lambda: sparse().pattern())
         return sparse() if chosen else self
 
     begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])

@@ -49,7 +49,8 @@ from integrators.native.time_loop import (
     largest,
     with_start,
 )
-from problems.formulations import Start, consistent_start
+from problems.formulations import Start
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 

@@ -27,7 +27,8 @@ from integrators.contract import (
     spread_rows,
 )
 from integrators.native import small_matrices
-from problems.formulations import Start, consistent_start
+from problems.formulations import Start
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
