@@ -76,7 +76,7 @@ def uses_sparse(
         if linear_solver == "sparse":
             raise
         return False
-    return linear_solver == "sparse" or len(found.rows) < _MOST_FILL * found.size**2
+    return linear_solver == "sparse" or found.fill < _MOST_FILL
 
 
 class Pattern:
@@ -120,6 +120,11 @@ class Pattern:
         self.size = n
         self.rows = np.asarray(self._coloring.sparsity.rows, dtype=np.int32)
         self.columns = np.asarray(self._coloring.sparsity.cols, dtype=np.int32)
+
+    @property
+    def fill(self) -> float:
+        """Entries over those of a full matrix."""
+        return len(self.rows) / self.size**2
 
     @property
     def products(self) -> int:
