@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[int, str]]:
     """Compute `consistent_start` of k scenes that differ in float parameters alone.
 
-    One compiled call does for all of them what costs milliseconds for each. A scene with a large
-    residual or values that are not finite is computed again alone, so that the decision and the
-    message are those of a single run.
+    One compiled call serves all of them; separate calls would take milliseconds each. A scene
+    whose residual is not small, or whose values are not finite, is computed again alone, so that
+    the decision and the message are those of a single run.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Reference solutions: a closed form where the scene has one, else a tight integration.
 
 The integration is scipy's DOP853 (Hairer, Norsett & Wanner, explicit, order 8) on the ODE form at
-a tolerance near round-off; no contestant of the bench uses it. Its error is estimated by a
-second integration at a different tolerance and with half the largest step.
+a tolerance near round-off; no integrator of the bench uses it. Its error is estimated by a second
+integration at a different tolerance and with half the largest step.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ class MechatronicSystem:
     ``tags``
         words to search by
     ``difficulties``
-        what is hard about it and for whom, a sentence each
+        a sentence for each difficulty, and the methods that it concerns
     ``coordinates``
         names of the entries of q, for plots
     ``source``

@@ -205,7 +205,7 @@ class _Car(MechatronicSystem):
         view = np.array([[0.75, -0.75, 0.0], [0.35, 0.25, 1.0]])
         c, s = np.cos(q[5]), np.sin(q[5])
         x, y = map(np.asarray, self._places())
-        turn, large = np.array([[c, -s], [s, c]]), 5.0
+        turn, enlarged = np.array([[c, -s], [s, c]]), 5.0
 
         def seen(points: np.ndarray) -> np.ndarray:
             plane = points[:, :2] @ turn.T + [0.0, q[1]]
@@ -214,8 +214,8 @@ class _Car(MechatronicSystem):
         def outline(front: float, rear: float, wide: float, height: float) -> np.ndarray:
             along = np.array([front, front, -rear, -rear, front])
             across = wide * np.array([1, -1, -1, 1, 1])
-            rise = large * (q[2] + across * q[3] - along * q[4])
-            lean = large * height * np.array([q[4], -q[3]])
+            rise = enlarged * (q[2] + across * q[3] - along * q[4])
+            lean = enlarged * height * np.array([q[4], -q[3]])
             return np.column_stack([along + lean[0], across + lean[1], height + rise])
 
         floor, roof = outline(2.0, 2.1, 0.8, 0.45), outline(0.5, 1.3, 0.6, 1.4)
@@ -224,7 +224,7 @@ class _Car(MechatronicSystem):
         for k, steer in enumerate([q[10], q[11], 0.0, 0.0]):
             rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)])
             across = y[k] + rim[:, 0] * np.sin(steer)
-            height = 0.34 + rim[:, 1] + large * q[6 + k]
+            height = 0.34 + rim[:, 1] + enlarged * q[6 + k]
             lines.append(np.column_stack([x[k] + rim[:, 0] * np.cos(steer), across, height]))
         return [seen(line) for line in lines]
 

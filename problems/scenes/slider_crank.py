@@ -162,14 +162,14 @@ class SliderCrankDriven(MechatronicSystem):
     lam1 is the force density of the rod (its force divided by l2), lam2 the torque that the drive
     takes. Left out: the masses of crank and rod; they would change multipliers, never the motion.
 
-    Positions (and velocities where the constraint's derivative is imposed, too) follow from the
-    constraints alone: they are exact up to Newton's tolerance at every step, and orders are seen
-    in what remains, a and lam, and v on index 3.
+    Positions follow from the constraints alone, and so do velocities where the derivative of the
+    constraints is imposed: they are exact up to Newton's tolerance at every step. Only a and lam
+    show an order, and v on index 3.
 
     With l1 = l2 the augmented matrix is singular at phi = pi/2, where the slider passes the
-    bearing: a run that steps near it fails or goes on by luck. ``exact`` then is the branch
-    that a slider with mass takes, x = 2 l1 cos(phi); for l2 slightly above l1 the acceleration
-    has a peak there instead.
+    bearing: a run with a step near this angle fails, or goes on by luck. ``exact`` is then the
+    branch of a slider with mass, x = 2 l1 cos(phi). For l2 slightly above l1 the acceleration has
+    a peak there instead.
     """
 
     interval = (0.005, 0.05)
