@@ -354,7 +354,7 @@ class Integrator(ABC):
 
         Raises
         ------
-        problems.formulations.InconsistentStart, problems.formulations.NoConsistentStart
+        problems.initial_values.InconsistentStart, problems.initial_values.NoConsistentStart
             From the scene's initial values; the bench turns them into a row with a reason.
         """
 

@@ -1,4 +1,4 @@
-"""What is simulated: the system contract, its formulations, references, and one file per scene."""
+"""Problems: the system contract, its formulations, initial values, references, and the scenes."""
 
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, State, Variables, parameter

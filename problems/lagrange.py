@@ -8,18 +8,39 @@ its gyroscopic forces.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 from problems.runtime import jax, jnp
 
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
 
-def mass(kinetic: Callable, q: Any) -> Any:
-    """M(q) = T_vv, shape ``(nq, nq)``."""
+
+def mass(kinetic: Callable[[Array, Array], Array], q: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
+    """Compute M(q) = T_vv in kg (or kg m^2).
+
+    Parameters
+    ----------
+    kinetic
+        T(q, v) in J, a scalar.
+    """
     return jax.jacfwd(jax.grad(kinetic, 1), 1)(q, jnp.zeros_like(q))
 
 
-def force(kinetic: Callable, potential: Callable | None, q: Any, v: Any) -> Any:
-    """g(q, v) = T_q - (T_v)_q v - V_q, shape ``(nq,)``; without V_q if there is no potential."""
+def force(
+    kinetic: Callable[[Array, Array], Array],
+    potential: Callable[[Array], Array],
+    q: Float[Array, " nq"],
+    v: Float[Array, " nq"],
+) -> Float[Array, " nq"]:
+    """Compute g(q, v) = T_q - (T_v)_q v - V_q in N (or N m).
+
+    Parameters
+    ----------
+    kinetic, potential
+        T(q, v) and V(q) in J, scalars.
+    """
     _, momentum_rate = jax.jvp(lambda q: jax.grad(kinetic, 1)(q, v), (q,), (v,))
     g = jax.grad(kinetic)(q, v) - momentum_rate
-    return g if potential is None else g - jax.grad(potential)(q)
+    return g - jax.grad(potential)(q)

@@ -1,49 +1,63 @@
 """Reference solutions: a closed form where the scene has one, else a tight integration.
 
 The integration is scipy's DOP853 (Hairer, Norsett & Wanner, explicit, order 8) on the ODE form at
-a tolerance near round-off; no contestant of the bench uses it. Its error is estimated by a
-second integration at a different tolerance and with half the largest step.
+a tolerance near round-off; no integrator of the bench uses it. Its error is estimated by a second
+integration at a different tolerance and with half the largest step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.runtime import jnp
 from problems.system import GROUPS, MechatronicSystem
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from scipy.integrate import OdeSolution
+
 _RTOL = 3e-14
-#: Coordinates and multipliers beyond which no reference is made: each of its many evaluations is a
-#: dense solve.
+#: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
+#: a dense solve.
 _MOST_UNKNOWNS = 300
 
 
 class ReferenceFailed(RuntimeError):
-    """No reference could be made; the message says why."""
+    """The reference could not be computed; the message says why."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Solution of a scene up to t_end that is more accurate than any run compared with it."""
+    """Solution of a scene that is more accurate than any run compared with it.
+
+    Parameters
+    ----------
+    scene
+        The scene; the solution begins at ``scene.interval[0]``.
+    t_end
+        Last time in s.
+    """
 
     scene: MechatronicSystem
     t_end: float
 
     @property
     def method(self) -> str:
-        """How it is made, for the reader of a report."""
+        """Method of its computation, in words for a report."""
         if self.scene.has("exact"):
             return "closed form"
         return f"DOP853 (scipy), rtol {_RTOL:g}, on the explicit ODE"
 
     @property
     def missing(self) -> str:
-        """Why there is none; empty if there is one."""
+        """Reason why the scene has no reference; empty if it has one."""
         sizes = self.scene.sizes
         if self.scene.has("exact") or sizes.nq + sizes.nl <= _MOST_UNKNOWNS:
             return ""
@@ -52,8 +66,19 @@ class Reference:
             f"more than {_MOST_UNKNOWNS}."
         )
 
-    def __call__(self, t: np.ndarray) -> dict[str, np.ndarray]:
-        """Return q, v, a, lam, x, xdot, y at times t, each of shape ``(len(t), n)``."""
+    def __call__(self, t: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k n"]]:
+        """Compute the solution at times t in s.
+
+        Returns
+        -------
+        dict
+            q, v, a, lam, x, xdot and y, in the units of the scene.
+
+        Raises
+        ------
+        ReferenceFailed
+            If the scene is too large or the integration stops.
+        """
         t = np.asarray(t, dtype=float)
         if self.scene.has("exact"):
             return self._closed_form(t)
@@ -61,10 +86,10 @@ class Reference:
 
     @cached_property
     def error(self) -> dict[str, float]:
-        """Estimated absolute error per group: the largest over 500 times.
+        """Estimated absolute error per group: the largest at 500 times, in the group's units.
 
         For a closed form it is the change under one unit of rounding of the time and of every
-        value; for an integration the difference between the two integrations.
+        value, for an integration the difference between the two integrations.
         """
         t = np.linspace(self.scene.interval[0], self.t_end, 500)
         ours = self(t)
@@ -82,7 +107,9 @@ class Reference:
         values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam")}
         return values | {k: np.asarray(v) for k, v in self.scene.exact(t).items()}
 
-    def _evaluate(self, dense: Any, t: np.ndarray) -> dict[str, np.ndarray]:
+    def _evaluate(
+        self, dense: Callable[[np.ndarray], np.ndarray], t: np.ndarray
+    ) -> dict[str, np.ndarray]:
         s = dense(t).T
         nq = self.scene.sizes.nq
         q, v, x = s[:, :nq], s[:, nq : 2 * nq], s[:, 2 * nq :]
@@ -91,14 +118,14 @@ class Reference:
         return values | {"xdot": np.asarray(xdot)}
 
     @cached_property
-    def _tight(self) -> Any:
+    def _tight(self) -> OdeSolution:
         return self._integrate(_RTOL, 1.0)
 
     @cached_property
-    def _check(self) -> Any:
+    def _check(self) -> OdeSolution:
         return self._integrate(4 * _RTOL, 0.5)
 
-    def _integrate(self, rtol: float, cap: float) -> Any:
+    def _integrate(self, rtol: float, cap: float) -> OdeSolution:
         from scipy.integrate import solve_ivp
 
         if self.missing:
@@ -108,8 +135,8 @@ class Reference:
         start = consistent_start(self.scene).z
         s0 = np.concatenate([start.q, start.v, start.x])
         rate, p = compiled(self.scene).rate, jnp.asarray(list(self.scene.parameters().values()))
-        # The continuous output is one order below the steps; steps well below the free choice
-        # at this tolerance keep it at their accuracy.
+        # Between steps the solution is of one order less than at them. Steps that are shorter than
+        # the tolerance asks for make it as accurate.
         solution = solve_ivp(
             lambda t, s: np.asarray(rate(p, t, s)),
             (t0, self.t_end),

@@ -1,113 +1,190 @@
-"""Consistent starts of large scenes, by sparse linear algebra."""
+"""Initial values of scenes with many unknowns, by sparse linear algebra."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from problems.formulations import (
-    algebraic_residual,
-    constraint_force,
-    inertia,
-)
+from problems.formulations import Start, algebraic_residual, constraint_force, inertia
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, State, Variables
 
-_TOLERANCE, _MOST = 1e-9, 50
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+    from scipy.sparse.linalg import SuperLU
+
+_TOLERANCE, _MOST_ITERATIONS = 1e-9, 50
 #: Pivots that are smaller, relative to the largest, are rounding.
 _SMALLEST_PIVOT = 1e-14
 
 
-def start_of(scene: MechatronicSystem, state: State, t: float) -> tuple:
-    """(Variables, xdot, jerk, xddot) as `formulations.with_rates`, NaN where there is no solution.
+def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
+    """Compute `formulations.with_rates` and the constrained part of the jerk.
 
-    One sparse factorisation per Newton iteration on the index-1 equations, and one more solve for
-    their derivative along the motion.
+    The derivatives along the motion take one more solve with the last matrix of `sparse_complete`.
+
+    Returns
+    -------
+    Start
+        ``constrained_jerk`` is None for a scene without constraints; a and the jerk are NaN where
+        there is no solution.
+
+    Raises
+    ------
+    problems.sparsity.NoPattern
+        If the pattern of the equations cannot be found.
     """
-    from scipy.sparse import csc_matrix
-    from scipy.sparse.linalg import splu
-
+    z, xdot, factors = _complete(scene, state, t)
     sizes, p = scene.sizes, scene.parameters()
-    pattern, residual, values, total = _functions(scene.template())
-    u = np.zeros(pattern.size)
-    solve = None
-    for _ in range(_MOST):
-        entries = np.asarray(values(p, u, *state, t))
-        matrix = csc_matrix((entries, (pattern.rows, pattern.columns)), shape=2 * (len(u),))
-        try:
-            factors = splu(matrix)
-        except RuntimeError:  # exactly singular
+    if factors is None:
+        return Start(z, xdot, z.a, jnp.zeros(sizes.nx))
+    programs = _programs(scene.template())
+    change = -factors.solve(np.asarray(programs.drift(p, z, xdot)))
+    jerk, dlam, dy = (jnp.asarray(part) for part in _split(scene, change))
+    xddot = jnp.zeros(0)
+    if sizes.nx:
+        rates = Variables(z.v, z.a, jerk, dlam, xdot, dy, jnp.ones_like(z.t))
+        xddot = jax.jvp(scene.state_rate, (z,), (rates,))[1]
+    if not sizes.nl:
+        return Start(z, xdot, jerk, xddot)
+    if sizes.ny:
+        return Start(z, xdot, jerk, xddot, projected(scene, z.q, t, jerk))
+    # Without outputs the matrix is [[M, Phi_q^T], [Phi_q, 0]], that of the projection.
+    right = np.concatenate([np.zeros(sizes.nq), programs.constraint_change(p, z, jerk)])
+    return Start(z, xdot, jerk, xddot, jnp.asarray(factors.solve(right)[: sizes.nq]))
+
+
+def sparse_complete(
+    scene: MechatronicSystem, state: State, t: float
+) -> tuple[Variables, Float[Array, " nx"]]:
+    """Compute `formulations.complete` by Newton's method, one factorisation per iteration.
+
+    Returns
+    -------
+    Variables, Array
+        The variables and xdot ``(nx,)``; a is NaN where there is no solution.
+
+    Raises
+    ------
+    problems.sparsity.NoPattern
+        If the pattern of the equations cannot be found.
+    """
+    return _complete(scene, state, t)[:2]
+
+
+def _complete(
+    scene: MechatronicSystem, state: State, t: float
+) -> tuple[Variables, Float[Array, " nx"], SuperLU | None]:
+    """Variables, xdot, and the last factors; None where there is no solution."""
+    sizes, p = scene.sizes, scene.parameters()
+    programs = _programs(scene.template())
+    u, factors = np.zeros(programs.pattern.size), None
+    for _ in range(_MOST_ITERATIONS):
+        entries = np.asarray(programs.entries(p, u, *state, t))
+        factors = _factorised(programs.pattern, entries)
+        if factors is None:
             break
-        pivots = np.abs(factors.U.diagonal())
-        if not pivots.min() > _SMALLEST_PIVOT * pivots.max():
-            solve = None
-            break
-        solve = factors.solve
-        du = solve(np.asarray(residual(p, u, *state, t)))
+        du = factors.solve(np.asarray(programs.residual(p, u, *state, t)))
         u = u - du
         if not sizes.ny or np.abs(du).max() <= _TOLERANCE * (1e-3 + np.abs(u).max()):
             break
     else:
-        solve = None
-    a, lam, y = np.split(u, [sizes.nq, sizes.nq + sizes.nl])
-    z = Variables(*state[:2], a, lam, state.x, y, np.asarray(t))
-    if solve is None:
-        nothing = np.full(sizes.nq, np.nan)
-        return z._replace(a=nothing), np.zeros(sizes.nx), nothing, np.zeros(sizes.nx)
-    xdot = np.asarray(scene.state_rate(z)) if sizes.nx else np.zeros(0)
-    change = -solve(np.asarray(total(p, u, *state, t, xdot)))
-    jerk, dlam, dy = np.split(change, [sizes.nq, sizes.nq + sizes.nl])
-    xddot = np.zeros(0)
-    if sizes.nx:
-        along = Variables(state.v, a, jerk, dlam, xdot, dy, np.ones_like(z.t))
-        xddot = np.asarray(jax.jvp(scene.state_rate, (z,), (along,))[1])
-    return z, xdot, jerk, xddot
+        factors = None
+    a, lam, y = _split(scene, u)
+    z = Variables(*map(jnp.asarray, (state.q, state.v, a, lam, state.x, y, t)))
+    if factors is None:
+        return z._replace(a=jnp.full(sizes.nq, jnp.nan)), jnp.zeros(sizes.nx), None
+    return z, scene.state_rate(z) if sizes.nx else jnp.zeros(0), factors
 
 
-def projected(scene: MechatronicSystem, q: np.ndarray, t: float, w: np.ndarray) -> np.ndarray:
-    """`formulations.constrained_part` of w."""
+def _split(scene: MechatronicSystem, u: np.ndarray) -> list[np.ndarray]:
+    """Parts of u = [a, lam, y]."""
+    return np.split(u, [scene.sizes.nq, scene.sizes.nq + scene.sizes.nl])
+
+
+def _factorised(pattern: Pattern, entries: np.ndarray) -> SuperLU | None:
+    """LU factors of the matrix with these entries; None if it is singular."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    nq, nl = scene.sizes.nq, scene.sizes.nl
+    shape = (pattern.size, pattern.size)
+    try:
+        factors = splu(csc_matrix((entries, (pattern.rows, pattern.columns)), shape=shape))
+    except RuntimeError:  # exactly singular
+        return None
+    pivots = np.abs(factors.U.diagonal())
+    return factors if pivots.min() > _SMALLEST_PIVOT * pivots.max() else None
 
-    def augmented(u: Any) -> Any:
-        along = jax.jvp(lambda q: scene.constraint(q, t), (q,), (u[:nq],))[1]
+
+def projected(
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: float, w: Float[Array, " nq"]
+) -> Float[Array, " nq"]:
+    """Compute `formulations.constrained_part` of w; NaN where the augmented matrix is singular."""
+    nq, nl, now = scene.sizes.nq, scene.sizes.nl, jnp.asarray(t)
+
+    def augmented(u: Array) -> Array:
+        along = jax.jvp(lambda q: scene.constraint(q, now), (q,), (u[:nq],))[1]
         return jnp.concatenate(
-            [inertia(scene, q, u[:nq]) + constraint_force(scene, q, t, u[nq:]), along]
+            [inertia(scene, q, u[:nq]) + constraint_force(scene, q, now, u[nq:]), along]
         )
 
     pattern = Pattern(augmented, nq + nl)
-    entries = np.asarray(pattern.values(augmented, jnp.zeros(nq + nl)))
-    matrix = csc_matrix((entries, (pattern.rows, pattern.columns)), shape=2 * (nq + nl,))
+    factors = _factorised(pattern, np.asarray(pattern.values(augmented, jnp.zeros(nq + nl))))
+    if factors is None:
+        return jnp.full(nq, jnp.nan)
     right = np.array(augmented(jnp.concatenate([w, jnp.zeros(nl)])))
     right[:nq] = 0.0
-    return splu(matrix).solve(right)[:nq]
+    return jnp.asarray(factors.solve(right)[:nq])
+
+
+class _Programs(NamedTuple):
+    """Compiled parts of the index-1 equations for u = [a, lam, y], and the pattern of their matrix.
+
+    ``residual(p, u, q, v, x, t)``, ``entries(p, u, q, v, x, t)``
+        residual ``(n,)``, and the entries of its Jacobian by u in the order of the pattern
+    ``drift(p, z, xdot)``
+        derivative of the residual by time at constant u, ``(n,)``
+    ``constraint_change(p, z, w)``
+        Phi_q w, ``(nl,)``
+    """
+
+    pattern: Pattern
+    residual: Callable[..., Array]
+    entries: Callable[..., Array]
+    drift: Callable[..., Array]
+    constraint_change: Callable[..., Array]
 
 
 @cache
-def _functions(template: MechatronicSystem) -> tuple:
-    """Pattern, residual, its values, and its derivative along the motion, compiled."""
+def _programs(template: MechatronicSystem) -> _Programs:
+    sizes = template.sizes
 
-    def at(p: dict, *state: Any) -> Any:
+    def at(p: Mapping, *state: Array) -> Callable[[Array], Array]:
         return lambda u: algebraic_residual(template.with_parameters(p), u, *state)
 
-    def total(p: dict, u: Any, q: Any, v: Any, x: Any, t: Any, xdot: Any) -> Any:
-        scene, a = template.with_parameters(p), u[: template.sizes.nq]
+    def drift(p: Mapping, z: Variables, xdot: Array) -> Array:
+        u = jnp.concatenate([z.a, z.lam, z.y])
         return jax.jvp(
-            lambda q, v, x, t: algebraic_residual(scene, u, q, v, x, t),
-            (q, v, x, t),
-            (v, a, xdot, jnp.ones_like(t)),
+            lambda q, v, x, t: at(p, q, v, x, t)(u),
+            (z.q, z.v, z.x, z.t),
+            (z.v, z.a, xdot, jnp.ones_like(z.t)),
         )[1]
 
-    start = template.initial_state()
-    pattern = Pattern(
-        at(template.parameters(), *map(jnp.asarray, start), jnp.asarray(template.interval[0])),
-        template.sizes.nq + template.sizes.nl + template.sizes.ny,
+    def constraint_change(p: Mapping, z: Variables, w: Array) -> Array:
+        scene = template.with_parameters(p)
+        return jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (w,))[1]
+
+    start = map(jnp.asarray, (*template.initial_state(), template.interval[0]))
+    pattern = Pattern(at(template.parameters(), *start), sizes.nq + sizes.nl + sizes.ny)
+    return _Programs(
+        pattern,
+        residual=jax.jit(lambda p, u, *state: at(p, *state)(u)),
+        entries=jax.jit(lambda p, u, *state: pattern.values(at(p, *state), u)),
+        drift=jax.jit(drift),
+        constraint_change=jax.jit(constraint_change),
     )
-    residual = jax.jit(lambda p, u, *state: at(p, *state)(u))
-    values = jax.jit(lambda p, u, *state: pattern.values(at(p, *state), u))
-    return pattern, residual, values, jax.jit(total)

@@ -1,7 +1,7 @@
-"""Sparse tangents of functions of many unknowns: which entries are there, and their values.
+"""Sparse Jacobians: whether they are used, which entries they have, and the values of these.
 
-The pattern is found by following the function's program (asdex), coloured, so that a handful of
-Jacobian-vector products give all entries. It needs the extra ``[sparse]``.
+The pattern is found by following the program of a function (asdex). Its columns are coloured, so
+that a few Jacobian-vector products give all entries. This needs the extra ``[sparse]``.
 """
 
 from __future__ import annotations
@@ -9,16 +9,28 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from problems.spec import SpecError
+from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float, Int32
+
+#: Scenes with more coordinates, multipliers and outputs than this are solved by sparse linear
+#: algebra, if it is installed.
+DENSE_LIMIT = 100
 #: Libraries of the extra.
 _NEEDED = ("asdex", "klujax")
-#: A tangent with more than this part of its entries is no sparse one.
+#: A Jacobian with more than this part of its entries is treated as dense.
 _MOST_FILL = 0.1
+
+
+class NoPattern(SpecError):
+    """A part of the function's program has a pattern that cannot be found."""
 
 
 def available() -> bool:
@@ -26,31 +38,74 @@ def available() -> bool:
     return all(find_spec(name) for name in _NEEDED)
 
 
-def require() -> None:
-    """Raise SpecError with what to install if the extra is missing."""
+def prefers_sparse(scene: MechatronicSystem) -> bool:
+    """Whether a scene is large enough for sparse linear algebra, and the extra is installed."""
+    sizes = scene.sizes
+    return sizes.nq + sizes.nl + sizes.ny > DENSE_LIMIT and available()
+
+
+def uses_sparse(
+    linear_solver: str, scene: MechatronicSystem, pattern: Callable[[], Pattern]
+) -> bool:
+    """Whether a method uses sparse Jacobians on a scene.
+
+    Parameters
+    ----------
+    linear_solver
+        "sparse", "dense", or "auto": by the size of the scene and the fill of the Jacobian.
+    pattern
+        Function that finds the pattern of the method's Jacobian; called only where needed.
+
+    Raises
+    ------
+    SpecError
+        If "sparse" is asked for and the extra is not installed.
+    NoPattern
+        If "sparse" is asked for and the pattern cannot be found.
+    """
+    if linear_solver == "dense" or (linear_solver == "auto" and not prefers_sparse(scene)):
+        return False
     if not available():
         raise SpecError(
             "Sparse tangents need asdex and klujax; install them by: "
             "pip install 'stepbench[sparse]'."
         )
-
-
-class NoPattern(SpecError):
-    """The function's program has a part whose pattern is not known."""
+    try:
+        found = pattern()
+    except NoPattern:
+        if linear_solver == "sparse":
+            raise
+        return False
+    return linear_solver == "sparse" or found.fill < _MOST_FILL
 
 
 class Pattern:
-    """Which entries the Jacobian of ``function`` (n unknowns, n rows) has, at any unknowns.
+    """Entries that the Jacobian of a function can have, whatever its unknowns are.
 
-    ``rows`` and ``columns`` are int32 arrays of shape ``(entries,)``; values come in their order.
+    Parameters
+    ----------
+    function
+        Traceable, from n unknowns to n values.
+    n
+        Number of unknowns.
+
+    Attributes
+    ----------
+    rows, columns
+        Indices of the entries, ``(entries,)``; values are given in this order.
+    size
+        Number of unknowns.
 
     Raises
     ------
     NoPattern
-        If the program does what asdex cannot follow, such as solving equations.
+        If the program has a part that asdex cannot follow, such as a solve.
     """
 
-    def __init__(self, function: Callable, n: int) -> None:
+    rows: Int32[np.ndarray, " entries"]
+    columns: Int32[np.ndarray, " entries"]
+
+    def __init__(self, function: Callable[[Array], Array], n: int) -> None:
         import asdex
 
         try:
@@ -73,33 +128,14 @@ class Pattern:
 
     @property
     def products(self) -> int:
-        """How many Jacobian-vector products give all entries."""
+        """Number of Jacobian-vector products that give all entries."""
         return self._coloring.num_colors
 
-    def values(self, function: Callable, u: Any) -> Any:
-        """The entries at u, shape ``(entries,)``, of a function with this pattern; traceable."""
+    def values(
+        self, function: Callable[[Array], Array], u: Float[Array, " n"]
+    ) -> Float[Array, " entries"]:
+        """Compute the entries at u of the Jacobian of a function with this pattern; traceable."""
         import asdex
 
         compressed = asdex.compressed_jacobian_from_coloring(function, self._coloring)(u)
         return asdex.decompress_data(compressed, self._coloring)
-
-
-def is_chosen(linear_solver: str, large: bool, pattern: Callable[[], Pattern]) -> bool:
-    """Whether tangents are sparse, by the option ``linear_solver``: "sparse", "dense", or "auto",
-    by size and fill.
-
-    Raises
-    ------
-    SpecError
-        If they are to be and cannot: without the extra, or without a pattern.
-    """
-    if linear_solver == "dense" or (linear_solver == "auto" and not large):
-        return False
-    require()
-    try:
-        found = pattern()
-    except NoPattern:
-        if linear_solver == "sparse":
-            raise
-        return False
-    return linear_solver == "sparse" or found.fill < _MOST_FILL

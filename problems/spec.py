@@ -1,6 +1,6 @@
-"""Names with options, ``name[option=value,...]``: how scenes and integrators are written and read.
+"""Specifications ``name[option=value,...]`` of scenes and integrators: reading and writing.
 
-One grammar serves the command line, profiles, the store's keys, filters and the printed name.
+One grammar serves the command line, profiles, the keys of the store, filters and printed names.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ import re
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 _NAME = r"[A-Za-z_][\w.-]*"
 _SPEC = re.compile(rf"\s*({_NAME})\s*(?:\[(.*)\])?\s*", re.DOTALL)
 
 
+_T = TypeVar("_T")
+
+
 class SpecError(ValueError):
-    """A name, option or value that is not known or not allowed; the message says what is."""
+    """A name, option or value is unknown or not allowed; the message lists those that are."""
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
@@ -30,7 +33,7 @@ def suggest(word: str, known: Iterable[str]) -> str:
     return f"did you mean {near[0]!r}? ({listed})" if near else listed
 
 
-def is_name(value: Any) -> bool:
+def is_name(value: object) -> bool:
     """Whether a value is text that the grammar reads as a name."""
     return isinstance(value, str) and re.fullmatch(_NAME, value) is not None
 
@@ -59,24 +62,24 @@ def split_spec(text: str) -> tuple[str, dict[str, str]]:
     return name, options
 
 
-def format_value(value: Any) -> str:
-    """Write an option's value so that ``convert`` reads back the same value."""
+def format_value(value: object) -> str:
+    """Write the value of an option so that `convert` reads back the same value."""
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 @cache
-def options_of(cls: type) -> dict[str, dataclasses.Field]:
+def options_of(cls: type) -> dict[str, dataclasses.Field[Any]]:
     """Parameters of a scene, or options of an integrator, by name."""
     return {f.name: f for f in dataclasses.fields(cls) if "type" in f.metadata}
 
 
 @cache
-def numbers_of(cls: type) -> dict[str, dataclasses.Field]:
-    """Those among the options that are floats, which compiled programs take as arguments."""
+def numbers_of(cls: type) -> dict[str, dataclasses.Field[Any]]:
+    """The options that are floats, which compiled programs take as arguments."""
     return {name: f for name, f in options_of(cls).items() if f.metadata["type"] is float}
 
 
-def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
+def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
     """Turn text (or a number) into the type of a dataclass field and check its range.
 
     Raises
@@ -94,7 +97,7 @@ def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
     kind = meta["type"]
     try:
         if kind is bool:
-            result: Any = {"true": True, "false": False}[str(value).lower()]
+            result = {"true": True, "false": False}[str(value).lower()]
         elif kind is int:
             result = int(str(value))
         elif kind is float and isinstance(value, str) and re.fullmatch(r"\d+/\d+", value):
@@ -114,14 +117,14 @@ def convert(owner: str, field: dataclasses.Field, value: Any) -> Any:
     return result
 
 
-def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
+def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
     """Make an instance of an options dataclass from text or values, checked field by field.
 
     Raises
     ------
     SpecError
-        For an unknown option (the nearest one is named), a value that is not allowed, or if the
-        class itself refuses the values, with whatever exception.
+        If an option is unknown (the message names the nearest one), a value is not allowed, or the
+        class raises any exception.
     """
     fields, values = options_of(cls), {}
     for key, value in options.items():
@@ -132,13 +135,13 @@ def build(cls: type, options: Mapping[str, Any], name: str) -> Any:
         return cls(**values)
     except SpecError:
         raise
-    except (Exception, SystemExit) as error:  # the class may be a plugin, which may do anything
+    except (Exception, SystemExit) as error:  # the class may be a plugin
         text = " ".join(str(error).split()).rstrip(".") or "no message"
         raise SpecError(f"{name} cannot be made: {type(error).__name__}: {text}.") from error
 
 
-def format_spec(name: str, instance: Any) -> str:
-    """Write ``name[option=value,...]``: the options always shown, then those not at default."""
+def format_spec(name: str, instance: object) -> str:
+    """Write ``name[option=value,...]``: options that are always shown, then changed ones."""
     parts = []
     options = options_of(type(instance))
     for field in sorted(options.values(), key=lambda f: not f.metadata.get("always")):

@@ -1,4 +1,4 @@
-"""The system contract: what a scene states, and nothing more.
+"""The system contract: the blocks that a scene states.
 
 A mechatronic system in the sense of Bruels & Arnold (2008), eqs (1)-(4)::
 
@@ -18,36 +18,53 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from problems import spec
 from problems.runtime import jax
 
-#: Groups of variables in which errors are told.
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+#: Groups of variables; every error is that of one group.
 GROUPS = ("q", "v", "a", "lam", "x", "y")
+
+_Number = TypeVar("_Number", int, float)
 
 
 class Variables(NamedTuple):
-    """All variables of a system at one time: q, v, a ``(nq,)``, lam ``(nl,)``, x ``(nx,)``,
-    y ``(ny,)`` and the scalar time t."""
+    """All variables of a system at one time; their rates along a motion have the same form.
 
-    q: Any
-    v: Any
-    a: Any
-    lam: Any
-    x: Any
-    y: Any
-    t: Any
+    ``q``
+        coordinates, in m, rad or as the scene says
+    ``v``, ``a``
+        velocities and accelerations: q per s and per s^2
+    ``lam``
+        multipliers: Phi_q^T lam is a force in N (or a torque in N m)
+    ``x``, ``y``
+        controller states and outputs, in the units of the scene
+    ``t``
+        time in s
+    """
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    a: Float[Array, " nq"]
+    lam: Float[Array, " nl"]
+    x: Float[Array, " nx"]
+    y: Float[Array, " ny"]
+    t: Float[Array, ""]
 
 
 class State(NamedTuple):
-    """What has to be known at a time to know the rest: q, v ``(nq,)`` and x ``(nx,)``."""
+    """The variables that determine all others at a given time; units as in `Variables`."""
 
-    q: Any
-    v: Any
-    x: Any = np.zeros(0)
+    q: Float[np.ndarray, " nq"]
+    v: Float[np.ndarray, " nq"]
+    x: Float[np.ndarray, " nx"] = np.zeros(0)
 
 
 class Sizes(NamedTuple):
@@ -65,22 +82,29 @@ class Sizes(NamedTuple):
 
 
 def parameter(
-    default: float | int,
+    default: _Number,
     unit: str,
     doc: str,
     *,
     low: float | None = None,
     high: float | None = None,
-) -> Any:
-    """Declare a parameter of a scene.
+) -> _Number:
+    """Declare a parameter of a scene, a field of its dataclass.
 
     A float is traced: it can vary without recompiling. An int is structural (a number of
     links, say): another value is another compiled system.
+
+    Parameters
+    ----------
+    unit, doc
+        Unit and meaning, as reports show them.
+    low, high
+        Limits of the values that are allowed, included.
     """
-    if isinstance(default, np.generic):  # np.float64 is no float to what asks for the type
-        default = default.item()
-    meta = {"type": type(default), "unit": unit, "doc": doc, "low": low, "high": high}
-    return dataclasses.field(default=default, metadata=meta)
+    # The type has to be float, not np.float64.
+    value: Any = default.item() if isinstance(default, np.generic) else default
+    meta = {"type": type(value), "unit": unit, "doc": doc, "low": low, "high": high}
+    return dataclasses.field(default=value, metadata=meta)
 
 
 @dataclass(frozen=True)
@@ -89,7 +113,7 @@ class MechatronicSystem:
 
     Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
     scenes that have it: ``constraint``; ``state_rate`` (controller states); ``output`` together
-    with ``actuation``; ``energy``; ``exact``; ``draw``.
+    with ``actuation``; ``energy``; ``exact``; ``draw``. An override may leave out annotations.
 
     The class attributes say how to use the scene:
 
@@ -100,9 +124,11 @@ class MechatronicSystem:
     ``tags``
         words to search by
     ``difficulties``
-        what is hard about it and for whom, a sentence each
+        a sentence for each difficulty, and the methods that it concerns
     ``coordinates``
         names of the entries of q, for plots
+    ``source``
+        publication of the equations and data
     """
 
     name: ClassVar[str]
@@ -116,54 +142,57 @@ class MechatronicSystem:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if "interval" in cls.__dict__:
-            cls.interval = tuple(map(float, cls.interval))
+            start, end = cls.interval
+            cls.interval = float(start), float(end)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
 
-    # ---- blocks ------------------------------------------------------------------------
-    def mass(self, q: Any) -> Any:
-        """Mass matrix M(q), shape ``(nq, nq)``."""
+    # ---- blocks: pure functions in jax.numpy -------------------------------------------
+    def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
+        """Mass matrix M(q), symmetric, in kg (or kg m^2)."""
         raise NotImplementedError
 
-    def mass_product(self, q: Any, a: Any) -> Any:
-        """M(q) a, shape ``(nq,)``, where M is large and mostly zero; ``mass`` is stated, too."""
+    def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nq"]) -> Float[Array, " nq"]:
+        """M(q) a in N (or N m), stated beside ``mass`` if M is large and mostly zero."""
         raise NotImplementedError
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        """Applied and gyroscopic forces g(q, v, t), shape ``(nq,)``."""
+    def force(
+        self, q: Float[Array, " nq"], v: Float[Array, " nq"], t: Float[Array, ""]
+    ) -> Float[Array, " nq"]:
+        """Applied and gyroscopic forces g(q, v, t) in N (or N m)."""
         raise NotImplementedError
 
-    def constraint(self, q: Any, t: Any) -> Any:
-        """Holonomic constraints Phi(q, t), shape ``(nl,)``; zero when satisfied."""
+    def constraint(self, q: Float[Array, " nq"], t: Float[Array, ""]) -> Float[Array, " nl"]:
+        """Holonomic constraints Phi(q, t), zero when satisfied; their units fix those of lam."""
         raise NotImplementedError
 
-    def state_rate(self, z: Variables) -> Any:
-        """Rate f of the controller states, shape ``(nx,)``."""
+    def state_rate(self, z: Variables) -> Float[Array, " nx"]:
+        """Rate f of the controller states per s."""
         raise NotImplementedError
 
-    def output(self, z: Variables) -> Any:
-        """Outputs h, shape ``(ny,)``; may use z.a, z.lam and, implicitly, z.y."""
+    def output(self, z: Variables) -> Float[Array, " ny"]:
+        """Outputs h; may use z.a, z.lam and, implicitly, z.y."""
         raise NotImplementedError
 
-    def actuation(self) -> Any:
-        """Constant matrix L, shape ``(nq, ny)``, by which the outputs act on the motion."""
+    def actuation(self) -> Float[Array | np.ndarray, "nq ny"]:
+        """Constant matrix L; L y is the force of the outputs in N (or N m)."""
         raise NotImplementedError
 
     def initial_state(self) -> State:
-        """q, v and x at the start of the interval (NumPy, concrete parameters)."""
+        """q, v and x at the start of the interval, from NumPy and concrete parameters."""
         raise NotImplementedError
 
     # ---- optional knowledge ------------------------------------------------------------
-    def energy(self, q: Any, v: Any) -> Any:
-        """Total mechanical energy in J, where it is conserved."""
+    def energy(self, q: Float[Array, " nq"], v: Float[Array, " nq"]) -> Float[Array, ""]:
+        """Total mechanical energy in J, if it is conserved."""
         raise NotImplementedError
 
-    def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
-        """Closed-form solution: arrays q, v, a, lam, ... of shape ``(len(t), n)``."""
+    def exact(self, t: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k n"]]:
+        """Closed-form solution at k times: arrays by group (q, v, a, and lam, x, xdot, y)."""
         raise NotImplementedError
 
-    def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        """Polylines, each ``(points, 2)`` in m, that picture the mechanism at q."""
+    def draw(self, q: Float[np.ndarray, " nq"]) -> list[Float[np.ndarray, "points 2"]]:
+        """Polylines in m that picture the mechanism at q."""
         raise NotImplementedError
 
     # ---- derived -----------------------------------------------------------------------
@@ -179,7 +208,7 @@ class MechatronicSystem:
 
     @cached_property  # copies with other parameter values keep it: they have the same dimensions
     def sizes(self) -> Sizes:
-        """Dimensions, read off the blocks."""
+        """Dimensions, found from the initial state and the shapes of the blocks."""
         start = self.initial_state()
         nl = ny = 0
         if self.has("constraint"):
@@ -193,7 +222,7 @@ class MechatronicSystem:
         return {name: float(getattr(self, name)) for name in spec.numbers_of(type(self))}
 
     def describe(self) -> dict[str, Any]:
-        """Title, description and parameters in words, for reports and lists."""
+        """Title, description and parameters as text and numbers, for reports and lists."""
         title, _, text = (inspect.getdoc(type(self)) or self.name).partition("\n\n")
         parameters = [
             {"name": f.name, "value": getattr(self, f.name)}
@@ -204,7 +233,7 @@ class MechatronicSystem:
         title = " ".join(title.split())
         return {"title": title, "description": text.strip(), "parameters": parameters}
 
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+    def with_parameters(self, values: Mapping[str, Float[Array | np.ndarray, ""] | float]) -> Self:
         """A copy with other parameter values, which may be traced arrays."""
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__)
@@ -213,6 +242,7 @@ class MechatronicSystem:
 
     def template(self) -> Self:
         """The scene with default float parameters: the key under which compiled code is kept."""
-        self.sizes  # noqa: B018 - found now: copies keep it, and where they are traced it is late
+        self.sizes  # noqa: B018 - copies keep the sizes, which cannot be found while tracing
         numbers = spec.numbers_of(type(self))
-        return self.with_parameters({name: field.default for name, field in numbers.items()})
+        defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
+        return self.with_parameters(defaults)

@@ -18,7 +18,8 @@ from integrators.methods.generalized_alpha_adaptive import (
     GeneralizedAlphaAdaptive,
 )
 from problems import MechatronicSystem, State, jnp, parameter
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.reference import Reference
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum

@@ -13,7 +13,7 @@ from integrators import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, HHTClassical, Newmark
 from integrators.methods.generalized_alpha_step import updated_weight
 from problems import MechatronicSystem, State, jnp
-from problems.formulations import consistent_start
+from problems.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass

@@ -18,7 +18,7 @@ from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
 from problems import parameter
 from problems.batched_initial_values import consistent_starts
-from problems.formulations import consistent_start
+from problems.initial_values import consistent_start
 from problems.spec import SpecError
 
 REGISTRY = Registry()

@@ -10,6 +10,8 @@ from scipy.optimize import brentq
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems import formulations as form
+from problems.compiled import compiled
+from problems.initial_values import InconsistentStart, consistent_start
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -93,7 +95,7 @@ class MasslessAlone(MechatronicSystem):
 
 
 def test_the_paper_start_of_the_spring_mass_is_found():
-    start = form.consistent_start(SpringMass())
+    start = consistent_start(SpringMass())
     assert start.z.a == pytest.approx([-5.0], abs=1e-14)
     assert start.xdot == pytest.approx([7.0], abs=1e-14)
     assert start.z.y == pytest.approx([0.0, 0.0], abs=1e-14)
@@ -101,7 +103,7 @@ def test_the_paper_start_of_the_spring_mass_is_found():
 
 def test_an_output_implicit_in_y_and_nonlinear_in_a_is_solved():
     scene = NonlinearFeedback()
-    start = form.consistent_start(scene)
+    start = consistent_start(scene)
     q, _, x = scene.initial_state()
 
     def eliminated(y):  # a = y - 3 q put into the output equation
@@ -116,9 +118,9 @@ def test_an_output_implicit_in_y_and_nonlinear_in_a_is_solved():
 
 @pytest.mark.parametrize("scene", [Pendulum(), SpringMass(), NonlinearFeedback(), DrivenBead()])
 def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion(scene):
-    start = form.consistent_start(scene)
+    start = consistent_start(scene)
     z, xdot, eps = start.z, start.xdot, 1e-5
-    functions, p = form.compiled(scene), scene.parameters()
+    functions, p = compiled(scene), scene.parameters()
     ends = []
     for s in (-eps, eps):
         rows = (z.q + s * z.v + s**2 / 2 * z.a, z.v + s * z.a, z.x + s * xdot)
@@ -152,7 +154,7 @@ def test_the_constraint_force_is_the_transposed_jacobian_times_lambda():
 @pytest.mark.parametrize("scene", [Pendulum(), SpringMass(), DrivenBead(), NonlinearFeedback()])
 @pytest.mark.parametrize("formulation", ["index3", "index2", "stabilised_index2", "index1"])
 def test_every_dae_formulation_vanishes_on_the_motion(scene, formulation):
-    start, sizes = form.consistent_start(scene), scene.sizes
+    start, sizes = consistent_start(scene), scene.sizes
     at = form.dae_layout(sizes, formulation)
     w, wdot = np.zeros(at.size), np.zeros(at.size)
     for name in ("q", "v", "x", "lam", "y"):
@@ -172,14 +174,14 @@ def test_the_ode_form_agrees_with_the_closed_form():
     scene = Pendulum()
     t = np.linspace(*scene.interval, 15)
     exact = Reference(scene, scene.interval[1])(t)
-    z, _ = form.compiled(scene).complete(scene.parameters(), exact["q"], exact["v"], exact["x"], t)
+    z, _ = compiled(scene).complete(scene.parameters(), exact["q"], exact["v"], exact["x"], t)
     assert z.a == pytest.approx(exact["a"], abs=1e-12)
     assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
 
 
 def test_a_mass_matrix_that_is_singular_alone_is_no_obstacle():
     # One oscillator of mass 1 and stiffness 2; the second coordinate follows without force.
-    start = form.consistent_start(MasslessAlone())
+    start = consistent_start(MasslessAlone())
     assert start.z.a == pytest.approx([-2.0, -2.0], abs=1e-13)
     assert start.z.lam == pytest.approx([0.0], abs=1e-13)
 
@@ -192,8 +194,8 @@ def test_a_mass_matrix_that_is_singular_alone_is_no_obstacle():
     ],
 )
 def test_an_inconsistent_start_is_refused_with_its_size(scene, level, amount):
-    with pytest.raises(form.InconsistentStart, match=f"{level} level by ({amount})"):
-        form.consistent_start(scene)
+    with pytest.raises(InconsistentStart, match=f"{level} level by ({amount})"):
+        consistent_start(scene)
 
 
 def test_a_wrong_shape_is_named():
@@ -205,11 +207,11 @@ def test_a_wrong_shape_is_named():
             return jnp.zeros(2)
 
     with pytest.raises(ValueError, match=r"force has shape \(2,\), expected \(1,\)"):
-        form.consistent_start(Lopsided())
+        consistent_start(Lopsided())
 
 
 def test_parameters_are_traced_and_compile_nothing_new():
     light, heavy = SpringMass(m=1.0), SpringMass(m=7.0)
-    assert form.compiled(light) is form.compiled(heavy)
-    a = [form.consistent_start(s).z.a[0] for s in (light, heavy)]
+    assert compiled(light) is compiled(heavy)
+    a = [consistent_start(s).z.a[0] for s in (light, heavy)]
     assert a == pytest.approx([-5.0, -5.0 / 7.0])

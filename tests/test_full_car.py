@@ -14,7 +14,8 @@ from bench.running.measure import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.reference import Reference
 from problems.scenes.full_car import FullCar, FullCarPassive
 

@@ -16,7 +16,7 @@ from integrators import Steps, Tolerances
 from integrators.adapters import dae, trajectories
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems import formulations, jnp, sparsity
+from problems import jnp, sparsity
 from problems.formulations import dae_layout
 from problems.scenes.chain import Chain
 from problems.scenes.quarter_car import QuarterCar
@@ -156,7 +156,7 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
     z = finished(scene, 0.05)
     states = scene, z.t, z.q, z.v, z.x
     dense = trajectories.trajectory_from_states(*states)
-    monkeypatch.setattr(formulations, "LARGE", 1)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     monkeypatch.setattr(trajectories, "compiled", None)
     sparse = trajectories.trajectory_from_states(*states)
     for name in ("t", "q", "v", "a", "lam", "x", "xdot", "y"):
@@ -181,7 +181,7 @@ def test_size_and_fill_choose_the_solver():
 
 
 def test_a_full_pattern_is_dense_by_auto(monkeypatch):
-    monkeypatch.setattr(formulations, "LARGE", 1)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     scene = SpringMass()
     pattern = dae.pattern(*of(scene, "index1"))
     assert len(pattern.rows) > 0.1 * pattern.size**2
@@ -199,7 +199,7 @@ class Solving(SpringMass):
 def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
     with pytest.raises(SpecError, match="linear_solver=dense"):
         prepared(Solving(), 0.1, linear_solver="sparse")
-    monkeypatch.setattr(formulations, "LARGE", 1)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     run = prepared(Solving(), 0.01)
     assert not is_sparse(run)
     assert run.measure().status == "ok"

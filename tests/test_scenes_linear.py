@@ -8,7 +8,7 @@ from helpers import errors_at, slope
 from test_scenes_identities import flipped, solved
 
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.formulations import InconsistentStart, NoConsistentStart, consistent_start
+from problems.initial_values import InconsistentStart, NoConsistentStart, consistent_start
 from problems.reference import Reference
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.friction import Friction

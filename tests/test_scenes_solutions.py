@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from problems import formulations, jax
+from problems.compiled import compiled
 from problems.reference import Reference
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
@@ -24,12 +25,12 @@ from problems.spec import SpecError
 def drift(scene, z, t):
     """Largest residual of Phi, d/dt Phi and d2/dt2 Phi on a solution."""
     p = scene.parameters()
-    levels = formulations.compiled(scene).levels(p, z["q"], z["v"], z["a"], t)
+    levels = compiled(scene).levels(p, z["q"], z["v"], z["a"], t)
     return [np.abs(level).max() for level in levels]
 
 
 def energies(scene, z):
-    return formulations.compiled(scene).energy(scene.parameters(), z["q"], z["v"])
+    return compiled(scene).energy(scene.parameters(), z["q"], z["v"])
 
 
 # ---- published digits ------------------------------------------------------------------
@@ -269,7 +270,7 @@ def test_the_trapezoidal_rule_blows_up_on_the_stiff_bar():
     scene = StiffBar()
     run = Newmark().prepare(scene, 10.0, Steps(0.01)).measure()
     assert run.status == "newton_failed"
-    e = formulations.compiled(scene).energy(scene.parameters(), run.q, run.v)
+    e = compiled(scene).energy(scene.parameters(), run.q, run.v)
     assert run.t[np.argmax(e / e[0] > 1.05)] == pytest.approx(4.58, abs=0.05)
 
 
@@ -278,7 +279,7 @@ def test_numerical_damping_runs_on_over_the_stiff_bar(rho_inf):
     scene = StiffBar()
     run = GeneralizedAlpha(rho_inf=rho_inf).prepare(scene, 10.0, Steps(0.01)).measure()
     assert run.status == "ok"
-    e = formulations.compiled(scene).energy(scene.parameters(), run.q, run.v)
+    e = compiled(scene).energy(scene.parameters(), run.q, run.v)
     assert e / e[0] == pytest.approx(1.0, abs=2e-3)
 
 

@@ -11,8 +11,9 @@ from integrators.contract import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native import constant_steps
-from problems import Variables, formulations, jnp, sparse_initial_values, sparsity
-from problems.formulations import NoConsistentStart, consistent_start
+from problems import MechatronicSystem, State, Variables, formulations, jnp, parameter, sparsity
+from problems.compiled import compiled
+from problems.initial_values import NoConsistentStart, consistent_start
 from problems.reference import Reference, ReferenceFailed
 from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
@@ -20,10 +21,43 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
+from problems.sparse_initial_values import sparse_start
 from problems.spec import SpecError
 
 pytest.importorskip("klujax")
-SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)]
+
+
+@dataclass(frozen=True)
+class ControlledBead(MechatronicSystem):
+    """A bead on a circle and a controller that uses all variables and the time."""
+
+    interval = (0.3, 1.0)
+    m: float = parameter(1.5, "kg", "mass")
+
+    def mass(self, q):
+        return self.m * jnp.eye(2)
+
+    def force(self, q, v, t):
+        return jnp.array([jnp.cos(2 * t), -9.81 * self.m]) - 0.2 * v
+
+    def constraint(self, q, t):
+        return 0.5 * (q @ q - 1.0)[None]
+
+    def state_rate(self, z):
+        parts = 0.5 * z.q[0] - z.v[1] + 0.3 * z.a[0] + 0.2 * z.lam[0] - z.x[0] + 0.7 * z.y[0]
+        return jnp.sin(3 * z.t)[None] + parts
+
+    def output(self, z):
+        return jnp.tanh(z.x + 0.1 * z.a[1] - 0.4 * z.y + 0.1 * z.lam)
+
+    def actuation(self):
+        return np.array([[0.3], [1.0]])
+
+    def initial_state(self):
+        return State(q=np.array([0.6, -0.8]), v=np.array([0.4, 0.3]), x=np.array([0.2]))
+
+
+SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5), ControlledBead()]
 
 
 def end(method, scene, steps, h):
@@ -81,19 +115,31 @@ def test_colours_do_not_grow_with_the_chain():
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
-    start = consistent_start(scene)
-    z, xdot, jerk, xddot = sparse_initial_values.start_of(
-        scene, scene.initial_state(), scene.interval[0]
-    )
-    for one, other in zip((*z, xdot, jerk, xddot), (*start.z, *start[1:4]), strict=True):
+    dense = consistent_start(scene)
+    sparse = sparse_start(scene, scene.initial_state(), scene.interval[0])
+    for one, other in zip((*sparse.z, *sparse[1:4]), (*dense.z, *dense[1:4]), strict=True):
         size = np.abs(other).max(initial=1.0)
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9 * size)
+    assert dense.constrained_jerk is None
     if scene.sizes.nl:
-        part = formulations.constrained_part(
-            scene, jnp.asarray(z.q), jnp.asarray(z.t), jnp.asarray(jerk)
-        )
-        mine = sparse_initial_values.projected(scene, jnp.asarray(z.q), float(z.t), jerk)
-        assert mine == pytest.approx(np.asarray(part), abs=1e-8 * np.abs(part).max())
+        at = (jnp.asarray(part) for part in (dense.z.q, dense.z.t, dense.jerk))
+        part = np.asarray(formulations.constrained_part(scene, *at))
+        size = np.abs(part).max()
+        assert sparse.constrained_jerk == pytest.approx(part, abs=1e-8 * size)
+
+
+def test_the_rates_at_the_start_are_slopes_along_the_motion():
+    scene, eps = ControlledBead(), 1e-5
+    start = sparse_start(scene, scene.initial_state(), scene.interval[0])
+    z, xdot = start.z, start.xdot
+    steps = np.array([[-eps], [eps]])
+    q = z.q + steps * z.v + steps**2 / 2 * z.a
+    rows = (
+        np.asarray(row) for row in (q, z.v + steps * z.a, z.x + steps * xdot, z.t + steps[:, 0])
+    )
+    near, rates = compiled(scene).complete(scene.parameters(), *rows)
+    assert start.xddot == pytest.approx(np.diff(rates, axis=0)[0] / (2 * eps), rel=1e-7)
+    assert start.jerk == pytest.approx(np.diff(near.a, axis=0)[0] / (2 * eps), rel=1e-7)
 
 
 def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
@@ -101,13 +147,13 @@ def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
     start = consistent_start(scene)
     with pytest.raises(SpecError, match="linear_solver=dense"):
         GeneralizedAlpha(linear_solver="sparse").program(scene)
-    monkeypatch.setattr(formulations, "LARGE", 1)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     assert not is_sparse(GeneralizedAlpha(), scene)
     assert consistent_start(scene).z.a == pytest.approx(start.z.a)
 
 
 def test_a_start_that_does_not_exist_is_refused(monkeypatch):
-    monkeypatch.setattr(formulations, "LARGE", 1)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     with pytest.raises(NoConsistentStart, match="singular"):
         consistent_start(Pendulum(copies=2))
 

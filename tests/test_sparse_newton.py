@@ -14,7 +14,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import constant_steps, klu
 from integrators.native.step_program import StepProgram
 from problems import MechatronicSystem, State, jnp
-from problems.formulations import consistent_start
+from problems.initial_values import consistent_start
 from problems.runtime import jax
 from problems.scenes.chain import Chain
 from problems.scenes.quarter_car import QuarterCar

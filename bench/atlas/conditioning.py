@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from problems.formulations import consistent_start, constraint_force
+from problems.formulations import constraint_force
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.results.records import GROUPS, LEVELS, Rows
 from integrators.contract import Trajectory
-from problems.formulations import compiled
+from problems.compiled import compiled
 from problems.reference import Reference
 from problems.system import MechatronicSystem
 

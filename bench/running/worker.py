@@ -27,7 +27,7 @@ from bench.running import measure
 from bench.running.plan import Cell
 from bench.running.scene_records import scene_record
 from integrators.contract import PreparedRun, Trajectory
-from problems.formulations import InconsistentStart, NoConsistentStart
+from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.runtime import jax, one_thread
 from problems.spec import SpecError

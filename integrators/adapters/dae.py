@@ -12,7 +12,8 @@ import numpy as np
 from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Trajectory
-from problems.formulations import Layout, consistent_start, dae_layout, dae_residual
+from problems.formulations import Layout, dae_layout, dae_residual
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes

@@ -13,7 +13,8 @@ from integrators.adapters.counting import run_counted, watch
 from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, spread_rows
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 

@@ -25,7 +25,7 @@ from integrators.contract import (
     spread_rows,
 )
 from problems import sparsity
-from problems.formulations import FORMULATIONS, dae_layout, is_large
+from problems.formulations import FORMULATIONS, dae_layout
 from problems.system import MechatronicSystem
 
 #: IDA's own limit of steps is never reached: calls are limited here.
@@ -135,7 +135,7 @@ class _IDARun(PreparedRun):
         }
         key = scene.template(), form
         p = np.array(list(scene.parameters().values()))
-        if sparsity.is_chosen(method.linear_solver, is_large(scene), lambda: dae.pattern(*key)):
+        if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
             from scipy.sparse import csc_matrix
 
             values, rows, starts = dae.sparse_jacobian(*key)

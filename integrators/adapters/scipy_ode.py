@@ -27,7 +27,8 @@ from integrators.contract import (
     option,
     spread_rows,
 )
-from problems.formulations import consistent_start, ode_rate
+from problems.formulations import ode_rate
+from problems.initial_values import consistent_start
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from integrators.contract import Trajectory
-from problems import sparse_initial_values
-from problems.formulations import compiled, is_large
-from problems.sparsity import NoPattern
+from problems.compiled import compiled
+from problems.runtime import jax
+from problems.sparse_initial_values import sparse_complete
+from problems.sparsity import NoPattern, prefers_sparse
 from problems.system import MechatronicSystem, State, Variables
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def trajectory_from_states(
     A trajectory with status "ok" and no counts; its entries are NaN where there is no solution.
     """
     z, xdot = _solve(scene, t, q, v, x)
-    return Trajectory(t, q, v, z.a, z.lam, x, xdot, z.y)
+    a, lam, y = (np.asarray(part) for part in (z.a, z.lam, z.y))
+    return Trajectory(t, q, v, a, lam, x, np.asarray(xdot), y)
 
 
 def early_end_message(t: float, t_end: float, reason: str, remedy: str) -> str:
@@ -53,12 +55,11 @@ def _solve(
     scene: MechatronicSystem, t: np.ndarray, q: np.ndarray, v: np.ndarray, x: np.ndarray
 ) -> tuple[Variables, np.ndarray]:
     """All variables and xdot at k states, arrays ``(k, n)``."""
-    if is_large(scene):  # many dense systems side by side would not fit into memory
+    if prefers_sparse(scene):  # many dense systems side by side would not fit into memory
         with contextlib.suppress(NoPattern):
             rows = [
-                sparse_initial_values.start_of(scene, State(*state), time)[:2]
+                sparse_complete(scene, State(*state), time)
                 for *state, time in zip(q, v, x, t, strict=True)
             ]
-            variables, rates = zip(*rows, strict=True)
-            return Variables(*map(np.array, zip(*variables, strict=True))), np.array(rates)
+            return jax.tree.map(lambda *parts: np.array(parts), *rows)
     return compiled(scene).complete(scene.parameters(), q, v, x, t)

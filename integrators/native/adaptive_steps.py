@@ -40,7 +40,8 @@ from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
 from integrators.native.step_functions import Errors, Reading, StepReport, largest
 from integrators.native.step_program import Numbers, StepProgram
-from problems.formulations import Start, consistent_start
+from problems.formulations import Start
+from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 

@@ -19,8 +19,7 @@ from integrators.native.constant_steps import ConstantStepsRun
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
 from problems import spec
-from problems.formulations import is_large
-from problems.sparsity import Pattern, is_chosen
+from problems.sparsity import Pattern, uses_sparse
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -95,7 +94,7 @@ class NativeMethod(Integrator):
         def fullest() -> Pattern:
             return max(found().patterns, key=lambda pattern: pattern.fill)
 
-        if allowed and is_chosen(asked, is_large(scene), fullest):
+        if allowed and uses_sparse(asked, scene, fullest):
             return found()
         return SparseTangents((), (), ())
 

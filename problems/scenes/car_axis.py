@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.spec import SpecError
 
 
@@ -18,8 +17,8 @@ class CarAxis(MechatronicSystem):
     The left wheel rests on the ground, the right one moves up and down and stays at the distance
     L; two point masses are the ends of the axle. One constraint keeps the axle's length, the
     other the left spring perpendicular to the line between the wheels. Tests a published
-    benchmark: both constraints, one of them rheonomic, and forces that are large against the
-    masses M eps^2/2. Left out: the body's own inertia and damping, as in the source; energy is
+    benchmark: two constraints, one of them rheonomic, and forces that are large against the
+    masses M eps^2/2. Left out: the body's own inertia and damping, as in the source. Energy is
     not conserved, because the road does work.
     """
 
@@ -48,16 +47,16 @@ class CarAxis(MechatronicSystem):
                 f"which the moving wheel keeps from the other one."
             )
 
-    def _wheel(self, t: Any) -> Any:
+    def _wheel(self, t: jax.Array) -> jax.Array:
         y = self.r * jnp.sin(self.w * t)
         return jnp.stack([jnp.sqrt(self.length**2 - y**2), y])
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return 0.5 * self.m * self.eps**2 * jnp.eye(4)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         # The source multiplies its equations by eps^2: springs have the stiffness 1.
-        def spring(s: Any) -> Any:
+        def spring(s: jax.Array) -> jax.Array:
             now = jnp.sqrt(s @ s)
             return (self.spring - now) / now * s
 
@@ -65,7 +64,7 @@ class CarAxis(MechatronicSystem):
         left, right = q[:2], q[2:]
         return jnp.concatenate([spring(left) - weight, spring(right - self._wheel(t)) - weight])
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         # Signs that give the source's multipliers.
         left, axle = q[:2], q[:2] - q[2:]
         return jnp.stack([-(self._wheel(t) @ left), self.length**2 - axle @ axle])

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -19,7 +18,7 @@ class Chain(MechatronicSystem):
     neighbours only. One link is the pendulum, two are the double pendulum. The chain starts
     straight and turns as a whole, so that velocity and jerk are not zero. Left out: inertia of
     the links, which would add coordinates and constraints and no new coupling. The motion of a
-    chain is chaotic: the interval is short, so that errors tell the method and not the system.
+    chain is chaotic: the interval is short, so that errors show the method and not the chaos.
 
     The blocks are array operations without loops over links, so that the time to compile does not
     grow with them.
@@ -42,20 +41,20 @@ class Chain(MechatronicSystem):
     th0: float = parameter(np.pi / 4, "rad", "initial angle from the downward vertical")
     w0: float = parameter(1.0, "rad/s", "initial angular velocity of the whole chain")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(2 * self.links)
 
-    def mass_product(self, q: Any, a: Any) -> Any:
+    def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
         return self.m * a
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return jnp.tile(jnp.stack([0.0 * self.m, -self.m * self.g]), self.links)
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         link = jnp.diff(q.reshape(-1, 2), axis=0, prepend=jnp.zeros((1, 2)))
         return 0.5 * ((link**2).sum(axis=1) - self.length**2)
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v) + self.m * self.g * q[1::2].sum()
 
     def initial_state(self) -> State:

@@ -9,21 +9,20 @@ lets it back from the compression chamber, one in the base from the accumulator:
 
 Extending, the compression chamber stays near the accumulator's low pressure; compressing, it
 follows the rebound chamber. States are the two pressures in MPa, so that they are of the size of
-the other variables, and relative to the accumulator's, so that rest is zero without rounding: a
-step from rest has to resolve rates that are tiny. The data are made up; they give the forces of a
+the other variables, and relative to the accumulator's, so that they are exactly zero at rest: a
+step from rest has to resolve tiny rates. The data are synthetic; they give the forces of a
 passenger car's damper.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from problems import MechatronicSystem, jax, jnp, parameter
 
 
-def limited(value: Any, low: Any, high: Any, soft: Any) -> Any:
-    """The value within its limits, rounded over about ``soft``; smooth everywhere."""
+def limited(value: jax.Array, low: float, high: float, soft: float) -> jax.Array:
+    """Limit a value; the corners are rounded over about ``soft``."""
     return low + soft * (
         jax.nn.softplus((value - low) / soft) - jax.nn.softplus((value - high) / soft)
     )
@@ -61,17 +60,19 @@ class SemiActiveDamper(MechatronicSystem):
     i_max: float = parameter(1.6, "A", "largest current: firm")
     i_soft: float = parameter(0.05, "A", "rounding of the current's limits", low=1e-9)
 
-    def valve_area(self, i: Any) -> Any:
+    def valve_area(self, i: jax.Array) -> jax.Array:
         """Flow area in m^2, falling linearly with the current in A."""
         part = (i - self.i_min) / (self.i_max - self.i_min)
         return self.soft_area + part * (self.firm_area - self.soft_area)
 
-    def flows(self, p_reb: Any, p_comp: Any, i: Any) -> tuple[Any, Any, Any]:
-        """Flows in m^3/s, none of which can give energy: each is zero with its pressure drop and
-        has its sign.
+    def flows(
+        self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Flows in m^3/s; each has the sign of its pressure drop, so that none gives energy.
 
-        Through valve and relief out of the rebound chamber, through the piston's check valve into
-        it, through the base's check valve into the compression chamber.
+        The first goes through valve and relief out of the rebound chamber, the second through the
+        check valve of the piston into it, the third through the check valve of the base into the
+        compression chamber.
         """
         # Two square roots cost less than a power of 1/4 and its derivatives.
         root = jnp.sqrt(jnp.sqrt(p_reb**2 + self.p_turb**2))
@@ -79,19 +80,21 @@ class SemiActiveDamper(MechatronicSystem):
         out = self.valve_area(i) * speed + self._relieved(p_reb)
         return out, self._checked(p_comp - p_reb), self._checked(-p_comp)
 
-    # Both write (root(drop) - root(0)) without the cancellation.
-    def _relieved(self, drop: Any) -> Any:
+    # The next two functions compute root(drop) - root(0) without cancellation.
+    def _relieved(self, drop: jax.Array) -> jax.Array:
         """Flow through the relief; its opening is rounded over a twentieth of its pressure."""
         at, rounding = self.p_relief, 0.05 * self.p_relief
         roots = jnp.sqrt((drop - at) ** 2 + rounding**2) + jnp.sqrt(at**2 + rounding**2)
         return 0.5 * self.relief * drop * (1 + (drop - 2 * at) / roots)
 
-    def _checked(self, drop: Any) -> Any:
+    def _checked(self, drop: jax.Array) -> jax.Array:
         """Flow through a check valve: check * (drop + sqrt(drop^2 + p_check^2) - p_check)/2."""
         roots = jnp.sqrt(drop**2 + self.p_check**2) + self.p_check
         return 0.5 * self.check * drop * (1 + drop / roots)
 
-    def pressure_rates(self, p_reb: Any, p_comp: Any, i: Any, speed: Any) -> tuple[Any, Any]:
+    def pressure_rates(
+        self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array, speed: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         """Rates of both pressures in MPa/s at a speed of extension in m/s."""
         out, piston, base = self.flows(p_reb, p_comp, i)
         return (
@@ -99,10 +102,10 @@ class SemiActiveDamper(MechatronicSystem):
             self.bulk / self.v_comp * (-self.a_piston * speed - piston + base),
         )
 
-    def damper_force(self, p_reb: Any, p_comp: Any) -> Any:
+    def damper_force(self, p_reb: jax.Array, p_comp: jax.Array) -> jax.Array:
         """Force in N with which the damper pulls its ends together."""
         return 1e6 * ((self.a_piston - self.a_rod) * p_reb - self.a_piston * p_comp)
 
-    def limited_current(self, i: Any) -> Any:
-        """The current that flows when i is asked for, in A."""
+    def limited_current(self, i: jax.Array) -> jax.Array:
+        """Current in A that flows if the controller asks for i."""
         return limited(i, self.i_min, self.i_max, self.i_soft)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -15,12 +14,12 @@ class DrivenSprings(MechatronicSystem):
     """A point that is moved as sin(omega t) pulls a mass by a nearly rigid spring, and this mass a
     second one by a soft spring.
 
-    Tests what a method makes of a frequency that its steps cannot resolve: the stiff spring
-    stands for a rigid connection, and is hit at the start, where the point moves and the mass is
-    at rest. In the real motion the vibration is damped within milliseconds (a weak damper that
-    the published model does not have, so that the exact solution is the slow motion soon); an
-    undamped method keeps it for ever, and its accelerations are off by many times their size
-    while its positions look right. Left out: the massless driven point, whose motion is given.
+    Tests methods on a frequency that their steps cannot resolve: the stiff spring stands for a
+    rigid connection, and is hit at the start, when the point moves and the mass is at rest. In
+    the exact solution the vibration dies out within milliseconds, because of a weak damper that
+    the published model does not have. An undamped method keeps it for ever: its accelerations
+    are off by many times their size while its positions look right. Left out: the massless
+    driven point, whose motion is given.
     """
 
     interval = (0.0, 10.0)
@@ -43,10 +42,10 @@ class DrivenSprings(MechatronicSystem):
     c1: float = parameter(300.0, "N s/m", "damper beside the stiff spring", low=0.0)
     omega: float = parameter(1.2, "rad/s", "frequency of the driven point", low=1e-9)
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.stack([self.m1, self.m2]))
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         u, u_dot = jnp.sin(self.omega * t), self.omega * jnp.cos(self.omega * t)
         stiff = self.k1 * (u - q[0]) + self.c1 * (u_dot - v[0])
         soft = self.k2 * (q[0] - q[1])

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
 class Duffing(MechatronicSystem):
     """One mass on a hardening spring, damped and driven: m a + c v + k q + k3 q^3 = F cos(w t).
 
-    Tests the order of the acceleration in the simplest setting in which nothing hides: damping,
-    nonlinearity and explicit time, so that no symmetry or conservation cancels an error, and a
-    method that reports its auxiliary acceleration shows first order. Left out: constraints and a
-    controller, which have scenes of their own; a long interval, on which the driven oscillator
-    can become chaotic and errors would no longer tell the order.
+    Tests the order of the acceleration on the simplest scene with damping, nonlinearity and
+    explicit time: no symmetry or conservation cancels an error, and a method that reports its
+    auxiliary acceleration shows first order. Left out: constraints and a controller, which have
+    scenes of their own; a long interval, on which the driven oscillator can become chaotic, so
+    that errors would no longer show the order.
     """
 
     interval = (0.0, 3.0)
@@ -37,10 +36,10 @@ class Duffing(MechatronicSystem):
     q0: float = parameter(1.0, "m", "initial position")
     v0: float = parameter(0.5, "m/s", "initial velocity")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(1)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return self.amplitude * jnp.cos(self.w * t) - self.c * v - self.k * q - self.k3 * q**3
 
     def initial_state(self) -> State:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
 class Friction(MechatronicSystem):
     """An oscillator that slides on a rough plane; friction changes its sign within ``eps``.
 
-    Tests what a jump of the force does to the order and to step-size control: friction is
-    Coulomb's law with its sign smoothed to tanh(v/eps), so that the jump is resolved by steps much
-    shorter than eps/(acceleration), and a discontinuity for all others. The mass never comes to
-    rest in the interval. Left out: sticking, which is another problem (complementarity), and a
-    larger friction at rest.
+    Tests the order and step-size control under a force that jumps: friction is Coulomb's law
+    with its sign smoothed to tanh(v/eps). Steps much shorter than eps/(acceleration) resolve the
+    jump; for all others it is a discontinuity. The mass never comes to rest in the interval. Left
+    out: sticking, which is another problem (complementarity), and a larger friction at rest.
     """
 
     interval = (0.0, 10.0)
@@ -36,10 +34,10 @@ class Friction(MechatronicSystem):
     eps: float = parameter(0.1, "m/s", "velocity over which friction changes sign", low=1e-12)
     q0: float = parameter(10.0, "m", "initial position")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(1)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.k * q - self.mu * jnp.tanh(v / self.eps)
 
     def initial_state(self) -> State:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,13 +18,13 @@ _FRONT = np.array([1.0, 1.0, 0.0, 0.0])
 
 @dataclass(frozen=True)
 class _Car(MechatronicSystem):
-    """Body, wheels, tyres and steering, which both cars share; all but the dampers.
+    """Body, wheels, tyres and steering of both cars: everything but the dampers.
 
     Axes: x forward, y to the left, z up; roll is positive with the left side up, pitch with the
     nose down. Wheels: front left, front right, rear left, rear right. Roll and pitch are small
     angles, about axes on the ground: a point (x, y) of the body rises by z + y roll - x pitch,
     and its centre of mass, h above, moves by (h pitch, -h roll) in the plane. With this
-    kinematics the equations are Lagrange's, without further neglect.
+    kinematics the equations are Lagrange's, and nothing else is neglected.
     """
 
     interval = (0.0, 12.0)
@@ -78,26 +77,26 @@ class _Car(MechatronicSystem):
     rough: float = parameter(8e-3, "m", "amplitude of the road's longest wave")
 
     # ---- geometry -----------------------------------------------------------------------
-    def _axles(self, front: Any, rear: Any) -> Any:
+    def _axles(self, front: float, rear: float) -> jax.Array:
         """A value per wheel from those of the axles."""
-        return _FRONT * front + (1 - _FRONT) * rear
+        return jnp.asarray(_FRONT * front + (1 - _FRONT) * rear)
 
-    def _places(self) -> tuple[Any, Any]:
+    def _places(self) -> tuple[jax.Array, jax.Array]:
         """x and y of the wheels from the body's centre of mass."""
         half = self._axles(self.track_front, self.track_rear) / 2
         offset = self._axles(self.offset_front, self.offset_rear)
-        return self._axles(self.a, -self.b), _LEFT * half - offset
+        return self._axles(self.a, -self.b), jnp.asarray(_LEFT * half - offset)
 
-    def corners(self) -> Any:
+    def corners(self) -> jax.Array:
         """Heights of the corners by heave, roll and pitch, shape ``(4, 3)``."""
         x, y = self._places()
         return jnp.stack([jnp.ones(4), y, -x], axis=1)
 
-    def stretch(self, q: Any) -> Any:
-        """Extension of springs and dampers in m, shape ``(4,)``; also their speed, from v."""
+    def stretch(self, q: jax.Array) -> jax.Array:
+        """Extension of springs and dampers in m, shape ``(4,)``; with v for q, their speed."""
         return self.corners() @ q[2:5] - q[6:10]
 
-    def road(self, t: Any) -> Any:
+    def road(self, t: jax.Array) -> jax.Array:
         """Height of the road under each wheel in m, at the initial speed; zero at t = 0."""
         x, _ = self._places()
         way = self.speed * t + x
@@ -105,13 +104,13 @@ class _Car(MechatronicSystem):
         waves = jnp.sin(2 * np.pi * _WAVES * way[:, None] + phases) @ (_WAVES[0] / _WAVES)
         return self.rough * jnp.tanh(0.1 * self.speed * t) * waves
 
-    def rack_displacement(self, t: Any) -> Any:
+    def rack_displacement(self, t: jax.Array) -> jax.Array:
         """Displacement of the rack to the left in m."""
         left, right = ((t - at) / self.pulse for at in (self.t_left, self.t_right))
         return self.rack * (jnp.cosh(left) ** -2 - jnp.cosh(right) ** -2)
 
     # ---- equations of motion ------------------------------------------------------------
-    def _kinetic(self, q: Any, v: Any) -> Any:
+    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
         c, s = jnp.cos(q[5]), jnp.sin(q[5])
         ahead, aside = c * v[0] + s * v[1], c * v[1] - s * v[0]
         (roll, pitch), (roll_rate, pitch_rate, yaw_rate) = q[3:5], v[3:6]
@@ -128,14 +127,14 @@ class _Car(MechatronicSystem):
         plane = jnp.sum(unsprung) * (ahead**2 + aside**2)
         return 0.5 * (self.m * (body @ body) + plane + turning + unsprung @ v[6:10] ** 2)
 
-    def _potential(self, q: Any, t: Any) -> Any:
+    def _potential(self, q: jax.Array, t: jax.Array) -> jax.Array:
         springs = self._axles(self.k_front, self.k_rear) @ self.stretch(q) ** 2
         tyres = self.k_tyre * jnp.sum((q[6:10] - self.road(t)) ** 2)
         twist = q[3] - (q[6] - q[7]) / self.track_front
         falling = self.m * self.gravity * self.h * (q[3] ** 2 + q[4] ** 2)
         return 0.5 * (springs + tyres + self.anti_roll * twist**2 - falling)
 
-    def tyre_loads(self, q: Any, t: Any) -> Any:
+    def tyre_loads(self, q: jax.Array, t: jax.Array) -> jax.Array:
         """Vertical forces on the tyres in N, shape ``(4,)``."""
         lever = self._axles(
             self.offset_front / self.track_front, self.offset_rear / self.track_rear
@@ -144,7 +143,7 @@ class _Car(MechatronicSystem):
         weight = self.gravity * (self.m * share + self._axles(self.m_front, self.m_rear))
         return weight - self.k_tyre * (q[6:10] - self.road(t))
 
-    def contact_velocities(self, q: Any, v: Any) -> tuple[Any, Any]:
+    def contact_velocities(self, q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Velocities of the tyres' contacts along and across the wheels, each ``(4,)``."""
         x, y = self._places()
         c, s = jnp.cos(q[5]), jnp.sin(q[5])
@@ -154,7 +153,7 @@ class _Car(MechatronicSystem):
         c, s = jnp.cos(steer), jnp.sin(steer)
         return c * ahead + s * aside, c * aside - s * ahead - self.trail * (v[5] + rate)
 
-    def tyre_forces(self, q: Any, v: Any, t: Any) -> Any:
+    def tyre_forces(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         """Lateral forces on the tyres in N, to the left of each wheel, shape ``(4,)``.
 
         The magic formula D sin(C atan(B s - E (B s - atan(B s)))) at the slip angle s.
@@ -164,15 +163,15 @@ class _Car(MechatronicSystem):
         bent = stiff - self.curvature * (stiff - jnp.arctan(stiff))
         return self.friction * self.tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return lagrange.mass(self._kinetic, q)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         g = lagrange.force(self._kinetic, lambda q: self._potential(q, t), q, v)
         _, transposed = jax.vjp(lambda v: self.contact_velocities(q, v)[1], v)
         return g + transposed(self.tyre_forces(q, v, t))[0]
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         # (d.d - l^2)/(2 l), so that a multiplier is a tie rod's force: positive when compressed.
         left, steer = _LEFT[:2], q[10:]
         c, s = jnp.cos(steer), jnp.sin(steer)
@@ -184,12 +183,13 @@ class _Car(MechatronicSystem):
         return (dx**2 + dy**2 + dz**2 - length**2) / (2 * length)
 
     def initial_state(self) -> State:
-        # In equilibrium: all is at rest but the steered wheels, which follow the rack.
+        # In equilibrium; only the steered wheels move, which follow the rack.
         t = jnp.asarray(self.interval[0])
         rack, rack_rate = map(float, jax.jvp(self.rack_displacement, (t,), (jnp.ones_like(t),)))
         inside, left = (self.track_front - self.rack_width) / 2, _LEFT[:2]
         ends = self.arm + 1j * left * self.arm_out
-        rods, steer = inside + self.arm_out, np.zeros(2)
+        rods = inside + self.arm_out
+        steer, rod, slope = np.zeros((3, 2))
         for _ in range(8):
             turned = ends * np.exp(1j * steer)
             rod = turned - self.arm + 1j * (left * inside - rack)
@@ -205,7 +205,7 @@ class _Car(MechatronicSystem):
         view = np.array([[0.75, -0.75, 0.0], [0.35, 0.25, 1.0]])
         c, s = np.cos(q[5]), np.sin(q[5])
         x, y = map(np.asarray, self._places())
-        turn, large = np.array([[c, -s], [s, c]]), 5.0
+        turn, enlarged = np.array([[c, -s], [s, c]]), 5.0
 
         def seen(points: np.ndarray) -> np.ndarray:
             plane = points[:, :2] @ turn.T + [0.0, q[1]]
@@ -214,8 +214,8 @@ class _Car(MechatronicSystem):
         def outline(front: float, rear: float, wide: float, height: float) -> np.ndarray:
             along = np.array([front, front, -rear, -rear, front])
             across = wide * np.array([1, -1, -1, 1, 1])
-            rise = large * (q[2] + across * q[3] - along * q[4])
-            lean = large * height * np.array([q[4], -q[3]])
+            rise = enlarged * (q[2] + across * q[3] - along * q[4])
+            lean = enlarged * height * np.array([q[4], -q[3]])
             return np.column_stack([along + lean[0], across + lean[1], height + rise])
 
         floor, roof = outline(2.0, 2.1, 0.8, 0.45), outline(0.5, 1.3, 0.6, 1.4)
@@ -224,17 +224,17 @@ class _Car(MechatronicSystem):
         for k, steer in enumerate([q[10], q[11], 0.0, 0.0]):
             rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)])
             across = y[k] + rim[:, 0] * np.sin(steer)
-            height = 0.34 + rim[:, 1] + large * q[6 + k]
+            height = 0.34 + rim[:, 1] + enlarged * q[6 + k]
             lines.append(np.column_stack([x[k] + rim[:, 0] * np.cos(steer), across, height]))
         return [seen(line) for line in lines]
 
 
 @dataclass(frozen=True)
 class FullCarPassive(_Car):
-    """A car with linear dampers in a lane change: the yardstick of ``full_car``.
+    """A car with linear dampers in a lane change, to be compared with ``full_car``.
 
     Tests a rheonomic index-3 system with a slow motion, unbounded coordinates and tyre forces that
-    saturate, without a controller. What is left out is said there.
+    saturate, without a controller. Left out: the same effects as in ``full_car``.
     """
 
     tags = ("constrained", "index 3", "rheonomic", "vehicle", "multibody")
@@ -243,7 +243,7 @@ class FullCarPassive(_Car):
     c_front: float = parameter(1786.24, "N s/m", "damper per front wheel", low=0.0)
     c_rear: float = parameter(1649.08, "N s/m", "damper per rear wheel", low=0.0)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         pull = self._axles(self.c_front, self.c_rear) * self.stretch(v)
         _, transposed = jax.vjp(self.stretch, q)
         return super().force(q, v, t) - transposed(pull)[0]
@@ -253,14 +253,14 @@ class FullCarPassive(_Car):
 class FullCar(SemiActiveDamper, _Car):
     """A car with semi-active dampers in a lane change: constraints and controller in one loop.
 
-    The example that generalized-alpha for mechatronic systems was made for, at the smallest size
-    that keeps its structure: a body with six freedoms and four wheels, a steering linkage whose
-    tie rods are constraints that the moving rack drives (index 3), four dampers with stiff chamber
-    pressures, and a controller in three stages, from the currents up: (a) the inverse of the
-    damper's characteristic makes a current from the demanded force and the damper's speed; (b) the
-    accelerations of the four corners are transformed to heave, roll and pitch, and forces back; (c)
-    each of the three is integrated, with a leak, and multiplied by a gain. Steering is open loop,
-    without drive or brakes: after the lane change the car drifts sideways and has lost speed.
+    The example for which generalized-alpha was extended to mechatronic systems, in the smallest
+    size that keeps its structure: a body with six freedoms and four wheels, a steering linkage
+    whose tie rods are constraints that the moving rack drives (index 3), four dampers with stiff
+    chamber pressures, and a controller in three stages, from the currents up: (a) the inverse of
+    the damper's characteristic makes a current from the demanded force and the damper's speed; (b)
+    the accelerations of the four corners are transformed to heave, roll and pitch, and forces back;
+    (c) each of the three is integrated, with a leak, and multiplied by a gain. Steering is open
+    loop, without drive or brakes: after the lane change the car drifts sideways and has lost speed.
 
     x = [4 rebound pressures, 4 compression pressures, heave, roll and pitch velocities estimated];
     y = [4 currents, 4 damper forces]; wheels are front left and right, rear left and right. All
@@ -269,8 +269,8 @@ class FullCar(SemiActiveDamper, _Car):
 
     Left out: spin and longitudinal slip of the wheels, camber, lift-off and lag of the tyres, roll
     centres above the ground, the inertia of unsprung masses in load transfer, products of roll,
-    pitch and their rates in the inertia, and sensors and valves with dynamics: none changes the
-    kind of equations. The road passes under the wheels at the initial speed.
+    pitch and their rates in the inertia, and dynamics of sensors and valves. None of them changes
+    the kind of equations. The road passes under the wheels at the initial speed.
     """
 
     tags = ("mechatronic", "constrained", "index 3", "rheonomic", "stiff controller states",
@@ -281,7 +281,7 @@ class FullCar(SemiActiveDamper, _Car):
         "at the nominal step a and y are far from the asymptotic range",
     )
 
-    # Softer than for one wheel, as if with bushings: an explicit reference stays affordable.
+    # Softer than for one wheel, as with bushings, so that an explicit reference takes little time.
     bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
     leak: float = parameter(0.2, "1/s", "leak of the controller's integrators", low=0.0)
     gain_heave: float = parameter(60000.0, "N s/m", "damping asked for in heave")
@@ -292,17 +292,17 @@ class FullCar(SemiActiveDamper, _Car):
     )
     p_demand: float = parameter(0.1, "MPa", "rounding of the demanded pressure at zero", low=1e-9)
 
-    def modal(self) -> Any:
+    def modal(self) -> jax.Array:
         """Heave, roll and pitch by the four corners, shape ``(3, 4)``; least squares."""
         corners = self.corners()
         return jnp.linalg.solve(corners.T @ corners, corners.T)
 
-    def demanded_current(self, force: Any, speed: Any) -> Any:
+    def demanded_current(self, force: jax.Array, speed: jax.Array) -> jax.Array:
         """Current in A at which the steady damper has this force at this speed of extension.
 
-        Extending, a_piston - a_rod carries the rebound pressure and displaces the oil; compressing,
-        with equal pressures in both chambers, a_rod. A force that the damper cannot have asks for a
-        valve as wide as possible.
+        The area that carries the rebound pressure and displaces the oil is a_piston - a_rod in
+        extension, and a_rod in compression, with equal pressures in both chambers. For a force that
+        the damper cannot have, the valve opens as wide as possible.
         """
         side = jnp.tanh(speed / self.v_switch)
         area = 0.5 * ((1 + side) * (self.a_piston - self.a_rod) + (1 - side) * self.a_rod)
@@ -313,20 +313,20 @@ class FullCar(SemiActiveDamper, _Car):
         part = (opened - self.soft_area) / (self.firm_area - self.soft_area)
         return self.i_min + part * (self.i_max - self.i_min)
 
-    def state_rate(self, z: Variables) -> Any:
+    def state_rate(self, z: Variables) -> jax.Array:
         rates = self.pressure_rates(z.x[:4], z.x[4:8], z.y[:4], self.stretch(z.v))
         accelerations = self.corners() @ z.a[2:5]
         velocities = self.modal() @ accelerations - self.leak * z.x[8:]
         return jnp.concatenate([*rates, velocities])
 
-    def output(self, z: Variables) -> Any:
+    def output(self, z: Variables) -> jax.Array:
         gains = jnp.stack([self.gain_heave, self.gain_roll, self.gain_pitch])
         demanded = self.modal().T @ (gains * z.x[8:])
         currents = self.demanded_current(demanded, self.stretch(z.v))
         forces = self.damper_force(z.x[:4], z.x[4:8])
         return jnp.concatenate([self.limited_current(currents), forces])
 
-    def actuation(self) -> Any:
+    def actuation(self) -> jax.Array:
         pull = jax.jacfwd(self.stretch)(jnp.zeros(12)).T
         return jnp.concatenate([jnp.zeros((12, 4)), -pull], axis=1)
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, lagrange, parameter
+from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
 
 
 @dataclass(frozen=True)
@@ -15,16 +14,15 @@ class HeavyTop(MechatronicSystem):
     """A spinning symmetric top in gravity: position and four Euler parameters, index 3.
 
     Tests three things at once: rotation in three dimensions; order reduction of the multipliers
-    of the joint, with a mass matrix and constraints that depend on q; and that nobody inverts M
-    alone, which is singular along the Euler parameters: only together with their unit norm the
-    equations are regular. The position of the centre of mass is not eliminated: about the fixed
-    point alone the only constraint would be the unit norm, in whose direction there is no
-    inertia, and no order reduction would show. Left out: friction.
+    of the joint, with a mass matrix and constraints that depend on q; and a mass matrix that is
+    singular along the Euler parameters, so that the equations are regular only together with
+    the constraint of their unit norm. The position of the centre of mass is not eliminated:
+    otherwise the unit norm would be the only constraint, in whose direction there is no inertia,
+    and no order reduction would show. Left out: friction.
 
-    The data are the literature's benchmark, with the top level at the start; ``nod`` is added
-    to it, because in steady precession nothing changes that a start could get wrong. -(lam1,
-    lam2, lam3) is the force of the joint; lam4, of the unit norm, has no mechanical meaning of
-    its own.
+    The data are the literature's benchmark, with the top level at the start. ``nod`` is added,
+    because steady precession hides errors of the start. -(lam1, lam2, lam3) is the force of the
+    joint; lam4, of the unit norm, has no mechanical meaning of its own.
     """
 
     interval = (0.0, 0.5)
@@ -49,37 +47,37 @@ class HeavyTop(MechatronicSystem):
     nod: float = parameter(2.0, "rad/s", "initial angular velocity of the tip upwards")
 
     @staticmethod
-    def angular_velocity(p: Any, rate: Any) -> Any:
+    def angular_velocity(p: jax.Array, rate: jax.Array) -> jax.Array:
         """Angular velocity in the body's axes, shape ``(3,)``: 2 times the vector of p* p'."""
         return 2 * (p[0] * rate[1:] - rate[0] * p[1:] - jnp.cross(p[1:], rate[1:]))
 
     @staticmethod
-    def axis(p: Any) -> Any:
+    def axis(p: jax.Array) -> jax.Array:
         """Direction of the body's axis in space (of length p.p), shape ``(3,)``."""
         p0, p1, p2, p3 = p
         return jnp.stack(
             [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
         )
 
-    def _kinetic(self, q: Any, v: Any) -> Any:
+    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
         turning = self.angular_velocity(q[3:], v[3:])
         inertias = jnp.stack([self.j, self.j_axis, self.j])
         return 0.5 * self.m * (v[:3] @ v[:3]) + 0.5 * (inertias * turning) @ turning
 
-    def _potential(self, q: Any) -> Any:
+    def _potential(self, q: jax.Array) -> jax.Array:
         return self.m * self.g * q[2]
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return lagrange.mass(self._kinetic, q)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return lagrange.force(self._kinetic, self._potential, q, v)
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x, p = q[:3], q[3:]
         return jnp.concatenate([x - self.length * self.axis(p), 0.5 * (p @ p - 1.0)[None]])
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return self._kinetic(q, v) + self._potential(q)
 
     def initial_state(self) -> State:

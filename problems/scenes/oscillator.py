@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
 class Oscillator(MechatronicSystem):
     """One mass on one spring.
 
-    Tests what a method does to an amplitude and a period over many periods, where its damping and
-    its phase error add up, and where a conditionally stable method begins to grow (omega h). Left
-    out: everything else; damping would hide the method's own.
+    Tests amplitude and phase over many periods, in which a method's damping and phase error add
+    up, and the stability limit in omega h. Left out: damping, which would hide the method's own.
     """
 
     interval = (0.0, 20.0)
@@ -29,13 +27,13 @@ class Oscillator(MechatronicSystem):
     omega: float = parameter(1.0, "rad/s", "frequency", low=1e-12)
     q0: float = parameter(1.0, "m", "initial position")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return jnp.eye(1)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -(self.omega**2) * q
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * (v @ v + self.omega**2 * (q @ q))
 
     def initial_state(self) -> State:

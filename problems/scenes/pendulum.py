@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -18,7 +17,7 @@ class Pendulum(MechatronicSystem):
     later, so that velocity and jerk are not zero and the start-up error of the multiplier
     shows. Tests order in q, v, a and lambda on a constraint of its own. Left out: damping and
     a rod with inertia, for which the closed form by elliptic functions would be lost. ``copies``
-    and ``radial`` spoil the scene on purpose, to see what a method says to it.
+    and ``radial`` make the scene faulty on purpose, to test the messages of methods.
     """
 
     interval = (0.35, 1.35)
@@ -46,16 +45,16 @@ class Pendulum(MechatronicSystem):
         0.0, "m/s", "velocity along the rod at the start; all but zero contradicts the constraint"
     )
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(2)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return jnp.stack([0.0 * self.m, -self.m * self.g])
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         return jnp.tile(0.5 * (q @ q - self.length**2), self.copies)
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v) + self.m * self.g * q[1]
 
     def initial_state(self) -> State:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import State, Variables, jnp, parameter
+from problems import State, Variables, jax, jnp, parameter
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall
@@ -20,12 +19,12 @@ _PHASES = np.array([3.18, 2.74, 5.57, 3.53, 0.41, 5.02, 1.27, 0.63, 5.92])
 class QuarterCar(SemiActiveDamper):
     """Body and wheel over a bump and a rough road; the damper's valve obeys a skyhook controller.
 
-    The application of a semi-active suspension in its smallest form. It tests what makes the loop
-    hard: the measured acceleration enters the controller's rates; the pressures are stiff (poles
-    of 1e2 to 4e3 1/s), and the force on body and wheel is an output of theirs; check valves, the
-    current's limits and the skyhook's switching are nonlinear on very different scales. The
-    controller integrates the body's acceleration to a velocity, with a leak, and asks for current
-    where this velocity and the damper's have the same sign, so that the damper can oppose it.
+    A semi-active suspension in its smallest form. Tests the difficulties of the loop: the measured
+    acceleration enters the controller's rates; the pressures are stiff (poles of 1e2 to 4e3 1/s),
+    and their output is the force on body and wheel; check valves, the current's limits and the
+    skyhook's switching are nonlinear on very different scales. The controller integrates the
+    body's acceleration to a velocity, with a leak. It asks for current if this velocity and the
+    damper's have the same sign, so that the damper can oppose it.
 
     x = [pressures of the rebound and of the compression chamber, relative to the accumulator's;
     estimated velocity]; y = [current, damper force]. q is counted from the static equilibrium,
@@ -65,7 +64,7 @@ class QuarterCar(SemiActiveDamper):
         0.03, "m/s", "damper speed over which the skyhook switches", low=1e-9
     )
 
-    def road(self, t: Any) -> Any:
+    def road(self, t: jax.Array) -> jax.Array:
         """Height of the road under the wheel in m, scalar; zero where the run starts."""
         way = self.speed * t
         waves = jnp.sin(2 * np.pi * _WAVES * way + _PHASES) @ (_WAVES[0] / _WAVES)
@@ -75,26 +74,26 @@ class QuarterCar(SemiActiveDamper):
         shape = smooth + self.corner * (planes - smooth)
         return self.rough * fade_in * waves + self.bump * shape
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.stack([self.m_body, self.m_wheel]))
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         spring = self.k * (q[1] - q[0])
         tyre = self.k_tyre * (self.road(t) - q[1])
         return jnp.stack([spring, tyre - spring])
 
-    def state_rate(self, z: Variables) -> Any:
+    def state_rate(self, z: Variables) -> jax.Array:
         p_reb, p_comp, v_body = z.x
         rates = self.pressure_rates(p_reb, p_comp, z.y[0], z.v[0] - z.v[1])
         return jnp.stack([*rates, z.a[0] - self.leak * v_body])
 
-    def output(self, z: Variables) -> Any:
+    def output(self, z: Variables) -> jax.Array:
         p_reb, p_comp, v_body = z.x
         direction = jnp.tanh((z.v[0] - z.v[1]) / self.v_switch)
         current = self.limited_current(self.i_min + self.gain * v_body * direction)
         return jnp.stack([current, self.damper_force(p_reb, p_comp)])
 
-    def actuation(self) -> Any:
+    def actuation(self) -> np.ndarray:
         return np.array([[0.0, -1.0], [0.0, 1.0]])
 
     def initial_state(self) -> State:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -42,15 +42,15 @@ class _FreeCrank(MechatronicSystem):
                 f"l1={self.l1:g} m at th0={self.th0:g} rad; give l2 > l1 |sin(th0)|."
             )
 
-    def inertias(self) -> Any:
+    def inertias(self) -> jax.Array:
         """The diagonal mass matrix of the bodies in absolute coordinates, shape ``(7,)``."""
         m1, m2, m3 = self.m1, self.m2, self.m3
         return jnp.stack([m1, m1, m1 * self.l1**2 / 12, m2, m2, m2 * self.l2**2 / 12, m3])
 
-    def assembled(self, th: Any, xp: Any = np) -> Any:
-        """Absolute coordinates ``(7,)`` of the mechanism whose crank stands at th.
+    def assembled(self, th: jax.Array | float, xp: ModuleType = np) -> jax.Array | np.ndarray:
+        """Absolute coordinates ``(7,)`` at the crank angle th, with the slider beyond the crank.
 
-        Of the two ways to assemble it, the one with the slider on the far side of the crank.
+        The module ``xp`` is numpy, or jax.numpy for traced angles.
         """
         ph = -xp.arcsin(self.l1 / self.l2 * xp.sin(th))
         x, y = self.l1 * xp.cos(th), self.l1 * xp.sin(th)
@@ -66,7 +66,7 @@ class SliderCrank(_FreeCrank):
     The standard mechanism: it tests index 3 with many constraints on few freedoms. The multipliers
     are joint forces: -(lam1, lam2) and -(lam3, lam4) are the sums of the joint forces on crank and
     rod, -lam5 is the force of the rod on the slider, -lam6 that of the guide on the rod's end.
-    Conservative: the energy shows what an integrator takes away. Left out: friction, play and a
+    Conservative: the energy shows the damping of an integrator. Left out: friction, play and a
     drive, so that the form with one degree of freedom (``slider_crank_minimal``) is the same
     motion by other equations; the slider's height and weight, which the guide takes. With
     l2 <= l1 the crank can run into a singular position.
@@ -80,14 +80,14 @@ class SliderCrank(_FreeCrank):
     coordinates = ("crank x", "crank y", "crank angle", "rod x", "rod y", "rod angle", "slider x")
     source = "Standard planar mechanism; data of the IVP test set's crank, rounded, rigid rod"
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(self.inertias())
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         weights = jnp.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
         return -self.g * weights * self.inertias()
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x1, y1, th, x2, y2, ph, x3 = q
         x, y = self.l1 * jnp.cos(th), self.l1 * jnp.sin(th)
         u, w = self.l2 * jnp.cos(ph), self.l2 * jnp.sin(ph)
@@ -95,11 +95,11 @@ class SliderCrank(_FreeCrank):
             [x1 - x / 2, y1 - y / 2, x2 - x - u / 2, y2 - y - w / 2, x3 - x - u, y + w]
         )
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * (self.inertias() * v) @ v + self.g * (self.m1 * q[1] + self.m2 * q[4])
 
     def initial_state(self) -> State:
-        q = self.assembled(np.float64(self.th0))
+        q = np.asarray(self.assembled(np.float64(self.th0)))
         w1, (c1, s1), (c2, s2) = self.w0, _direction(q[2]), _direction(q[5])
         w2 = -self.l1 * c1 * w1 / (self.l2 * c2)
         tip = self.l1 * w1 * np.array([-s1, c1])
@@ -119,37 +119,37 @@ def _direction(angle: float) -> tuple[float, float]:
 class SliderCrankMinimal(_FreeCrank):
     """The free slider crank by its crank angle alone: an ODE of one degree of freedom.
 
-    Tests what absolute coordinates cost: it is the motion of ``slider_crank``, and a reference
-    for it that no constraint enters. Left out, besides what is left out there: the multipliers,
-    which this form does not have.
+    Tests the cost of absolute coordinates: the motion is that of ``slider_crank``, and serves as a
+    reference for it without constraints. Left out are the same effects as there, and the
+    multipliers, which this form does not have.
     """
 
     tags = ("smooth", "nonlinear", "conservative", "multibody")
     coordinates = ("crank angle",)
     source = "Lagrange's equation of slider_crank"
 
-    def _kinetic(self, q: Any, v: Any) -> Any:
+    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
         _, rate = jax.jvp(lambda q: self.assembled(q[0], jnp), (q,), (v,))
         return 0.5 * (self.inertias() * rate) @ rate
 
-    def _potential(self, q: Any) -> Any:
+    def _potential(self, q: jax.Array) -> jax.Array:
         at = self.assembled(q[0], jnp)
         return self.g * (self.m1 * at[1] + self.m2 * at[4])
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return lagrange.mass(self._kinetic, q)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return lagrange.force(self._kinetic, self._potential, q, v)
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return self._kinetic(q, v) + self._potential(q)
 
     def initial_state(self) -> State:
         return State(q=np.array([self.th0]), v=np.array([self.w0]))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        at = self.assembled(np.float64(q[0]))
+        at = np.asarray(self.assembled(np.float64(q[0])))
         return _polylines(self.l1, 2 * at[:2], float(at[6]))
 
 
@@ -162,14 +162,14 @@ class SliderCrankDriven(MechatronicSystem):
     lam1 is the force density of the rod (its force divided by l2), lam2 the torque that the drive
     takes. Left out: the masses of crank and rod; they would change multipliers, never the motion.
 
-    Positions (and velocities where the constraint's derivative is imposed, too) follow from the
-    constraints alone: they are exact up to Newton's tolerance at every step, and orders are seen
-    in what remains, a and lam, and v on index 3.
+    Positions follow from the constraints alone, and so do velocities where the derivative of the
+    constraints is imposed: they are exact up to Newton's tolerance at every step. Only a and lam
+    show an order, and v on index 3.
 
     With l1 = l2 the augmented matrix is singular at phi = pi/2, where the slider passes the
-    bearing: a run that steps near it fails or goes on by luck. ``exact`` then is the branch
-    that a slider with mass takes, x = 2 l1 cos(phi); for l2 slightly above l1 the acceleration
-    has a peak there instead.
+    bearing: a run with a step near this angle fails, or goes on by luck. ``exact`` is then the
+    branch of a slider with mass, x = 2 l1 cos(phi). For l2 slightly above l1 the acceleration has
+    a peak there instead.
     """
 
     interval = (0.005, 0.05)
@@ -193,13 +193,13 @@ class SliderCrankDriven(MechatronicSystem):
                 f"l2 > l1={self.l1:g} m for full turns."
             )
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.stack([self.j1, self.m3]))
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return jnp.zeros(2)
 
-    def constraint(self, q: Any, t: Any) -> Any:
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         phi, x = q
         along, across = x - self.l1 * jnp.cos(phi), self.l1 * jnp.sin(phi)
         return jnp.stack([0.5 * (along**2 + across**2 - self.l2**2), phi - self.omega * t])

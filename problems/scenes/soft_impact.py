@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,14 @@ class SoftImpact(MechatronicSystem):
     d: float = parameter(1e-3, "m", "distance over which the force grows by e", low=1e-12)
     t_c: float = parameter(0.4, "s", "time of the turn")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(1)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         # The deepest point is q = 0: there the wall has taken all of the kinetic energy.
         return self.m * self.v0**2 / (2 * self.d) * jnp.exp(-q / self.d)
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v + self.v0**2 * jnp.exp(-q[0] / self.d))
 
     def initial_state(self) -> State:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, jnp, parameter
+from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -16,9 +15,9 @@ class SpringMass(MechatronicSystem):
 
     Tests the whole mechatronic loop in its smallest form: the measured acceleration drives a
     filter, the filter demands a force, the actuator saturates, and its force acts back on the
-    acceleration within the same step. Kept in the implicit form with outputs y = [demanded
-    force, actuator force], not pre-eliminated, because that coupling is what is tested. Left
-    out: actuator dynamics and sensor delay, which would only add linear states.
+    acceleration within the same step. The outputs y = [demanded force, actuator force] are not
+    eliminated: their coupling within the step is tested. Left out: actuator dynamics and sensor
+    delay, which would only add linear states.
     """
 
     interval = (0.0, 20.0)
@@ -37,19 +36,19 @@ class SpringMass(MechatronicSystem):
     g_max: float = parameter(1.0, "N", "saturation of the actuator", low=1e-12)
     q0: float = parameter(5.0, "m", "initial position")
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(1)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.k * q
 
-    def state_rate(self, z: Variables) -> Any:
+    def state_rate(self, z: Variables) -> jax.Array:
         return -self.sigma * z.x - self.b * z.a
 
-    def output(self, z: Variables) -> Any:
+    def output(self, z: Variables) -> jax.Array:
         return jnp.stack([z.x[0], self.g_max * jnp.tanh(z.y[0] / self.g_max)])
 
-    def actuation(self) -> Any:
+    def actuation(self) -> np.ndarray:
         return np.array([[0.0, 1.0]])
 
     def initial_state(self) -> State:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -45,16 +44,16 @@ class StiffBar(MechatronicSystem):
         0.0, "-", "initial stretch: 0 none, 1 that of steady rotation", low=0.0, high=1.0
     )
 
-    def _strain(self, q: Any) -> Any:
+    def _strain(self, q: jax.Array) -> jax.Array:
         return 0.5 * (q @ q - self.length**2) / self.length**2
 
-    def mass(self, q: Any) -> Any:
+    def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(2)
 
-    def force(self, q: Any, v: Any, t: Any) -> Any:
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.ea / self.length * self._strain(q) * q
 
-    def energy(self, q: Any, v: Any) -> Any:
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v) + 0.5 * self.ea * self.length * self._strain(q) ** 2
 
     def initial_state(self) -> State:

@@ -54,11 +54,11 @@ def _points(scene: MechatronicSystem) -> list[Variables]:
     except Exception as error:
         raise Failed(f"constraint or actuation cannot be traced: {shortly(error)}") from error
     a, lam, y = (np.zeros(n) for n in (sizes.nq, sizes.nl, sizes.ny))
-    start = Variables(state.q, state.v, a, lam, state.x, y, np.float64(scene.interval[0]))
-    points = [start]
+    start = (state.q, state.v, a, lam, state.x, y, np.float64(scene.interval[0]))
+    points: list[tuple[Any, ...]] = [start]
     for _ in range(_POINTS - 1):
         moves = [0.1 * np.maximum(1.0, np.abs(p)) * random.uniform(-1, 1, p.shape) for p in start]
-        points.append(Variables(*(p + move for p, move in zip(start, moves, strict=True))))
+        points.append(tuple(p + move for p, move in zip(start, moves, strict=True)))
     return [Variables(*(jnp.asarray(part, dtype=float) for part in point)) for point in points]
 
 
@@ -170,7 +170,7 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
 def _unmoved(scene: MechatronicSystem, other: MechatronicSystem) -> bool:
     """Whether starts, actuation and pictures are the same."""
     one, two = scene.initial_state(), other.initial_state()
-    pairs = list(zip(one, two, strict=True))
+    pairs: list[tuple[Any, Any]] = list(zip(one, two, strict=True))
     if scene.has("actuation"):
         pairs.append((scene.actuation(), other.actuation()))
     if scene.has("draw"):

@@ -29,7 +29,7 @@ from bench.plugins.conformance.trials import (
 from bench.plugins.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from integrators.contract import STATUSES, Integrator, Trajectory
-from problems.formulations import consistent_start
+from problems.initial_values import consistent_start
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 

@@ -15,7 +15,8 @@ from bench.plugins.registry import Registry
 from bench.results.records import LEVELS
 from bench.running.measure import relative_reference_error
 from problems import jax, jnp
-from problems.formulations import compiled, consistent_start
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
 #: Largest estimated error of a reference in q and v, relative to their largest values.

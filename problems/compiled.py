@@ -1,0 +1,101 @@
+"""Compiled functions of a scene: once per kind of scene, for any values of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from problems.formulations import (
+    Start,
+    complete,
+    constraint_acceleration,
+    constraint_velocity,
+    ode_rate,
+    with_rates,
+)
+from problems.runtime import jax
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+_ROW_BLOCK = 256
+
+
+class Compiled(NamedTuple):
+    """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
+
+    ``start(p, q, v, x, t)``
+        `formulations.with_rates` at one time
+    ``ode(p, t, s)``
+        `formulations.ode_rate` of s = [q, v, x]
+    ``rate(values, t, s)``
+        the same with all parameters in one array, in the order of p: a call costs a microsecond for
+        every array that it is given
+    ``complete(p, q, v, x, t)``
+        `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
+    ``levels(p, q, v, a, t)``
+        residuals of the constraints and of their first two derivatives by time, at k times;
+        each ``(k, nl)``
+    ``energy(p, q, v)``
+        energy in J at k times, ``(k,)``
+    """
+
+    start: Callable[..., Start]
+    ode: Callable[..., Float[Array, " n"]]
+    rate: Callable[..., Float[Array, " n"]]
+    complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
+    levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
+    energy: Callable[..., Float[np.ndarray, " k"]]
+
+
+def compiled(scene: MechatronicSystem) -> Compiled:
+    """Return the compiled functions of a scene, shared by all its parameter values."""
+    return _compiled(scene.template())
+
+
+@cache
+def _compiled(template: MechatronicSystem) -> Compiled:
+    names = list(template.parameters())
+
+    def at(p: Mapping[str, Array]) -> MechatronicSystem:
+        return template.with_parameters(p)
+
+    def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, Array, Array]:
+        s = at(p)
+        return (
+            s.constraint(q, t),
+            constraint_velocity(s, q, v, t),
+            constraint_acceleration(s, q, v, a, t),
+        )
+
+    return Compiled(
+        start=jax.jit(lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
+        rate=jax.jit(
+            lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), t, s)
+        ),
+        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
+        levels=_over_rows(levels),
+        energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
+    )
+
+
+def _over_rows(function: Callable) -> Callable:
+    """Vectorise over rows, filled up to whole blocks, so that few row counts are compiled."""
+
+    @jax.jit
+    def blocks(p: Mapping, rows: tuple[Array, ...]) -> Any:
+        return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+    def call(p: Mapping, *rows: np.ndarray) -> Any:
+        count = len(rows[0])
+        fill = -count % _ROW_BLOCK
+        filled = tuple(np.concatenate([r, np.repeat(r[-1:], fill, axis=0)]) for r in rows)
+        return jax.tree.map(lambda out: np.asarray(out)[:count], blocks(p, filled))
+
+    return call
