@@ -19,7 +19,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from bench.plugins.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
 from bench.plugins.registry import Plugin
 from bench.results.records import NORMS, Record, Rows, median
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed
+from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp

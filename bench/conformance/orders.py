@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from bench.plugins.conformance.trials import reference, size_of
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed
+from bench.conformance.trials import reference, size_of
+from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
 from bench.running.measure import relative_errors
 from integrators.contract import Integrator, Steps, Tolerances

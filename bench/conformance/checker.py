@@ -19,8 +19,8 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from bench.plugins.conformance import integrators, scenes
-from bench.plugins.conformance.verdicts import (
+from bench.conformance import integrators, scenes
+from bench.conformance.verdicts import (
     FAILED,
     NOT_APPLICABLE,
     PASSED,

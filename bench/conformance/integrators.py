@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.conformance.orders import check_order, check_tolerance
-from bench.plugins.conformance.trials import (
+from bench.conformance.orders import check_order, check_tolerance
+from bench.conformance.trials import (
     GROUPS,
     TRIAL_RTOL,
     FiniteTimeBlowUp,
@@ -26,7 +26,7 @@ from bench.plugins.conformance.trials import (
     trials,
     words,
 )
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from integrators.contract import STATUSES, Integrator, Trajectory
 from problems.formulations import consistent_start

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.plugins.conformance.blocks import check_blocks, check_parameters
-from bench.plugins.conformance.trials import reference
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed, round_trip
+from bench.conformance.blocks import check_blocks, check_parameters
+from bench.conformance.trials import reference
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
 from bench.results.records import LEVELS
 from bench.running.measure import relative_reference_error
