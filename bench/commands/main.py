@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from bench.commands import atlas, maps, options, plugins, results, scenes, stabi
 from bench.commands.results import DEFAULT_OUT
 from bench.plugins.registry import Registry, explain
 from bench.results import summary
+from bench.results.csv_text import csv_text
 from bench.results.records import Record, Rows, flatten
 from bench.results.store import Store
 from bench.running import plan as plans
@@ -314,15 +313,7 @@ def export(folder: Path, form: str, out: Path | None) -> None:
     """
     with Store(folder) as store:
         rows = [flatten(record) for record in store.records().values()]
-    if form == "json":
-        text = json.dumps(rows, indent=1)
-    else:
-        buffer = io.StringIO()
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        writer = csv.DictWriter(buffer, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        text = buffer.getvalue()
+    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
     if out:
         out.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} records in {out}")

@@ -21,7 +21,8 @@ from rich.text import Text
 
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
 from bench.plugins.registry import Plugin
-from bench.results.records import NORMS, Record, Rows, median
+from bench.results.quantities import NORMS
+from bench.results.records import Record, Rows, median
 
 #: Without a terminal a line is printed this often instead of a moving bar.
 _QUIET_SECONDS = 5.0

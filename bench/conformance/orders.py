@@ -8,6 +8,7 @@ from itertools import pairwise
 from bench.conformance.trials import reference, size_of
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
+from bench.results.quantities import TRUST
 from bench.running.measure import relative_errors
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
@@ -110,7 +111,7 @@ def _refine(
 
 
 def _at_round_off(levels: Levels, floor: float) -> bool:
-    return levels[-1][1] <= max(100 * floor, _ROUND_OFF)
+    return levels[-1][1] <= max(TRUST * floor, _ROUND_OFF)
 
 
 def _shown(levels: Levels, floor: float, claimed: int) -> bool:

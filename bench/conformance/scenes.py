@@ -12,7 +12,7 @@ from bench.conformance.blocks import check_blocks, check_parameters
 from bench.conformance.trials import reference
 from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
-from bench.results.records import LEVELS
+from bench.results.quantities import LEVELS
 from bench.running.measure import relative_reference_error
 from problems import jax, jnp
 from problems.formulations import compiled, consistent_start
