@@ -26,6 +26,8 @@ from problems import spec
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Modules of plugin files have names that begin with this.
+FILE_PREFIX = "stepbench_plugin_"
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 
 
@@ -178,23 +180,6 @@ def explain(error: BaseException) -> str:
     return f"{type(error).__name__}: {text.rstrip('.')}{where}."
 
 
-@cache
-def fingerprint(cls: type) -> str:
-    """A digest of the source that a plugin's results come from: it is measured anew when edited.
-
-    The files of the class and its bases, and everything that takes part in every run.
-    """
-    files = {inspect.getsourcefile(base) for base in cls.__mro__ if base is not object}
-    own = {Path(file) for file in files if file}
-    for package in ("problems", "integrators"):
-        own |= set(Path(sys.modules[package].__path__[0]).rglob("*.py"))
-    own.add(Path(__file__).parents[1] / "running" / "measure.py")
-    digest = hashlib.sha256()
-    for file in sorted(own):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
-
-
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         return sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
@@ -205,7 +190,7 @@ def _files(path: Path) -> list[Path]:
 
 def _import_file(file: Path) -> Any:
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"stepbench_plugin_{file.stem}_{digest}"
+    name = f"{FILE_PREFIX}{file.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
     loader = importlib.util.spec_from_file_location(name, file)

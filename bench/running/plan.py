@@ -14,7 +14,8 @@ from typing import Any
 
 import msgspec
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from integrators.contract import Integrator, Steps, Tolerances

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.registry import fingerprint
+from bench.plugins.fingerprint import fingerprint
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from problems.formulations import ode_rate

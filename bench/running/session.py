@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store

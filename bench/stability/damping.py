@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.records import Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.measure import finite
