@@ -13,7 +13,8 @@ from planted import Document, everything, plant
 from bench.plugins.registry import Registry
 from bench.results.records import Damping, Rows, SceneRecord
 from bench.results.store import Store
-from bench.running.plan import make_suite, read_profile
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
 from bench.running.runner import Runner
 from bench.stability import damping as analysis
 from reports.pages import html, markdown

@@ -11,7 +11,8 @@ import jax
 import pytest
 
 from bench.plugins.registry import Registry
-from bench.running.plan import Cell, make_suite, read_profile
+from bench.running.plan import Cell, make_suite
+from bench.running.profiles import read_profile
 from bench.running.runner import Runner, measure_task
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices
@@ -23,7 +24,8 @@ from problems.scenes.pendulum import Pendulum
 
 def test_help_lists_and_plans_are_made_without_a_compiler():
     code = (
-        "import sys; from bench.commands import main; from bench.running.plan import *; "
+        "import sys; from bench.commands import main; from bench.running.plan import make_suite; "
+        "from bench.running.profiles import read_profile; "
         "from bench.plugins.registry import Registry; registry = Registry(); "
         "assert len(make_suite(*read_profile('quick'), registry).cells) > 100; "
         "print(*sys.modules.keys() & {'jax', 'scipy', 'diffrax', 'vl_convert'})"

@@ -15,7 +15,8 @@ from bench.results.csv_text import csv_text
 from bench.results.records import Record, Rows, flatten
 from bench.results.store import Store
 from bench.running import plan as plans
-from bench.running.plan import Cell, check_end, make_suite, read_profile
+from bench.running.plan import Cell, check_end, make_suite
+from bench.running.profiles import read_profile
 from integrators.contract import Steps
 from problems.spec import SpecError
 

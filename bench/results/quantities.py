@@ -8,18 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from problems.spec import SpecError, suggest
-from problems.system import GROUPS
-
-__all__ = [
-    "COSTS",
-    "GROUPS",
-    "GROUP_NAMES",
-    "LEVELS",
-    "NORMS",
-    "NORM_NAMES",
-    "TRUST",
-    "group_and_norm",
-]
+from problems.system import GROUPS as GROUPS
 
 #: Titles of the groups of variables in which errors are measured.
 GROUP_NAMES = {

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import errno
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -247,8 +249,19 @@ class Store:
         except sqlite3.Error as error:
             raise self._unwritable(error) from error
 
-    def _transaction(self) -> _Transaction:
-        return _Transaction(self)
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """All or nothing, with the store's own error."""
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            yield
+            self._db.execute("COMMIT")
+        except BaseException as error:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+            if isinstance(error, sqlite3.Error):
+                raise self._unwritable(error) from error
+            raise
 
     def _unreadable(self, reason: object) -> StoreError:
         return StoreError(f"The store {self._path} cannot be read ({reason}); {_WAY_OUT}.")
@@ -323,27 +336,3 @@ def _check_schema(db: sqlite3.Connection, path: Path) -> None:
         raise StoreError(
             f"The store {path} has schema {found}, this version reads {SCHEMA}; {_WAY_OUT}."
         )
-
-
-class _Transaction:
-    """All or nothing, with the store's own error."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-
-    def __enter__(self) -> None:
-        try:
-            self._store._db.execute("BEGIN IMMEDIATE")
-        except sqlite3.Error as error:
-            raise self._store._unwritable(error) from error
-
-    def __exit__(self, kind: type | None, error: BaseException | None, _: object) -> None:
-        db = self._store._db
-        try:
-            db.execute("ROLLBACK" if kind else "COMMIT")
-        except sqlite3.Error as failure:
-            if db.in_transaction:
-                db.execute("ROLLBACK")
-            raise self._store._unwritable(failure) from failure
-        if isinstance(error, sqlite3.Error):
-            raise self._store._unwritable(error) from error
