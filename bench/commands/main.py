@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,13 +13,16 @@ from bench.commands.results import DEFAULT_OUT
 from bench.plugins.registry import Registry, explain
 from bench.results import summary
 from bench.results.csv_text import csv_text
-from bench.results.records import Record, Rows, flatten
+from bench.results.records import flatten
 from bench.results.store import Store
 from bench.running import plan as plans
 from bench.running.plan import Cell, check_end, make_suite
 from bench.running.profiles import read_profile
 from integrators.contract import Steps
 from problems.spec import SpecError
+
+if TYPE_CHECKING:
+    from bench.running.worker import CellResult
 
 
 @click.group(
@@ -336,9 +340,7 @@ for command in (
 
 
 # ---- helpers ---------------------------------------------------------------------------
-def _solve(
-    cells: list[Cell], registry: Registry, samples: int, budget: float
-) -> list[tuple[Record, Rows]]:
+def _solve(cells: list[Cell], registry: Registry, samples: int, budget: float) -> list[CellResult]:
     from bench.running.session import solve_cells
 
     return solve_cells(cells, registry, samples, budget)

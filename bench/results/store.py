@@ -11,12 +11,15 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
-from filelock import FileLock, Timeout
 
 from bench.results.experiments import ExperimentResult
 from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 FILE = "stepbench.sqlite"
 #: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
@@ -275,6 +278,8 @@ class Store:
 
 def _locked(folder: Path) -> FileLock | None:
     """The lock of a folder, taken; None where the file system has no locks."""
+    from filelock import FileLock, Timeout  # not needed to read, and slow to import
+
     lock = FileLock(folder / _LOCK)
     try:
         lock.acquire(timeout=0)
