@@ -344,11 +344,10 @@ def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
     plant(tmp_path, some())
     with Store(tmp_path, create=True) as store:
         plan = store.plan()
-        plan.studies[0].cells += ["later 1", "later 2"]
-        plan.studies.append(
-            Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
-        )
-        store.save_plan(plan)
+        first, *others = plan.studies
+        more = msgspec.structs.replace(first, cells=[*first.cells, "later 1", "later 2"])
+        new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
+        store.save_plan(msgspec.structs.replace(plan, studies=[more, *others, new]))
     text = markdown.write(tmp_path).read_text(encoding="utf-8")
     assert "3 of 10 planned runs are not measured yet." in text
     assert "2 of 7 runs are not measured yet." in text
