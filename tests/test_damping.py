@@ -16,8 +16,9 @@ from bench.results.store import Store
 from bench.running import damping as analysis
 from bench.running.plan import make_suite, read_profile
 from bench.running.runner import Lost, Task
-from reports.pages import html, markdown
-from reports.text import damping
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.text.damping_table import damping_table
 
 PROFILE = """
 samples = 0
@@ -137,7 +138,7 @@ def test_every_ending_has_its_words():
     }
     known = {name: IntegratorFacts(title="", damping=d) for name, d in found.items()}
     known["adaptive"] = IntegratorFacts(title="")
-    table = damping.table(known, scenes)
+    table = damping_table(known, scenes)
     assert table.head == ["integrator", "one, omega h = 0.1"]
     assert table.rows == [
         ["damps", "0.0123 (+0.12%)"],
@@ -149,16 +150,16 @@ def test_every_ending_has_its_words():
         ["elsewhere", ""],
     ]
     more = [(f"scene {k}", scene(rates={"oscillation": 2.0})) for k in range(8)]
-    turned = damping.table(known, more)
+    turned = damping_table(known, more)
     assert turned.head == ["scene", *found]
     assert turned.rows[0][1] == "0.0123 (+0.12%)"
 
 
 def test_without_frequencies_or_analysis_there_is_no_table(tmp_path):
     known = {"a": IntegratorFacts(title="", damping=Damping(omega_h=[0.1], message="m"))}
-    assert damping.table(known, [("one", scene(rates=None))]) is None
-    assert damping.table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
-    assert damping.table({"a": IntegratorFacts(title="")}, []) is None
+    assert damping_table(known, [("one", scene(rates=None))]) is None
+    assert damping_table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
+    assert damping_table({"a": IntegratorFacts(title="")}, []) is None
     plant(tmp_path, everything())
-    for write in (html.write, markdown.write):
+    for write in (write_html_report, write_markdown_report):
         assert "of the method itself" not in write(tmp_path).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Cost against size: what a method takes on one kind of scene as it grows."""
+"""Cost against the size of a scene."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bench.results.records import Record, SceneRecord
-from reports.charts.vega import (
-    Data,
+from reports.charts.line_styles import LineStyle
+from reports.charts.vega_lite import (
+    ChartOptions,
+    Dataset,
     Spec,
-    View,
     arrange,
     by_series,
+    category,
     log_axis,
     log_scale,
     quantity,
     short,
 )
-from reports.series import Look, label_of, seconds_of
+from reports.series import label_of, seconds_of
 
-#: Fewer sizes of a kind of scene make no line.
+#: A kind of scene is drawn from this many sizes on.
 _LEAST = 3
 #: Fields and titles of the panels.
 _PANELS = (
@@ -30,16 +32,16 @@ _PANELS = (
 )
 
 
-def charts(
+def size_charts(
     records: Iterable[Record],
     scenes: Mapping[tuple[str, float], SceneRecord],
-    looks: Mapping[str, Look],
+    styles: Mapping[str, LineStyle],
 ) -> dict[str, Spec]:
-    """A chart for every kind of scene that was run in several sizes, by the name of the kind."""
+    """A chart for every kind of scene with runs in several sizes, by the name of the kind."""
     made = {}
     for kind, rows in _rows(records, scenes).items():
         if len({row["unknowns"] for row in rows}) >= _LEAST:
-            chart = _chart(kind, rows, looks)
+            chart = _chart(kind, rows, styles)
             if chart:
                 made[kind] = chart
     return made
@@ -48,7 +50,7 @@ def charts(
 def _rows(
     records: Iterable[Record], scenes: Mapping[tuple[str, float], SceneRecord]
 ) -> dict[str, list[dict[str, Any]]]:
-    """Of every method and size the run with the most steps, by kind of scene."""
+    """The run with the most steps of every method and size, by kind of scene."""
     best: dict[tuple[str, int, str], Record] = {}
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
@@ -71,10 +73,10 @@ def _rows(
     return rows
 
 
-def _chart(kind: str, rows: list[dict[str, Any]], looks: Mapping[str, Look]) -> Spec | None:
+def _chart(kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]) -> Spec | None:
     shown = {row["series"] for row in rows}
-    view = View({label: look for label, look in looks.items() if label in shown})
-    data = Data(f"sizes-{kind}", rows)
+    options = ChartOptions({label: style for label, style in styles.items() if label in shown})
+    data = Dataset(f"sizes-{kind}", rows)
     x_axis = log_axis([row["unknowns"] for row in rows], "~s")
     panels = [
         {
@@ -88,10 +90,10 @@ def _chart(kind: str, rows: list[dict[str, Any]], looks: Mapping[str, Look]) -> 
                     scale=log_scale(),
                     axis=log_axis([row[field] for row in rows], ".0e"),
                 ),
-                "color": by_series(view.colors, view),
-                "strokeDash": by_series(view.dashes, view),
+                "color": by_series(options.colors, options),
+                "strokeDash": by_series(options.dashes, options),
                 "tooltip": [
-                    {"field": "series", "type": "nominal"},
+                    category("series"),
                     quantity("unknowns"),
                     quantity(field, title=title, format=".3g"),
                 ],

@@ -1,12 +1,10 @@
-"""The pieces of which panels are made: data, channels, scales and ways to point at things.
+"""Building blocks of charts: data sets, channels, axes, interaction, panels.
 
-A piece is plain Vega-Lite, a dictionary: nothing to copy, and the same for a page and an SVG.
+A block is plain Vega-Lite, a dictionary: the same for a page and for an SVG file.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -14,10 +12,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from bench.results.csv_text import csv_text
 from bench.results.records import NORMS
-from reports.series import NORM_NAMES, Look
+from reports.charts.line_styles import LineStyle
+from reports.series import NORM_NAMES
 
-#: A chart or a part of one, as Vega-Lite spells it.
+#: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.
 Spec = dict[str, Any]
 
 GREY = "#808080"
@@ -29,22 +29,22 @@ _DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
 
 
 @dataclass(frozen=True)
-class View:
-    """How a chart is to look: a look per label, the norm shown, alive or a still picture."""
+class ChartOptions:
+    """The line styles by label, the norm shown, and whether the chart is interactive."""
 
-    looks: Mapping[str, Look]
+    styles: Mapping[str, LineStyle]
     norm: str = "end"
     interactive: bool = False
-    #: What the legend says of a label in a norm, after its name: notes[norm][label].
+    #: Text of the legend after a label, for each norm: notes[norm][label].
     notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def norms(self) -> tuple[str, ...]:
-        """The norms that the chart carries."""
+        """The norms that the chart holds."""
         return NORMS if self.interactive else (self.norm,)
 
     @property
-    def controls(self) -> list[Spec]:
+    def norm_buttons(self) -> list[Spec]:
         """Buttons above the chart that choose the norm of all its panels."""
         if not self.interactive:
             return []
@@ -55,21 +55,21 @@ class View:
     @property
     def colors(self) -> list[str]:
         """A colour per label."""
-        return [look.color for look in self.looks.values()]
+        return [style.color for style in self.styles.values()]
 
     @property
-    def dashes(self) -> list[list[int]]:
+    def dashes(self) -> list[list[float]]:
         """Dashes per label."""
-        return [list(look.dash) for look in self.looks.values()]
+        return [list(style.dash) for style in self.styles.values()]
 
     @property
     def shapes(self) -> list[str]:
         """The shape of a point per label."""
-        return [look.shape for look in self.looks.values()]
+        return [style.shape for style in self.styles.values()]
 
 
 @dataclass(frozen=True)
-class Data:
+class Dataset:
     """Rows under a name, from which any number of panels draw."""
 
     name: str
@@ -81,19 +81,15 @@ class Data:
         return list(dict.fromkeys(key for row in self.rows for key in row))
 
     @property
-    def text(self) -> str:
-        """The rows as comma-separated values, which name each column once."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, self.columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return text.getvalue()
-
-    @property
     def source(self) -> Spec:
-        """Where a panel finds the rows, and how it reads them."""
+        """The reference to the rows in a panel, with the type of each column."""
         parse = {key: "string" if key in _TEXT_COLUMNS else "number" for key in self.columns}
         return {"name": self.name, "format": {"type": "csv", "parse": parse}}
+
+
+def datasets(tables: Sequence[Dataset]) -> dict[str, str]:
+    """The rows of a chart as CSV by name; CSV names each column only once."""
+    return {table.name: csv_text(table.rows, table.columns) for table in tables}
 
 
 # ---- channels and axes -------------------------------------------------------------------
@@ -102,28 +98,52 @@ def quantity(field: str, **more: Any) -> Spec:
     return {"field": field, "type": "quantitative", **more}
 
 
-def by_series(values: list[Any], view: View, **legend: Any) -> Spec:
+def category(field: str, **more: Any) -> Spec:
+    """A channel that shows names."""
+    return {"field": field, "type": "nominal", **more}
+
+
+def run_tooltip(*more: Spec) -> list[Spec]:
+    """Texts at a point: integrator, resolution, and ``more``."""
+    names = (("series", "integrator"), ("run", "resolution"))
+    return [*(category(field, title=title) for field, title in names), *more]
+
+
+def numbered_dashes(options: ChartOptions) -> Spec:
+    """Dashes by the number of the line, without a legend.
+
+    In the legend they would be drawn around the points, too.
+    """
+    numbers = [str(i) for i in range(len(options.styles))]
+    scale = {"domain": numbers, "range": options.dashes}
+    return category("look", scale=scale, legend=None)
+
+
+def by_series(values: list[Any], options: ChartOptions, **legend: Any) -> Spec:
     """A channel by series; all channels and panels have one domain, so they share a legend."""
-    if view.notes:
-        chosen = "norm" if view.interactive else json.dumps(view.norm)
-        noted = f"{json.dumps(view.notes)}[{chosen}][datum.value]"
+    if options.notes:
+        chosen = "norm" if options.interactive else json.dumps(options.norm)
+        noted = f"{json.dumps(options.notes)}[{chosen}][datum.value]"
         # One column, as the lines are long; not cut at the usual width.
         legend |= {"labelExpr": f"datum.value + {noted}", "labelLimit": 0, "columns": 1}
     return {
         "field": "series",
         "type": "nominal",
-        "scale": {"domain": list(view.looks), "range": values},
+        "scale": {"domain": list(options.styles), "range": values},
         "legend": {"title": None, **legend},
     }
 
 
 def log_scale() -> Spec:
-    """Logarithmic, with some room at the ends."""
+    """A logarithmic scale with some room at the ends."""
     return {"type": "log", "nice": False, "padding": 12}
 
 
 def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: Any) -> Spec:
-    """Grid lines of decades stand out; labels at few digits, or at all where ``zoomed`` holds."""
+    """A logarithmic axis with strong grid lines at decades and labels at few digits.
+
+    ``zoomed`` is a Vega expression; where it holds, all digits have labels.
+    """
     ratio = max(values) / min(values)
     digits = next(list(digits) for limit, digits in _DIGITS if ratio < limit)
     exponent = "log(datum.value) / LN10"
@@ -141,21 +161,21 @@ def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: An
     }
 
 
-# ---- pointing ----------------------------------------------------------------------------
+# ---- interaction -------------------------------------------------------------------------
 def pick() -> Spec:
     """A click on the legend isolates a method; with Shift, several."""
     return {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
 
 
-def dimmed(full: float, view: View) -> Spec:
-    """Opacity: what is not picked fades, in a chart that answers."""
-    if not view.interactive:
+def dimmed(full: float, options: ChartOptions) -> Spec:
+    """Opacity; in an interactive chart the lines that are not picked fade."""
+    if not options.interactive:
         return {"value": full}
     return {"condition": {"param": "pick", "value": full}, "value": 0.07}
 
 
 def menu(name: str, value: str, choices: Mapping[str, str], title: str) -> Spec:
-    """A choice among names, each shown by what it stands for."""
+    """A menu over the keys of ``choices``, which shows their values."""
     options, labels = list(choices), list(choices.values())
     bind = {"input": "select", "options": options, "labels": labels, "name": title}
     return {"name": name, "value": value, "bind": bind}
@@ -171,17 +191,17 @@ def zoom(name: str) -> Spec:
 # ---- charts ------------------------------------------------------------------------------
 def arrange(
     panels: Sequence[Spec],
-    data: Sequence[Data],
+    data: Sequence[Dataset],
     columns: int,
     height: int = 250,
     params: Sequence[Spec] = (),
 ) -> Spec | None:
-    """Panels in a grid over their data; None of none."""
+    """Panels in a grid with their data; None if there are no panels."""
     if not panels:
         return None
     size = {"width": {1: 620, 2: 410}.get(columns, 270), "height": height}
     return {
-        "datasets": {table.name: table.text for table in data},
+        "datasets": datasets(data),
         "params": list(params),
         "concat": [panel | size for panel in panels],
         "columns": columns,
@@ -191,7 +211,7 @@ def arrange(
 
 
 def config() -> Spec:
-    """No background and greys that read on light and on dark pages; legends below."""
+    """No background, greys that read on light and dark pages, legends below."""
     text = {"labelColor": GREY, "titleColor": GREY}
     return {
         "background": "transparent",
@@ -221,7 +241,7 @@ def config() -> Spec:
 
 
 def short(value: float | None) -> float | None:
-    """Five digits are more than a picture shows; None for what is not a number."""
+    """A number rounded to five digits, enough for a chart; None if it is not finite."""
     if value is None or not math.isfinite(value):
         return None
     return float(f"{value:.5g}")

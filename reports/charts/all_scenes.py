@@ -1,33 +1,45 @@
-"""Charts over all scenes: the heat table of costs and the performance profile."""
+"""Charts over all scenes: a heat map of costs, and the performance profile."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from reports.charts.vega import (
+from reports.charts.line_styles import LineStyle
+from reports.charts.vega_lite import (
     GREY,
-    Data,
+    ChartOptions,
+    Dataset,
     Spec,
-    View,
     arrange,
     by_series,
+    category,
     config,
+    datasets,
     dimmed,
     menu,
     pick,
     quantity,
     short,
 )
-from reports.series import GROUP_NAMES, Look, number
-from reports.text.ranking import COSTS, JUDGED, TARGETS, Standing
+from reports.formatting import NO_VALUE, number
+from reports.ranking import (
+    COST,
+    GROUP,
+    RANKED_COSTS,
+    RANKED_GROUPS,
+    TARGET,
+    TARGETS,
+    RankEntry,
+)
+from reports.series import GROUP_NAMES
 
-#: Costs beyond this many times the best are drawn alike.
+#: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
-_START = {"group": "a", "target": "0.0001", "cost": "residuals"}
+_FIRST = {"group": GROUP, "target": str(TARGET), "cost": COST}
 
 
-def heat(found: Sequence[Standing], interactive: bool) -> Spec | None:
-    """Cost relative to the best, integrator by scene; None if nothing could be judged."""
+def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | None:
+    """Cost relative to the cheapest, integrator by scene; None if there is nothing to draw."""
     rows = [
         {
             "scene": s.scene,
@@ -38,35 +50,24 @@ def heat(found: Sequence[Standing], interactive: bool) -> Spec | None:
             "ratio": short(s.ratio),
             "value": short(s.value),
             "run": s.run.resolution if s.run else "cost not known" if s.reached else "not reached",
-            "text": "–" if s.ratio is None else number(float(f"{s.ratio:.2g}")),  # noqa: RUF001
+            "text": NO_VALUE if s.ratio is None else number(float(f"{s.ratio:.2g}")),
         }
-        for s in found
-        if interactive or _is_start(s)
+        for s in entries
+        if interactive or _shown_first(s)
     ]
     if not rows:
         return None
-    data = Data("standings", rows)
-    sort = list(dict.fromkeys(s.label for s in found))
+    data = Dataset("ranking", rows)
+    labels = list(dict.fromkeys(s.label for s in entries))
+    scenes = list(dict.fromkeys(s.scene for s in entries))
     place = {
-        "x": {
-            "field": "scene",
-            "type": "nominal",
-            "title": None,
-            "sort": list(dict.fromkeys(s.scene for s in found)),
-            "axis": {"labelAngle": -35},
-        },
-        "y": {
-            "field": "series",
-            "type": "nominal",
-            "title": None,
-            "sort": sort,
-            "axis": {"labelLimit": 420},
-        },
+        "x": category("scene", title=None, sort=scenes, axis={"labelAngle": -35}),
+        "y": category("series", title=None, sort=labels, axis={"labelLimit": 420}),
     }
-    tips = [
-        {"field": "series", "type": "nominal", "title": "integrator"},
-        {"field": "scene", "type": "nominal"},
-        {"field": "run", "type": "nominal", "title": "cheapest run"},
+    tooltip = [
+        category("series", title="integrator"),
+        category("scene"),
+        category("run", title="cheapest run"),
         quantity("value", title="cost", format=".3g"),
         quantity("ratio", title="times the best", format=".3g"),
     ]
@@ -84,18 +85,18 @@ def heat(found: Sequence[Standing], interactive: bool) -> Spec | None:
     }
     ink = {"condition": {"test": "!isValid(datum.ratio)", "value": GREY}, "value": "#fff"}
     chart: Spec = {
-        "datasets": {data.name: data.text},
+        "datasets": datasets([data]),
         "params": _menus() if interactive else [],
         "data": data.source,
-        "transform": _chosen() if interactive else [],
+        "transform": _menu_filters() if interactive else [],
         "layer": [
             {
                 "mark": {"type": "rect", "stroke": "#80808060"},
-                "encoding": place | {"color": color, "tooltip": tips},
+                "encoding": place | {"color": color, "tooltip": tooltip},
             },
             {
                 "mark": {"type": "text", "fontSize": 11},
-                "encoding": place | {"text": {"field": "text", "type": "nominal"}, "color": ink},
+                "encoding": place | {"text": category("text"), "color": ink},
             },
         ],
         "width": {"step": 58},
@@ -104,16 +105,18 @@ def heat(found: Sequence[Standing], interactive: bool) -> Spec | None:
     return chart | {"config": config()}
 
 
-def profile(found: Sequence[Standing], looks: Mapping[str, Look], interactive: bool) -> Spec | None:
-    """Part of the scenes on which an integrator costs at most tau times the best.
+def performance_profile(
+    entries: Sequence[RankEntry], styles: Mapping[str, LineStyle], interactive: bool
+) -> Spec | None:
+    """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
-    Dolan & More (2002), doi:10.1007/s101070100263. None for fewer than two scenes.
+    None for fewer than two scenes. Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
     cases: dict[tuple[str, float, str], dict[str, list[float]]] = {}
     scenes: dict[tuple[str, float, str], set[str]] = {}
-    for s in found:
+    for s in entries:
         case = (s.group, s.target, s.cost)
-        if interactive or _is_start(s):
+        if interactive or _shown_first(s):
             scenes.setdefault(case, set()).add(s.scene)
             ratios = cases.setdefault(case, {}).setdefault(s.label, [])
             ratios += [s.ratio] if s.ratio is not None else []
@@ -132,20 +135,20 @@ def profile(found: Sequence[Standing], looks: Mapping[str, Look], interactive: b
     if not rows:
         return None
     labels = list(dict.fromkeys(row["series"] for row in rows))
-    view = View({label: looks[label] for label in labels}, interactive=interactive)
-    data = Data("profile", rows)
+    options = ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    data = Dataset("profile", rows)
     layer: Spec = {
         "data": data.source,
-        "transform": _chosen() if interactive else [],
+        "transform": _menu_filters() if interactive else [],
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
             "x": quantity(
                 "tau", title="times the best cost", scale={"type": "log", "domain": [1, _FAR]}
             ),
             "y": quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
-            "color": by_series(view.colors, view),
-            "strokeDash": by_series(view.dashes, view),
-            "opacity": dimmed(1.0, view),
+            "color": by_series(options.colors, options),
+            "strokeDash": by_series(options.dashes, options),
+            "opacity": dimmed(1.0, options),
             "order": quantity("tau"),
         },
     }
@@ -154,19 +157,18 @@ def profile(found: Sequence[Standing], looks: Mapping[str, Look], interactive: b
     return arrange([{"layer": [layer]}], [data], 1, params=_menus() if interactive else ())
 
 
-def _is_start(s: Standing) -> bool:
-    return (s.group, str(s.target), s.cost) == tuple(_START.values())
+def _shown_first(s: RankEntry) -> bool:
+    return (s.group, str(s.target), s.cost) == tuple(_FIRST.values())
 
 
 def _menus() -> list[Spec]:
-    """Choices of what is to be reached, and of what it costs."""
-
+    """Menus for group, target and cost."""
     return [
-        menu("group", _START["group"], {g: GROUP_NAMES[g] for g in JUDGED}, "error in "),
-        menu("target", _START["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
-        menu("cost", _START["cost"], COSTS, " at the cost of "),
+        menu("group", _FIRST["group"], {g: GROUP_NAMES[g] for g in RANKED_GROUPS}, "error in "),
+        menu("target", _FIRST["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
+        menu("cost", _FIRST["cost"], RANKED_COSTS, " at the cost of "),
     ]
 
 
-def _chosen() -> list[Spec]:
-    return [{"filter": f"datum.{name} === {name}"} for name in _START]
+def _menu_filters() -> list[Spec]:
+    return [{"filter": f"datum.{name} === {name}"} for name in _FIRST]

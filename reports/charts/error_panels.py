@@ -1,0 +1,250 @@
+"""Panels of errors: a group's error against step size or cost, with guides to the eye."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from bench.results.records import NORMS
+from reports.charts.vega_lite import (
+    GREY,
+    ChartOptions,
+    Dataset,
+    Spec,
+    by_series,
+    dimmed,
+    log_axis,
+    log_scale,
+    numbered_dashes,
+    pick,
+    quantity,
+    run_tooltip,
+    short,
+    zoom,
+)
+from reports.series import (
+    GROUP_NAMES,
+    Series,
+    error_of,
+    ok_runs,
+    reference_error,
+    seconds_of,
+    step_or_tolerance,
+    whole_order,
+)
+
+#: A reference's error is drawn if it lies less than this factor below the errors.
+_DEEP = 1e3
+#: Number formats of an axis by its field; counts have a suffix.
+_FORMATS = {"h": "~g", "seconds": ".0e"}
+#: A guide to the eye runs this factor above the errors.
+_CLEAR = 2.0
+
+
+def error_data(
+    series: Sequence[Series],
+    group: str,
+    options: ChartOptions,
+    counts: Sequence[str] = ("residuals",),
+) -> Dataset:
+    """One row per run and norm with an error above zero, named after the group."""
+    rows, labels = [], list(options.styles)
+    for s in series:
+        for record in s.ok:
+            run = {
+                "look": labels.index(s.label),
+                "h": short(step_or_tolerance(record)),
+                "run": record.resolution,
+                "seconds": short(seconds_of(record)),
+                "fastest": short(min(record.run_s, default=None)),
+                "slowest": short(max(record.run_s, default=None)),
+                **{name: record.work.get(name) for name in counts},
+            }
+            for norm in options.norms:
+                error = short(error_of(record, group, norm))
+                if error is not None and error > 0:
+                    rows.append({"series": s.label, "norm": norm, "error": error, **run})
+    return Dataset(group, rows)
+
+
+def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str:
+    """The norm if every group has an error above zero in it, else the first such norm."""
+
+    def full(norm: str) -> bool:
+        return all(any(error_of(r, group, norm) for r in ok_runs(series)) for group in groups)
+
+    return norm if full(norm) else next(filter(full, NORMS), norm)
+
+
+def error_panel(
+    data: Dataset,
+    across: tuple[str, str],
+    options: ChartOptions,
+    first: bool,
+    behind: Sequence[Spec] = (),
+) -> Spec | None:
+    """Error against ``across`` (field, title), log-log, in front of the layers ``behind``.
+
+    None if there is nothing to draw. ``first``: the panel handles clicks on the shared legend.
+    """
+    field, title = across
+    rows = [row for row in data.rows if row.get(field)]
+    if not rows:
+        return None
+    zoomed = f"zoom_{field}_{data.name}" if options.interactive else ""
+    x_axis = log_axis(
+        [row[field] for row in rows], _FORMATS.get(field, "~s"), zoomed and f"{zoomed}.{field}"
+    )
+    y_axis = log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
+    x = quantity(field, title=title, scale=log_scale(), axis=x_axis)
+    y_title = f"relative error in {GROUP_NAMES[data.name]}"
+    y = quantity("error", title=y_title, scale=log_scale(), axis=y_axis | {"minExtent": 38})
+    color = {"color": by_series(options.colors, options)}
+    bright = color | {"opacity": dimmed(1.0, options)}
+    tooltip = run_tooltip(
+        quantity("error", title=f"error in {data.name}", format=".3g"),
+        quantity("seconds", title="median s", format=".3g"),
+        quantity("residuals", title="residual evaluations", format="d"),
+    )
+    lines: Spec = {
+        "mark": {"type": "line", "strokeWidth": 1.8},
+        "encoding": {"x": x, "strokeDash": numbered_dashes(options), "order": quantity("h")}
+        | bright,
+    }
+    points: Spec = {
+        "mark": {"type": "point", "filled": True, "size": 55},
+        "encoding": {"x": x, "shape": by_series(options.shapes, options), "tooltip": tooltip}
+        | bright,
+    }
+    layers = [lines, points]
+    if field == "seconds":
+        fastest = quantity("fastest", title=title, scale=log_scale())
+        ends = {"x": fastest, "x2": {"field": "slowest"}, "opacity": dimmed(0.45, options)}
+        layers.append({"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | color})
+    filters = [f"datum.{field} > 0"]
+    if options.interactive:
+        filters.append("datum.norm == norm")
+        # The shared legend works only with a selection of the first layer.
+        lines["params"] = [zoom(zoomed), *([pick()] if first else [])]
+    return {
+        "data": data.source,
+        "transform": [{"filter": text} for text in filters],
+        "encoding": {"y": y},
+        "layer": [*behind, *layers],
+    }
+
+
+def error_lines(
+    options: ChartOptions, x: str, y: str, order: str, tooltip: list[Spec]
+) -> list[Spec]:
+    """Lines and points of every series, log-log; the first layer handles the pointer."""
+    color = {"color": by_series(options.colors, options), "opacity": dimmed(1.0, options)}
+    place = {
+        "x": quantity(x, title=None, scale=log_scale()),
+        "y": quantity(y, title=None, scale=log_scale()),
+    }
+    lines: Spec = {
+        "mark": {"type": "line", "strokeWidth": 1.8},
+        "encoding": {
+            **place,
+            "strokeDash": numbered_dashes(options),
+            "order": quantity(order),
+            **color,
+        },
+    }
+    if options.interactive:
+        lines["params"] = [zoom(f"zoom_{y}"), pick()]
+    points: Spec = {
+        "mark": {"type": "point", "filled": True, "size": 60},
+        "encoding": {
+            **place,
+            "shape": by_series(options.shapes, options),
+            "tooltip": tooltip,
+            **color,
+        },
+    }
+    return [lines, points]
+
+
+def floor_row(floor: float, lowest: float) -> dict[str, float | int | None]:
+    """A row with the reference's own error, hidden if it lies far below all errors.
+
+    The hidden line stands at the lowest error: Vega warns of a scale without values.
+    """
+    seen = floor > 0 and floor * _DEEP >= lowest
+    return {"floor": short(floor if seen else lowest), "seen": int(seen)}
+
+
+def floor_layer() -> Spec:
+    """A dashed line at the reference's own error."""
+    return {
+        "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
+        "encoding": {
+            "y": quantity("floor", scale=log_scale()),
+            "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
+            "tooltip": quantity("floor", title="reference's own error", format=".2g"),
+        },
+    }
+
+
+def floor_rule(series: Sequence[Series], data: Dataset, options: ChartOptions) -> list[Spec]:
+    """A line at the reference's own error, if it can be seen in any norm of the panel."""
+    runs, rows = ok_runs(series), []
+    for norm in options.norms:
+        errors = [row["error"] for row in data.rows if row["norm"] == norm]
+        if errors:
+            rows.append(
+                {"norm": norm} | floor_row(reference_error(runs, data.name, norm), min(errors))
+            )
+    if not any(row["seen"] for row in rows):
+        return []
+    layer = {"data": {"values": rows}} | floor_layer()
+    if options.interactive:
+        layer["transform"] = [{"filter": "datum.norm == norm"}]
+    return [layer]
+
+
+def slope_guides(series: Sequence[Series], data: Dataset, options: ChartOptions) -> list[Spec]:
+    """A thin line for each whole order found, above the errors that were fitted by it."""
+    found = {norm: list(_guides(series, data.name, norm)) for norm in options.norms}
+    if not any(found.values()):
+        return []
+    rows = [row for norm, guides in found.items() for row in guides or _no_guide(data, norm)]
+    layer: Spec = {"data": {"values": rows}}
+    if options.interactive:
+        layer["transform"] = [{"filter": "datum.norm == norm"}]
+    x, y = quantity("h", scale=log_scale()), quantity("error", scale=log_scale())
+    ends = {"x": x, "y": y, "x2": {"field": "h2"}, "y2": {"field": "error2"}}
+    rule = {"type": "rule", "color": GREY, "strokeWidth": 1}
+    text = {"type": "text", "color": GREY, "align": "right", "dx": -6, "dy": -5}
+    named = {"x": x, "y": y, "text": {"field": "name"}}
+    return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
+
+
+def _no_guide(data: Dataset, norm: str) -> list[dict[str, Any]]:
+    """A guide of no length: Vega warns of a scale without values."""
+    rows = [row for row in data.rows if row["norm"] == norm][:1]
+    return [
+        {"norm": norm, "name": "", "h": h, "error": error, "h2": h, "error2": error}
+        for h, error in ((row["h"], row["error"]) for row in rows)
+    ]
+
+
+def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:
+    fits = [(s, fit) for s in series if (fit := s.fit(group, norm)).window]
+    for order in sorted({whole for _, fit in fits if (whole := whole_order(fit))}):
+        ends = []
+        for s, fit in fits:
+            if whole_order(fit) == order and fit.window:
+                coarse, fine = fit.window
+                last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
+                ends.append((_CLEAR * (error_of(last, group, norm) or 0.0), fine, coarse))
+        error, fine, coarse = max(ends)
+        yield {
+            "norm": norm,
+            "name": f"order {order}",
+            "h": short(coarse),
+            "error": short(error * (coarse / fine) ** order),
+            "h2": short(fine),
+            "error2": short(error),
+        }

@@ -1,0 +1,215 @@
+"""Tables of runs: errors and orders, all runs, drift, failures, timing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from bench.results.orders import Fit
+from bench.results.records import LEVELS, NORMS, Record, median
+from reports.formatting import milliseconds, number, order_text, text_range
+from reports.series import (
+    NORM_NAMES,
+    TRUST,
+    Series,
+    error_of,
+    groups_of,
+    ok_runs,
+    seconds_of,
+    timing_spread,
+    trusted_error,
+    with_values,
+)
+from reports.text.table import Table
+
+
+def summary_table(series: Sequence[Series]) -> Table:
+    """One row per integrator: best errors, orders, work of its most accurate run, endings."""
+    groups = groups_of(ok_runs(series))
+    rows, best_errors, doubtful = [], {}, False
+    for i, s in enumerate(series):
+        cells = []
+        for j, group in enumerate(groups):
+            found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
+            cells.append(number(min(found, default=None)))
+            if found:
+                if min(found) <= trusted_error(s.ok, group, "end"):
+                    cells[-1] += " *"
+                    doubtful = True
+                else:
+                    best_errors.setdefault(j, []).append((min(found), i))
+        run = _most_accurate(s)
+        rows.append(
+            [
+                s.label,
+                *cells,
+                _orders(s, groups),
+                milliseconds(seconds_of(run)) if run else number(None),
+                _count(run.work.get("residuals")) if run else number(None),
+                s.statuses,
+                run.resolution if run else number(None),
+                s.resolutions,
+                s.formulations,
+            ]
+        )
+    note = (
+        "Smallest relative error at the end over the runs. Orders: fitted in the largest error "
+        "after the start transient. Time and counts are those of the run that is most accurate "
+        "in q."
+    )
+    if doubtful:
+        note += f" * within {TRUST:g} times the reference's own error: says nothing more."
+    return Table(
+        "All integrators",
+        [
+            "integrator",
+            *(f"error in {g}" for g in groups),
+            "orders",
+            "time in ms",
+            "residual evaluations",
+            "runs",
+            "most accurate run",
+            "resolutions",
+            "formulation",
+        ],
+        rows,
+        best={(min(found)[1], 1 + j) for j, found in best_errors.items()}
+        if len(rows) > 1
+        else set(),
+        note=note,
+    )
+
+
+def _most_accurate(s: Series) -> Record | None:
+    runs = with_values(s.ok, lambda r: error_of(r, "q", "end"))
+    return min(runs, key=lambda pair: pair[0])[1] if runs else None
+
+
+def _orders(s: Series, groups: Sequence[str]) -> str:
+    if s.controls != "step":
+        return "by tolerance"
+    fits = [(group, s.fit(group, "settled")) for group in groups]
+    if all(fit.verdict == "not determined" for _, fit in fits):
+        return "not determined"
+    short = {"does not converge": "none", "not determined": "?"}
+    return ", ".join(
+        f"{g} {order_text(fit.order)}"
+        if fit.verdict == "converges" and fit.order is not None
+        else f"{g} {short[fit.verdict]}"
+        for g, fit in fits
+    )
+
+
+def orders_table(series: Sequence[Series], norms: Sequence[str] = NORMS) -> Table | None:
+    """Fitted orders with window and number of points, a row per integrator and norm."""
+    constant_steps = [s for s in series if s.controls == "step" and s.ok]
+    groups = groups_of(ok_runs(constant_steps))
+    if not constant_steps or not groups:
+        return None
+    rows = [
+        [s.label, NORM_NAMES[norm], *(_fit(s.fit(group, norm)) for group in groups)]
+        for s in constant_steps
+        for norm in norms
+    ]
+    caption, head = "Fitted orders", ["integrator", "error", *groups]
+    if len(norms) == 1:
+        caption += f" of the error {NORM_NAMES[norms[0]]}"
+        head.pop(1)
+        rows = [[label, *cells] for label, _, *cells in rows]
+    note = "Order (window of step sizes in s, number of points)."
+    return Table(caption, head, rows, note=note)
+
+
+def _fit(fit: Fit) -> str:
+    if fit.order is None or fit.window is None:
+        return fit.verdict
+    largest, smallest = fit.window
+    window = f"{number(largest)} to {number(smallest)}, {fit.points}"
+    prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
+    return f"{prefix}{order_text(fit.order)} ({window})"
+
+
+def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -> Table | None:
+    """Every run with its errors, work and ending; ``ids`` are the anchors of the rows by key."""
+    records = [(s, r) for s in series for r in s.records]
+    groups = groups_of(r for _, r in records)
+    if not records:
+        return None
+    rows = [
+        [
+            s.label,
+            r.resolution,
+            r.status,
+            *(number(error_of(r, group, "max")) for group in groups),
+            *(_count(r.work.get(name)) for name in ("steps", "rejected", "residuals")),
+            milliseconds(seconds_of(r)),
+        ]
+        for s, r in records
+    ]
+    errors = [f"error in {g}" for g in groups]
+    head = ["integrator", "run", "ending", *errors, "steps", "rejected", "residual evaluations"]
+    note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
+    anchors = [ids[r.key] for _, r in records] if ids else []
+    return Table("All runs", [*head, "time in ms"], rows, note=note, ids=anchors)
+
+
+def drift_table(series: Sequence[Series]) -> Table | None:
+    """Constraint residuals and energy drift of each integrator's finest run."""
+    runs = [(s, s.finest) for s in series if s.ok]
+    levels = [x for x in LEVELS if any(r.constraint.get(x) is not None for _, r in runs)]
+    energy = any(r.energy_drift is not None for _, r in runs)
+    if not levels and not energy:
+        return None
+    rows = []
+    for s, run in runs:
+        cells = [number(run.constraint.get(level)) for level in levels]
+        rows.append([s.label, run.formulation, run.resolution, *cells])
+        if energy:
+            rows[-1].append(number(run.energy_drift))
+    heads = [f"{level} level" for level in levels] + (["energy drift"] if energy else [])
+    return Table(
+        "Constraint residuals and energy drift",
+        ["integrator", "formulation", "finest run", *heads],
+        rows,
+        note="Largest over all times; energy relative to its scale.",
+    )
+
+
+def failures_table(records: Sequence[Record]) -> Table | None:
+    """Every run that did not reach the end, with its reason."""
+    rows = [
+        [r.integrator, r.problem, r.resolution, r.status, r.message or "no message"]
+        for r in records
+        if r.status != "ok"
+    ]
+    head = ["integrator", "scene", "resolution", "status", "message"]
+    return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None
+
+
+def timing_table(series: Sequence[Series]) -> Table | None:
+    """Number and spread of the timing samples, and the untimed seconds of preparation."""
+    rows = []
+    for s in series:
+        timed = [r for r in s.ok if r.run_s]
+        if not timed:
+            continue
+        spreads = [x for r in timed if (x := timing_spread(r)) is not None]
+        compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
+        rows.append(
+            [
+                s.label,
+                str(len(timed)),
+                text_range(map(str, sorted(len(r.run_s) for r in timed))),
+                number(median(spreads)),
+                number(max(spreads, default=None)),
+                number(max(compiled, default=None)),
+                number(median(compiled)),
+            ]
+        )
+    head = ["integrator", "runs timed", "samples per run", "spread, median", "spread, worst"]
+    head += ["prepared in s, longest (compiles)", "median"]
+    return Table("Timing", head, rows) if rows else None
+
+
+def _count(value: int | None) -> str:
+    """A whole number, or 'not counted'."""
+    return "not counted" if value is None else str(value)

@@ -1,0 +1,23 @@
+"""A table of text, which a page writes as HTML or Markdown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Table:
+    """Cells as plain text; ``best`` are (row, column) to stress, ``code`` columns hold names.
+
+    ``ids`` are the anchors of the rows; ``links`` are the anchors of the records behind the cell
+    (row, column).
+    """
+
+    caption: str
+    head: list[str]
+    rows: list[list[str]]
+    best: set[tuple[int, int]] = field(default_factory=set)
+    code: tuple[int, ...] = (0,)
+    note: str = ""
+    ids: list[str] = field(default_factory=list)
+    links: dict[tuple[int, int], list[str]] = field(default_factory=dict)
