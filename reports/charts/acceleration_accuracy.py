@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from reports.charts import vega_lite as vl
 from reports.charts.error_panels import error_lines
 from reports.charts.line_styles import LineStyle, styles_of
-from reports.charts.vega_lite import (
-    GREY,
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    log_axis,
-    log_scale,
-    quantity,
-    run_tooltip,
-    short,
-)
 from reports.series import GROUP_NAMES, Series, error_of, step_or_tolerance
 
 
@@ -26,13 +15,13 @@ def acceleration_accuracy(
     styles: Mapping[str, LineStyle],
     norm: str = "max",
     interactive: bool = False,
-) -> Spec | None:
+) -> vl.Spec | None:
     """Error in the acceleration over the error in the position, a line per integrator.
 
     Below the grey diagonal accelerations are relatively better than positions, above it worse.
     """
     series = [s for s in series if s.ok]
-    options = ChartOptions(styles_of(series, styles), norm, interactive)
+    options = vl.ChartOptions(styles_of(series, styles), norm, interactive)
     rows = [
         {
             "series": s.label,
@@ -41,33 +30,33 @@ def acceleration_accuracy(
             "norm": n,
             "q": q,
             "a": a,
-            "h": short(step_or_tolerance(r)),
+            "h": vl.short(step_or_tolerance(r)),
         }
         for s in series
         for r in s.ok
         for n in options.norms
-        if (q := short(error_of(r, "q", n))) and (a := short(error_of(r, "a", n)))
+        if (q := vl.short(error_of(r, "q", n))) and (a := vl.short(error_of(r, "a", n)))
     ]
     if not rows:
         return None
-    data = Dataset("accuracy", rows)
+    data = vl.Dataset("accuracy", rows)
     ends = [f([row[g] for row in rows for g in "qa"]) for f in (min, max)]
-    line: Spec = {
+    line: vl.Spec = {
         "data": {"values": [{"q": e, "a": e} for e in ends]},
-        "mark": {"type": "line", "color": GREY, "strokeWidth": 1, "strokeDash": [5, 5]},
-        "encoding": {g: quantity(f, scale=log_scale()) for g, f in (("x", "q"), ("y", "a"))},
+        "mark": {"type": "line", "color": vl.GREY, "strokeWidth": 1, "strokeDash": [5, 5]},
+        "encoding": {g: vl.quantity(f, scale=vl.log_scale()) for g, f in (("x", "q"), ("y", "a"))},
     }
-    tooltip = run_tooltip(
-        *(quantity(group, title=f"error in {group}", format=".3g") for group in "qa")
+    tooltip = vl.run_tooltip(
+        *(vl.quantity(group, title=f"error in {group}", format=".3g") for group in "qa")
     )
     layers = error_lines(options, "q", "a", "h", tooltip)
     for channel, group in (("x", "q"), ("y", "a")):
-        axis = log_axis([row[group] for row in rows], ".0e")
+        axis = vl.log_axis([row[group] for row in rows], ".0e")
         layers[0]["encoding"][channel] |= {
             "title": f"relative error in {GROUP_NAMES[group]}",
             "axis": axis,
         }
-    panel: Spec = {"data": data.source, "layer": [line, *layers]}
+    panel: vl.Spec = {"data": data.source, "layer": [line, *layers]}
     if interactive:
         panel["transform"] = [{"filter": "datum.norm == norm"}]
-    return arrange([panel], [data], 1, height=340, params=options.norm_buttons)
+    return vl.arrange([panel], [data], 1, height=340, params=options.norm_buttons)

@@ -4,33 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.charts.vega_lite import (
-    GREY,
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    by_series,
-    category,
-    config,
-    datasets,
-    dimmed,
-    menu,
-    pick,
-    quantity,
-    short,
-)
 from reports.formatting import NO_VALUE, number
-from reports.ranking import (
-    COST,
-    GROUP,
-    RANKED_COSTS,
-    RANKED_GROUPS,
-    TARGET,
-    TARGETS,
-    RankEntry,
-)
+from reports.ranking import COST, GROUP, RANKED_COSTS, RANKED_GROUPS, TARGET, TARGETS, RankEntry
 from reports.series import GROUP_NAMES
 
 #: Costs beyond this many times the cheapest are drawn alike.
@@ -38,7 +15,7 @@ _FAR = 100.0
 _FIRST = {"group": GROUP, "target": str(TARGET), "cost": COST}
 
 
-def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | None:
+def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> vl.Spec | None:
     """Cost relative to the cheapest, integrator by scene; None if there is nothing to draw."""
     rows = [
         {
@@ -47,8 +24,8 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | Non
             "group": s.group,
             "target": str(s.target),
             "cost": s.cost,
-            "ratio": short(s.ratio),
-            "value": short(s.value),
+            "ratio": vl.short(s.ratio),
+            "value": vl.short(s.value),
             "run": s.run.resolution if s.run else "cost not known" if s.reached else "not reached",
             "text": NO_VALUE if s.ratio is None else number(float(f"{s.ratio:.2g}")),
         }
@@ -57,19 +34,19 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | Non
     ]
     if not rows:
         return None
-    data = Dataset("ranking", rows)
+    data = vl.Dataset("ranking", rows)
     labels = list(dict.fromkeys(s.label for s in entries))
     scenes = list(dict.fromkeys(s.scene for s in entries))
     place = {
-        "x": category("scene", title=None, sort=scenes, axis={"labelAngle": -35}),
-        "y": category("series", title=None, sort=labels, axis={"labelLimit": 420}),
+        "x": vl.category("scene", title=None, sort=scenes, axis={"labelAngle": -35}),
+        "y": vl.category("series", title=None, sort=labels, axis={"labelLimit": 420}),
     }
     tooltip = [
-        category("series", title="integrator"),
-        category("scene"),
-        category("run", title="cheapest run"),
-        quantity("value", title="cost", format=".3g"),
-        quantity("ratio", title="times the best", format=".3g"),
+        vl.category("series", title="integrator"),
+        vl.category("scene"),
+        vl.category("run", title="cheapest run"),
+        vl.quantity("value", title="cost", format=".3g"),
+        vl.quantity("ratio", title="times the best", format=".3g"),
     ]
     shade = {
         "type": "log",
@@ -81,11 +58,11 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | Non
     legend = {"title": "times the best cost", "direction": "horizontal", "gradientLength": 300}
     color = {
         "condition": {"test": "!isValid(datum.ratio)", "value": "#80808030"},
-        **quantity("ratio", scale=shade, legend=legend),
+        **vl.quantity("ratio", scale=shade, legend=legend),
     }
-    ink = {"condition": {"test": "!isValid(datum.ratio)", "value": GREY}, "value": "#fff"}
-    chart: Spec = {
-        "datasets": datasets([data]),
+    ink = {"condition": {"test": "!isValid(datum.ratio)", "value": vl.GREY}, "value": "#fff"}
+    chart: vl.Spec = {
+        "datasets": vl.datasets([data]),
         "params": _menus() if interactive else [],
         "data": data.source,
         "transform": _menu_filters() if interactive else [],
@@ -96,18 +73,18 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> Spec | Non
             },
             {
                 "mark": {"type": "text", "fontSize": 11},
-                "encoding": place | {"text": category("text"), "color": ink},
+                "encoding": place | {"text": vl.category("text"), "color": ink},
             },
         ],
         "width": {"step": 58},
         "height": {"step": 22},
     }
-    return chart | {"config": config()}
+    return chart | {"config": vl.config()}
 
 
 def performance_profile(
     entries: Sequence[RankEntry], styles: Mapping[str, LineStyle], interactive: bool
-) -> Spec | None:
+) -> vl.Spec | None:
     """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
     None for fewer than two scenes. Source: Dolan & More (2002), doi:10.1007/s101070100263.
@@ -128,47 +105,47 @@ def performance_profile(
             steps = [(1.0, 0), *((r, i) for i, r in enumerate(sorted(ratios), 1))]
             steps.append((_FAR, sum(r <= _FAR for r in ratios)))
             rows += [
-                {**named, "tau": short(tau), "part": short(done / count)}
+                {**named, "tau": vl.short(tau), "part": vl.short(done / count)}
                 for tau, done in steps
                 if tau <= _FAR
             ]
     if not rows:
         return None
     labels = list(dict.fromkeys(row["series"] for row in rows))
-    options = ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
-    data = Dataset("profile", rows)
-    layer: Spec = {
+    options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    data = vl.Dataset("profile", rows)
+    layer: vl.Spec = {
         "data": data.source,
         "transform": _menu_filters() if interactive else [],
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
-            "x": quantity(
+            "x": vl.quantity(
                 "tau", title="times the best cost", scale={"type": "log", "domain": [1, _FAR]}
             ),
-            "y": quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
-            "color": by_series(options.colors, options),
-            "strokeDash": by_series(options.dashes, options),
-            "opacity": dimmed(1.0, options),
-            "order": quantity("tau"),
+            "y": vl.quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
+            "color": options.colors(),
+            "strokeDash": options.dashes(),
+            "opacity": options.opacity(),
+            "order": vl.quantity("tau"),
         },
     }
     if interactive:
-        layer["params"] = [pick()]
-    return arrange([{"layer": [layer]}], [data], 1, params=_menus() if interactive else ())
+        layer["params"] = [vl.pick()]
+    return vl.arrange([{"layer": [layer]}], [data], 1, params=_menus() if interactive else ())
 
 
 def _shown_first(s: RankEntry) -> bool:
     return (s.group, str(s.target), s.cost) == tuple(_FIRST.values())
 
 
-def _menus() -> list[Spec]:
+def _menus() -> list[vl.Spec]:
     """Menus for group, target and cost."""
     return [
-        menu("group", _FIRST["group"], {g: GROUP_NAMES[g] for g in RANKED_GROUPS}, "error in "),
-        menu("target", _FIRST["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
-        menu("cost", _FIRST["cost"], RANKED_COSTS, " at the cost of "),
+        vl.menu("group", _FIRST["group"], {g: GROUP_NAMES[g] for g in RANKED_GROUPS}, "error in "),
+        vl.menu("target", _FIRST["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
+        vl.menu("cost", _FIRST["cost"], RANKED_COSTS, " at the cost of "),
     ]
 
 
-def _menu_filters() -> list[Spec]:
+def _menu_filters() -> list[vl.Spec]:
     return [{"filter": f"datum.{name} === {name}"} for name in _FIRST]

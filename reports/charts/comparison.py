@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from bench.results.comparison import LEAST, Change, Comparison
-from reports.charts.vega_lite import GREY, Spec, config, log_axis, log_scale, quantity, short
+from reports.charts import vega_lite as vl
 
 _TITLES = {"error": "errors", "work": "counted work", "time": "times"}
 _BETTER, _WORSE = "#1a7f5a", "#c0543c"
@@ -14,7 +14,7 @@ _BETTER, _WORSE = "#1a7f5a", "#c0543c"
 _FAR = 1e6
 
 
-def ratio_charts(comparison: Comparison) -> dict[str, Spec]:
+def ratio_charts(comparison: Comparison) -> dict[str, vl.Spec]:
     """New over old of every run in both, sorted; a chart per kind of number that changed."""
     made = {kind: _ratios(comparison, kind) for kind in LEAST}
     return {f"ratio-{kind}": chart for kind, chart in made.items() if chart}
@@ -36,7 +36,7 @@ def _log_ratio(change: Change) -> float:
     return math.log(min(max(change.ratio or 1 / _FAR, 1 / _FAR), _FAR))
 
 
-def _ratios(comparison: Comparison, kind: str) -> Spec | None:
+def _ratios(comparison: Comparison, kind: str) -> vl.Spec | None:
     found = furthest(comparison.changes, kind)
     if not found:
         return None
@@ -48,26 +48,26 @@ def _ratios(comparison: Comparison, kind: str) -> Spec | None:
     points = [
         {
             "rank": rank,
-            "ratio": short(math.exp(_log_ratio(change))),
+            "ratio": vl.short(math.exp(_log_ratio(change))),
             "worse": int(_log_ratio(change) > 0),
             "comparable": int(change.comparable),
         }
         for rank, change in zip(ranks, found, strict=True)
     ]
-    x = quantity(
+    x = vl.quantity(
         "rank",
         title="runs, sorted",
         scale={"domain": [0, count + 1], "nice": False},
         axis={"tickMinStep": 1, "tickCount": 4},
     )
-    axis = log_axis([row["ratio"] for row in points] + [1.0], "~g")
-    y = quantity("ratio", title="new / old", scale=log_scale(), axis=axis)
-    same: Spec = {
+    axis = vl.log_axis([row["ratio"] for row in points] + [1.0], "~g")
+    y = vl.quantity("ratio", title="new / old", scale=vl.log_scale(), axis=axis)
+    same: vl.Spec = {
         "data": {"values": [{"rank": better + 0.5, "end": count - worse + 0.5, "ratio": 1}]},
-        "mark": {"type": "rule", "color": GREY, "strokeWidth": 5, "opacity": 0.5},
+        "mark": {"type": "rule", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.5},
         "encoding": {"x": x, "x2": {"field": "end"}, "y": y},
     }
-    changed: Spec = {
+    changed: vl.Spec = {
         "data": {"values": points},
         "mark": {"type": "point", "filled": True, "size": 45},
         "encoding": {
@@ -83,9 +83,9 @@ def _ratios(comparison: Comparison, kind: str) -> Spec | None:
     }
     title = f"{_TITLES[kind]}: {worse} worse, {better} better of {count} runs"
     return {
-        "title": {"text": title, "color": GREY, "fontSize": 12, "anchor": "start"},
+        "title": {"text": title, "color": vl.GREY, "fontSize": 12, "anchor": "start"},
         "layer": [same, changed],
         "width": 280,
         "height": 200,
-        "config": config(),
+        "config": vl.config(),
     }

@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bench.results.records import NORMS
-from reports.charts.error_panels import (
-    error_data,
-    error_panel,
-    floor_rule,
-    full_norm,
-    slope_guides,
-)
+from reports.charts.error_panels import error_data, error_panel, floor_rule, full_norm, slope_guides
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.charts.vega_lite import ChartOptions, Spec, arrange
 from reports.formatting import order_text

@@ -7,19 +7,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bench.results.records import Record, SceneRecord
+from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.charts.vega_lite import (
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    by_series,
-    category,
-    log_axis,
-    log_scale,
-    quantity,
-    short,
-)
 from reports.series import label_of, seconds_of
 
 #: A kind of scene is drawn from this many sizes on.
@@ -36,7 +25,7 @@ def size_charts(
     records: Iterable[Record],
     scenes: Mapping[tuple[str, float], SceneRecord],
     styles: Mapping[str, LineStyle],
-) -> dict[str, Spec]:
+) -> dict[str, vl.Spec]:
     """A chart for every kind of scene with runs in several sizes, by the name of the kind."""
     made = {}
     for kind, rows in _rows(records, scenes).items():
@@ -65,40 +54,42 @@ def _rows(
             {
                 "series": label,
                 "unknowns": unknowns,
-                "per_second": short(seconds / (record.t_end - record.t0)),
-                "per_step": short(seconds / steps),
-                "per_unknown": short(seconds / steps / unknowns),
+                "per_second": vl.short(seconds / (record.t_end - record.t0)),
+                "per_step": vl.short(seconds / steps),
+                "per_unknown": vl.short(seconds / steps / unknowns),
             }
         )
     return rows
 
 
-def _chart(kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]) -> Spec | None:
+def _chart(
+    kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]
+) -> vl.Spec | None:
     shown = {row["series"] for row in rows}
-    options = ChartOptions({label: style for label, style in styles.items() if label in shown})
-    data = Dataset(f"sizes-{kind}", rows)
-    x_axis = log_axis([row["unknowns"] for row in rows], "~s")
+    options = vl.ChartOptions({label: style for label, style in styles.items() if label in shown})
+    data = vl.Dataset(f"sizes-{kind}", rows)
+    x_axis = vl.log_axis([row["unknowns"] for row in rows], "~s")
     panels = [
         {
             "data": data.source,
             "mark": {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}},
             "encoding": {
-                "x": quantity("unknowns", scale=log_scale(), axis=x_axis),
-                "y": quantity(
+                "x": vl.quantity("unknowns", scale=vl.log_scale(), axis=x_axis),
+                "y": vl.quantity(
                     field,
                     title=title,
-                    scale=log_scale(),
-                    axis=log_axis([row[field] for row in rows], ".0e"),
+                    scale=vl.log_scale(),
+                    axis=vl.log_axis([row[field] for row in rows], ".0e"),
                 ),
-                "color": by_series(options.colors, options),
-                "strokeDash": by_series(options.dashes, options),
+                "color": options.colors(),
+                "strokeDash": options.dashes(),
                 "tooltip": [
-                    category("series"),
-                    quantity("unknowns"),
-                    quantity(field, title=title, format=".3g"),
+                    vl.category("series"),
+                    vl.quantity("unknowns"),
+                    vl.quantity(field, title=title, format=".3g"),
                 ],
             },
         }
         for field, title in _PANELS
     ]
-    return arrange(panels, [data], 3)
+    return vl.arrange(panels, [data], 3)

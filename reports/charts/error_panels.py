@@ -6,22 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bench.results.records import NORMS
-from reports.charts.vega_lite import (
-    GREY,
-    ChartOptions,
-    Dataset,
-    Spec,
-    by_series,
-    dimmed,
-    log_axis,
-    log_scale,
-    numbered_dashes,
-    pick,
-    quantity,
-    run_tooltip,
-    short,
-    zoom,
-)
+from reports.charts import vega_lite as vl
 from reports.series import (
     GROUP_NAMES,
     Series,
@@ -44,27 +29,27 @@ _CLEAR = 2.0
 def error_data(
     series: Sequence[Series],
     group: str,
-    options: ChartOptions,
+    options: vl.ChartOptions,
     counts: Sequence[str] = ("residuals",),
-) -> Dataset:
+) -> vl.Dataset:
     """One row per run and norm with an error above zero, named after the group."""
     rows, labels = [], list(options.styles)
     for s in series:
         for record in s.ok:
             run = {
                 "look": labels.index(s.label),
-                "h": short(step_or_tolerance(record)),
+                "h": vl.short(step_or_tolerance(record)),
                 "run": record.resolution,
-                "seconds": short(seconds_of(record)),
-                "fastest": short(min(record.run_s, default=None)),
-                "slowest": short(max(record.run_s, default=None)),
+                "seconds": vl.short(seconds_of(record)),
+                "fastest": vl.short(min(record.run_s, default=None)),
+                "slowest": vl.short(max(record.run_s, default=None)),
                 **{name: record.work.get(name) for name in counts},
             }
             for norm in options.norms:
-                error = short(error_of(record, group, norm))
+                error = vl.short(error_of(record, group, norm))
                 if error is not None and error > 0:
                     rows.append({"series": s.label, "norm": norm, "error": error, **run})
-    return Dataset(group, rows)
+    return vl.Dataset(group, rows)
 
 
 def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str:
@@ -77,12 +62,12 @@ def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str
 
 
 def error_panel(
-    data: Dataset,
+    data: vl.Dataset,
     across: tuple[str, str],
-    options: ChartOptions,
+    options: vl.ChartOptions,
     first: bool,
-    behind: Sequence[Spec] = (),
-) -> Spec | None:
+    behind: Sequence[vl.Spec] = (),
+) -> vl.Spec | None:
     """Error against ``across`` (field, title), log-log, in front of the layers ``behind``.
 
     None if there is nothing to draw. ``first``: the panel handles clicks on the shared legend.
@@ -92,40 +77,39 @@ def error_panel(
     if not rows:
         return None
     zoomed = f"zoom_{field}_{data.name}" if options.interactive else ""
-    x_axis = log_axis(
+    x_axis = vl.log_axis(
         [row[field] for row in rows], _FORMATS.get(field, "~s"), zoomed and f"{zoomed}.{field}"
     )
-    y_axis = log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
-    x = quantity(field, title=title, scale=log_scale(), axis=x_axis)
+    y_axis = vl.log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
+    x = vl.quantity(field, title=title, scale=vl.log_scale(), axis=x_axis)
     y_title = f"relative error in {GROUP_NAMES[data.name]}"
-    y = quantity("error", title=y_title, scale=log_scale(), axis=y_axis | {"minExtent": 38})
-    color = {"color": by_series(options.colors, options)}
-    bright = color | {"opacity": dimmed(1.0, options)}
-    tooltip = run_tooltip(
-        quantity("error", title=f"error in {data.name}", format=".3g"),
-        quantity("seconds", title="median s", format=".3g"),
-        quantity("residuals", title="residual evaluations", format="d"),
+    y = vl.quantity("error", title=y_title, scale=vl.log_scale(), axis=y_axis | {"minExtent": 38})
+    color = {"color": options.colors()}
+    bright = color | {"opacity": options.opacity()}
+    tooltip = vl.run_tooltip(
+        vl.quantity("error", title=f"error in {data.name}", format=".3g"),
+        vl.quantity("seconds", title="median s", format=".3g"),
+        vl.quantity("residuals", title="residual evaluations", format="d"),
     )
-    lines: Spec = {
+    lines: vl.Spec = {
         "mark": {"type": "line", "strokeWidth": 1.8},
-        "encoding": {"x": x, "strokeDash": numbered_dashes(options), "order": quantity("h")}
+        "encoding": {"x": x, "strokeDash": options.numbered_dashes(), "order": vl.quantity("h")}
         | bright,
     }
-    points: Spec = {
+    points: vl.Spec = {
         "mark": {"type": "point", "filled": True, "size": 55},
-        "encoding": {"x": x, "shape": by_series(options.shapes, options), "tooltip": tooltip}
-        | bright,
+        "encoding": {"x": x, "shape": options.shapes(), "tooltip": tooltip} | bright,
     }
     layers = [lines, points]
     if field == "seconds":
-        fastest = quantity("fastest", title=title, scale=log_scale())
-        ends = {"x": fastest, "x2": {"field": "slowest"}, "opacity": dimmed(0.45, options)}
+        fastest = vl.quantity("fastest", title=title, scale=vl.log_scale())
+        ends = {"x": fastest, "x2": {"field": "slowest"}, "opacity": options.opacity(0.45)}
         layers.append({"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | color})
     filters = [f"datum.{field} > 0"]
     if options.interactive:
         filters.append("datum.norm == norm")
         # The shared legend works only with a selection of the first layer.
-        lines["params"] = [zoom(zoomed), *([pick()] if first else [])]
+        lines["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
     return {
         "data": data.source,
         "transform": [{"filter": text} for text in filters],
@@ -135,33 +119,28 @@ def error_panel(
 
 
 def error_lines(
-    options: ChartOptions, x: str, y: str, order: str, tooltip: list[Spec]
-) -> list[Spec]:
+    options: vl.ChartOptions, x: str, y: str, order: str, tooltip: list[vl.Spec]
+) -> list[vl.Spec]:
     """Lines and points of every series, log-log; the first layer handles the pointer."""
-    color = {"color": by_series(options.colors, options), "opacity": dimmed(1.0, options)}
+    color = {"color": options.colors(), "opacity": options.opacity()}
     place = {
-        "x": quantity(x, title=None, scale=log_scale()),
-        "y": quantity(y, title=None, scale=log_scale()),
+        "x": vl.quantity(x, title=None, scale=vl.log_scale()),
+        "y": vl.quantity(y, title=None, scale=vl.log_scale()),
     }
-    lines: Spec = {
+    lines: vl.Spec = {
         "mark": {"type": "line", "strokeWidth": 1.8},
         "encoding": {
             **place,
-            "strokeDash": numbered_dashes(options),
-            "order": quantity(order),
+            "strokeDash": options.numbered_dashes(),
+            "order": vl.quantity(order),
             **color,
         },
     }
     if options.interactive:
-        lines["params"] = [zoom(f"zoom_{y}"), pick()]
-    points: Spec = {
+        lines["params"] = [vl.zoom(f"zoom_{y}"), vl.pick()]
+    points: vl.Spec = {
         "mark": {"type": "point", "filled": True, "size": 60},
-        "encoding": {
-            **place,
-            "shape": by_series(options.shapes, options),
-            "tooltip": tooltip,
-            **color,
-        },
+        "encoding": {**place, "shape": options.shapes(), "tooltip": tooltip, **color},
     }
     return [lines, points]
 
@@ -172,22 +151,24 @@ def floor_row(floor: float, lowest: float) -> dict[str, float | int | None]:
     The hidden line stands at the lowest error: Vega warns of a scale without values.
     """
     seen = floor > 0 and floor * _DEEP >= lowest
-    return {"floor": short(floor if seen else lowest), "seen": int(seen)}
+    return {"floor": vl.short(floor if seen else lowest), "seen": int(seen)}
 
 
-def floor_layer() -> Spec:
+def floor_layer() -> vl.Spec:
     """A dashed line at the reference's own error."""
     return {
-        "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 5]},
+        "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
         "encoding": {
-            "y": quantity("floor", scale=log_scale()),
+            "y": vl.quantity("floor", scale=vl.log_scale()),
             "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
-            "tooltip": quantity("floor", title="reference's own error", format=".2g"),
+            "tooltip": vl.quantity("floor", title="reference's own error", format=".2g"),
         },
     }
 
 
-def floor_rule(series: Sequence[Series], data: Dataset, options: ChartOptions) -> list[Spec]:
+def floor_rule(
+    series: Sequence[Series], data: vl.Dataset, options: vl.ChartOptions
+) -> list[vl.Spec]:
     """A line at the reference's own error, if it can be seen in any norm of the panel."""
     runs, rows = ok_runs(series), []
     for norm in options.norms:
@@ -204,24 +185,26 @@ def floor_rule(series: Sequence[Series], data: Dataset, options: ChartOptions) -
     return [layer]
 
 
-def slope_guides(series: Sequence[Series], data: Dataset, options: ChartOptions) -> list[Spec]:
+def slope_guides(
+    series: Sequence[Series], data: vl.Dataset, options: vl.ChartOptions
+) -> list[vl.Spec]:
     """A thin line for each whole order found, above the errors that were fitted by it."""
     found = {norm: list(_guides(series, data.name, norm)) for norm in options.norms}
     if not any(found.values()):
         return []
     rows = [row for norm, guides in found.items() for row in guides or _no_guide(data, norm)]
-    layer: Spec = {"data": {"values": rows}}
+    layer: vl.Spec = {"data": {"values": rows}}
     if options.interactive:
         layer["transform"] = [{"filter": "datum.norm == norm"}]
-    x, y = quantity("h", scale=log_scale()), quantity("error", scale=log_scale())
+    x, y = vl.quantity("h", scale=vl.log_scale()), vl.quantity("error", scale=vl.log_scale())
     ends = {"x": x, "y": y, "x2": {"field": "h2"}, "y2": {"field": "error2"}}
-    rule = {"type": "rule", "color": GREY, "strokeWidth": 1}
-    text = {"type": "text", "color": GREY, "align": "right", "dx": -6, "dy": -5}
+    rule = {"type": "rule", "color": vl.GREY, "strokeWidth": 1}
+    text = {"type": "text", "color": vl.GREY, "align": "right", "dx": -6, "dy": -5}
     named = {"x": x, "y": y, "text": {"field": "name"}}
     return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
 
 
-def _no_guide(data: Dataset, norm: str) -> list[dict[str, Any]]:
+def _no_guide(data: vl.Dataset, norm: str) -> list[dict[str, Any]]:
     """A guide of no length: Vega warns of a scale without values."""
     rows = [row for row in data.rows if row["norm"] == norm][:1]
     return [
@@ -243,8 +226,8 @@ def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[st
         yield {
             "norm": norm,
             "name": f"order {order}",
-            "h": short(coarse),
-            "error": short(error * (coarse / fine) ** order),
-            "h2": short(fine),
-            "error2": short(error),
+            "h": vl.short(coarse),
+            "error": vl.short(error * (coarse / fine) ** order),
+            "h2": vl.short(fine),
+            "error2": vl.short(error),
         }

@@ -21,10 +21,7 @@ _PAPER_SHAPES = (
     *("circle", "square", "triangle-up", "diamond", "cross"),
     *("triangle-down", "triangle-right", "triangle-left"),
 )
-_PAPER_DASHES = (
-    *((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2), (9, 3), (1, 1)),
-    (4, 1, 1, 1, 1, 1),
-)
+_PAPER_DASHES = (*((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2), (9, 3), (1, 1)), (4, 1, 1, 1, 1, 1))
 
 
 @dataclass(frozen=True)

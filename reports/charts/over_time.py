@@ -7,22 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.results.records import Rows
+from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.charts.vega_lite import (
-    GREY,
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    by_series,
-    dimmed,
-    log_axis,
-    log_scale,
-    pick,
-    quantity,
-    short,
-    zoom,
-)
 from reports.formatting import component_name
 
 #: Components of a group that are drawn if no others are chosen.
@@ -45,7 +31,7 @@ def trajectory(
     coordinates: Sequence[str] = (),
     interactive: bool = False,
     components: Sequence[tuple[str, int]] = (),
-) -> Spec | None:
+) -> vl.Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
 
     Parameters
@@ -61,10 +47,10 @@ def trajectory(
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
     rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, components, i)]
-    drawn = Dataset("runs", rows)
-    behind = Dataset("reference", wide_rows(reference, components, -1) if reference else [])
-    options = ChartOptions(styles, interactive=interactive)
-    panels: list[Spec] = []
+    drawn = vl.Dataset("runs", rows)
+    behind = vl.Dataset("reference", wide_rows(reference, components, -1) if reference else [])
+    options = vl.ChartOptions(styles, interactive=interactive)
+    panels: list[vl.Spec] = []
     for group, i in components:
         name, title = f"{group}{i}", component_name(group, i, coordinates)
         layers = []
@@ -73,22 +59,22 @@ def trajectory(
         if name in drawn.columns:
             layers.append(run_lines(drawn, name, title, labels, options, first=not panels))
         panels += [{"layer": layers}] if layers else []
-    return arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
+    return vl.arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
 
 
 def histories(
     runs: Sequence[tuple[str, Rows]], styles: Mapping[str, LineStyle], interactive: bool = False
-) -> Spec | None:
+) -> vl.Spec | None:
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
     labels = list(dict.fromkeys(label for label, _ in runs))
-    options = ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
     rows = [
-        {"s": labels.index(label), "t": short(t)}
-        | {n: short(run.notes[n][k]) for n in HISTORIES if run.notes.get(n)}
+        {"s": labels.index(label), "t": vl.short(t)}
+        | {n: vl.short(run.notes[n][k]) for n in HISTORIES if run.notes.get(n)}
         for label, run in runs
         for k, t in enumerate(run.t)
     ]
-    data, panels = Dataset("histories", rows), []
+    data, panels = vl.Dataset("histories", rows), []
     for name, (title, logarithmic) in HISTORIES.items():
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
         if not any(_varies(values) for values in noted):
@@ -97,10 +83,10 @@ def histories(
         layer = run_lines(data, name, title, labels, options, first=not panels)
         if logarithmic:
             layer["transform"].append({"filter": f"datum.{name} > 0"})
-            axis = log_axis(values, ".0e")
-            layer["encoding"]["y"] |= {"scale": log_scale(), "axis": axis}
+            axis = vl.log_axis(values, ".0e")
+            layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
         panels.append({"layer": [layer]})
-    return arrange(panels, [data], min(3, len(panels)), height=170)
+    return vl.arrange(panels, [data], min(3, len(panels)), height=170)
 
 
 def _varies(values: Sequence[float]) -> bool:
@@ -109,36 +95,41 @@ def _varies(values: Sequence[float]) -> bool:
 
 # ---- panels ------------------------------------------------------------------------------
 def run_lines(
-    data: Dataset, field: str, title: str, labels: Sequence[str], options: ChartOptions, first: bool
-) -> Spec:
+    data: vl.Dataset,
+    field: str,
+    title: str,
+    labels: Sequence[str],
+    options: vl.ChartOptions,
+    first: bool,
+) -> vl.Spec:
     """One component over time, a line per run."""
     legend = {"symbolType": "stroke", "symbolSize": 400}
-    layer: Spec = {
+    layer: vl.Spec = {
         "data": data.source,
         "transform": [{"calculate": f"{json.dumps(list(labels))}[datum.s]", "as": "series"}],
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
         "encoding": {
             **_over_time(field, title),
-            "color": by_series(options.colors, options, **legend),
-            "strokeDash": by_series(options.dashes, options, **legend),
-            "opacity": dimmed(1.0, options),
+            "color": options.colors(**legend),
+            "strokeDash": options.dashes(**legend),
+            "opacity": options.opacity(),
         },
     }
     if options.interactive:
-        layer["params"] = [zoom(f"zoom_{field}"), *([pick()] if first else [])]
+        layer["params"] = [vl.zoom(f"zoom_{field}"), *([vl.pick()] if first else [])]
     return layer
 
 
-def reference_line(data: Dataset, field: str, title: str) -> Spec:
+def reference_line(data: vl.Dataset, field: str, title: str) -> vl.Spec:
     """One component of the reference over time, broad and grey."""
-    mark = {"type": "line", "color": GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
+    mark = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
     return {"data": data.source, "mark": mark, "encoding": _over_time(field, title)}
 
 
-def _over_time(field: str, title: str) -> Spec:
+def _over_time(field: str, title: str) -> vl.Spec:
     return {
-        "x": quantity("t", title="time in s", scale={"nice": False, "zero": False}),
-        "y": quantity(field, title=title, scale={"zero": False}),
+        "x": vl.quantity("t", title="time in s", scale={"nice": False, "zero": False}),
+        "y": vl.quantity(field, title=title, scale={"zero": False}),
     }
 
 
@@ -154,13 +145,13 @@ def wide_rows(
     """A row per time with these components, as far as the run has them; ``s`` is its number."""
     table = []
     for k, t in enumerate(rows.t):
-        row: dict[str, Any] = {"t": short(t), "s": number}
+        row: dict[str, Any] = {"t": vl.short(t), "s": number}
         for group, i in components:
             values = rows.values.get(group) or []
             if (
                 k < len(values)
                 and i < len(values[k])
-                and (shown := short(values[k][i])) is not None
+                and (shown := vl.short(values[k][i])) is not None
             ):
                 row[f"{group}{i}"] = shown
         table.append(row)

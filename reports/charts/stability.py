@@ -6,18 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
-from reports.charts.vega_lite import (
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    by_series,
-    log_axis,
-    log_scale,
-    quantity,
-    short,
-)
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
@@ -35,7 +25,7 @@ _COLORS = ("#0b3d2e", "#14603f", "#2b8a57", "#62b37d", "#a5d6ae", "#dcefe0", "#f
            "#f9a582", "#e5553f", "#8f1020")  # fmt: skip
 
 
-def stability_curves(found: Sequence[dict[str, Any]], omega_h: str) -> list[Spec]:
+def stability_curves(found: Sequence[dict[str, Any]], omega_h: str) -> list[vl.Spec]:
     """A chart per quantity over omega h, a line per integrator.
 
     Parameters
@@ -51,7 +41,7 @@ def stability_curves(found: Sequence[dict[str, Any]], omega_h: str) -> list[Spec
 
 def _curve(
     found: Sequence[dict[str, Any]], field: str, title: str, logarithmic: bool, name: str
-) -> Spec | None:
+) -> vl.Spec | None:
     """One quantity over omega h, a line per integrator; None if it has no values."""
     rows = []
     for f in found:
@@ -62,36 +52,36 @@ def _curve(
                 continue
             shown = abs(value) if logarithmic else min(value, _TOP)
             if math.isfinite(shown):
-                row = {"omega_h": short(omega_h), "value": short(shown)}
+                row = {"omega_h": vl.short(omega_h), "value": vl.short(shown)}
                 rows.append({"series": f["integrator"], **row})
     if not rows:
         return None
-    data = Dataset(field, rows)
-    options = ChartOptions(line_styles((f["integrator"], f["family"]) for f in found))
+    data = vl.Dataset(field, rows)
+    options = vl.ChartOptions(line_styles((f["integrator"], f["family"]) for f in found))
     values = [row["value"] for row in rows]
-    x_axis = log_axis([row["omega_h"] for row in rows], "~g")
-    y = quantity("value", title=title, scale={"zero": True})
+    x_axis = vl.log_axis([row["omega_h"] for row in rows], "~g")
+    y = vl.quantity("value", title=title, scale={"zero": True})
     if logarithmic:
-        y |= {"scale": log_scale(), "axis": log_axis(values, ".0e")}
-    line: Spec = {
+        y |= {"scale": vl.log_scale(), "axis": vl.log_axis(values, ".0e")}
+    line: vl.Spec = {
         "mark": {"type": "line", "strokeWidth": 1.8, "clip": True},
         "encoding": {
-            "x": quantity("omega_h", title=name, scale=log_scale(), axis=x_axis),
+            "x": vl.quantity("omega_h", title=name, scale=vl.log_scale(), axis=x_axis),
             "y": y,
-            "color": by_series(options.colors, options),
-            "strokeDash": by_series(options.dashes, options),
+            "color": options.colors(),
+            "strokeDash": options.dashes(),
         },
     }
-    one: Spec = {
+    one: vl.Spec = {
         "data": {"values": [{"one": 1}]},
         "mark": {"type": "rule", "strokeDash": [3, 3], "opacity": 0.6},
-        "encoding": {"y": quantity("one")},
+        "encoding": {"y": vl.quantity("one")},
     }
     behind = [one] if field == "radius" else []
-    return arrange([{"data": data.source, "layer": [*behind, line]}], [data], 2)
+    return vl.arrange([{"data": data.source, "layer": [*behind, line]}], [data], 2)
 
 
-def radius_map(m: dict[str, Any], name: str) -> Spec | None:
+def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
     """Spectral radii over omega h and another number, as tiles."""
     rows = []
     values, across = [row["value"] for row in m["rows"]], m["omega_h"]
@@ -108,27 +98,29 @@ def radius_map(m: dict[str, Any], name: str) -> Spec | None:
         for omega_h, radius in zip(across, row["radii"], strict=True):
             rows.append(
                 {
-                    "left": short(omega_h / wide),
-                    "right": short(omega_h * wide),
+                    "left": vl.short(omega_h / wide),
+                    "right": vl.short(omega_h * wide),
                     "low": low,
                     "high": high,
                     "radius": 1e9 if radius is None else radius,
                 }
             )
-    data = Dataset("map", rows)
+    data = vl.Dataset("map", rows)
     scale = {"type": "log" if logarithmic else "linear", "nice": False, "zero": False}
     colors = {"type": "threshold", "domain": list(_BORDERS), "range": list(_COLORS)}
-    x_axis = log_axis(across, "~g")
+    x_axis = vl.log_axis(across, "~g")
     legend = {"title": "spectral radius", "orient": "right", "format": ".4~g"}
-    tile: Spec = {
+    tile: vl.Spec = {
         "data": data.source,
         "mark": {"type": "rect", "clip": True},
         "encoding": {
-            "x": quantity("left", title=name, scale=log_scale() | {"padding": 0}, axis=x_axis),
+            "x": vl.quantity(
+                "left", title=name, scale=vl.log_scale() | {"padding": 0}, axis=x_axis
+            ),
             "x2": {"field": "right"},
-            "y": quantity("low", title=m["over"], scale=scale),
+            "y": vl.quantity("low", title=m["over"], scale=scale),
             "y2": {"field": "high"},
-            "color": quantity("radius", scale=colors, legend=legend),
+            "color": vl.quantity("radius", scale=colors, legend=legend),
         },
     }
-    return arrange([tile], [data], 2)
+    return vl.arrange([tile], [data], 2)

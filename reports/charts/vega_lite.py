@@ -22,7 +22,7 @@ Spec = dict[str, Any]
 
 GREY = "#808080"
 _TEXT_COLUMNS = {
-    *("series", "look", "norm", "run", "line", "scene", "group", "target", "cost", "text"),
+    *("series", "look", "norm", "run", "line", "scene", "group", "target", "cost", "text")
 }
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
 _DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
@@ -52,20 +52,42 @@ class ChartOptions:
         buttons = {"input": "radio", "options": list(NORMS), "labels": labels, "name": "Error "}
         return [{"name": "norm", "value": self.norm, "bind": buttons}]
 
-    @property
-    def colors(self) -> list[str]:
-        """A colour per label."""
-        return [style.color for style in self.styles.values()]
+    def colors(self, **legend: Any) -> Spec:
+        """A channel: a colour per label."""
+        return self._by_series([style.color for style in self.styles.values()], legend)
 
-    @property
-    def dashes(self) -> list[list[float]]:
-        """Dashes per label."""
-        return [list(style.dash) for style in self.styles.values()]
+    def dashes(self, **legend: Any) -> Spec:
+        """A channel: dashes per label."""
+        return self._by_series([list(style.dash) for style in self.styles.values()], legend)
 
-    @property
-    def shapes(self) -> list[str]:
-        """The shape of a point per label."""
-        return [style.shape for style in self.styles.values()]
+    def shapes(self) -> Spec:
+        """A channel: a point shape per label."""
+        return self._by_series([style.shape for style in self.styles.values()], {})
+
+    def numbered_dashes(self) -> Spec:
+        """A channel: dashes by the number of the line, without a legend.
+
+        In the legend they would be drawn around the points, too.
+        """
+        numbers = [str(i) for i in range(len(self.styles))]
+        scale = {"domain": numbers, "range": [list(s.dash) for s in self.styles.values()]}
+        return category("look", scale=scale, legend=None)
+
+    def opacity(self, full: float = 1.0) -> Spec:
+        """A channel: in an interactive chart the lines that are not picked fade."""
+        if not self.interactive:
+            return {"value": full}
+        return {"condition": {"param": "pick", "value": full}, "value": 0.07}
+
+    def _by_series(self, values: list[Any], legend: Spec) -> Spec:
+        """A channel by series; all panels have one domain, so they share a legend."""
+        if self.notes:
+            norm = "norm" if self.interactive else json.dumps(self.norm)
+            note = f"{json.dumps(self.notes)}[{norm}][datum.value]"
+            # One column, as the lines are long; not cut at the usual width.
+            legend |= {"labelExpr": f"datum.value + {note}", "labelLimit": 0, "columns": 1}
+        scale = {"domain": list(self.styles), "range": values}
+        return category("series", scale=scale, legend={"title": None, **legend})
 
 
 @dataclass(frozen=True)
@@ -109,31 +131,6 @@ def run_tooltip(*more: Spec) -> list[Spec]:
     return [*(category(field, title=title) for field, title in names), *more]
 
 
-def numbered_dashes(options: ChartOptions) -> Spec:
-    """Dashes by the number of the line, without a legend.
-
-    In the legend they would be drawn around the points, too.
-    """
-    numbers = [str(i) for i in range(len(options.styles))]
-    scale = {"domain": numbers, "range": options.dashes}
-    return category("look", scale=scale, legend=None)
-
-
-def by_series(values: list[Any], options: ChartOptions, **legend: Any) -> Spec:
-    """A channel by series; all channels and panels have one domain, so they share a legend."""
-    if options.notes:
-        chosen = "norm" if options.interactive else json.dumps(options.norm)
-        noted = f"{json.dumps(options.notes)}[{chosen}][datum.value]"
-        # One column, as the lines are long; not cut at the usual width.
-        legend |= {"labelExpr": f"datum.value + {noted}", "labelLimit": 0, "columns": 1}
-    return {
-        "field": "series",
-        "type": "nominal",
-        "scale": {"domain": list(options.styles), "range": values},
-        "legend": {"title": None, **legend},
-    }
-
-
 def log_scale() -> Spec:
     """A logarithmic scale with some room at the ends."""
     return {"type": "log", "nice": False, "padding": 12}
@@ -165,13 +162,6 @@ def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: An
 def pick() -> Spec:
     """A click on the legend isolates a method; with Shift, several."""
     return {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
-
-
-def dimmed(full: float, options: ChartOptions) -> Spec:
-    """Opacity; in an interactive chart the lines that are not picked fade."""
-    if not options.interactive:
-        return {"value": full}
-    return {"condition": {"param": "pick", "value": full}, "value": 0.07}
 
 
 def menu(name: str, value: str, choices: Mapping[str, str], title: str) -> Spec:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.results.records import NORMS
+from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
     error_data,
     error_lines,
@@ -16,23 +17,6 @@ from reports.charts.error_panels import (
     floor_rule,
 )
 from reports.charts.line_styles import LineStyle, styles_of
-from reports.charts.vega_lite import (
-    GREY,
-    ChartOptions,
-    Dataset,
-    Spec,
-    arrange,
-    by_series,
-    config,
-    datasets,
-    dimmed,
-    log_axis,
-    log_scale,
-    menu,
-    quantity,
-    run_tooltip,
-    short,
-)
 from reports.series import (
     COST_NAMES,
     GROUP_NAMES,
@@ -57,13 +41,13 @@ def work_precision(
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
     norm: str = "end",
-) -> Spec | None:
+) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.
 
     None if there is nothing to draw.
     """
     series = [s for s in series if s.ok]
-    options = ChartOptions(styles_of(series, styles), norm)
+    options = vl.ChartOptions(styles_of(series, styles), norm)
     data, panels, columns = [error_data(series, group, options) for group in groups], [], 1
     for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
         before = len(panels)
@@ -73,15 +57,15 @@ def work_precision(
             )
             panels += [panel] if panel else []
         columns = max(columns, len(panels) - before)
-    return arrange(panels, data, columns)
+    return vl.arrange(panels, data, columns)
 
 
 def work_precision_with_menus(
     series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
-) -> Spec | None:
+) -> vl.Spec | None:
     """Error against cost; menus choose group, norm and cost. None if there is nothing to draw."""
     series = [s for s in series if s.ok]
-    options = ChartOptions(styles_of(series, styles), interactive=True)
+    options = vl.ChartOptions(styles_of(series, styles), interactive=True)
     rows: list[dict[str, Any]] = []
     for s in series:
         for r in s.ok:
@@ -89,11 +73,11 @@ def work_precision_with_menus(
                 "series": s.label,
                 "look": list(options.styles).index(s.label),
                 "run": r.resolution,
-                "fastest": short(min(r.run_s, default=None)),
-                "slowest": short(max(r.run_s, default=None)),
-                "seconds": short(seconds_of(r)),
-                "h": short(r.h),
-                "rtol": short(r.rtol),
+                "fastest": vl.short(min(r.run_s, default=None)),
+                "slowest": vl.short(max(r.run_s, default=None)),
+                "seconds": vl.short(seconds_of(r)),
+                "h": vl.short(r.h),
+                "rtol": vl.short(r.rtol),
                 **{cost: r.work.get(cost) for cost in _COSTS if cost in r.work},
             }
             # A column per error, not a row: the page stays small.
@@ -101,32 +85,32 @@ def work_precision_with_menus(
                 f"{group}_{norm}": error
                 for group in groups
                 for norm in NORMS
-                if (error := short(error_of(r, group, norm)))
+                if (error := vl.short(error_of(r, group, norm)))
             }
             rows += [run | errors] if errors else []
     if not rows:
         return None
-    data = Dataset("runs", rows)
+    data = vl.Dataset("runs", rows)
     costs = [cost for cost in _COSTS if any(row.get(cost) for row in rows)]
     first = "a" if "a" in groups else groups[0]
     params = [
-        menu("group", first, {g: GROUP_NAMES[g] for g in groups}, "error in "),
-        menu("norm", "max", NORM_NAMES, " taken "),
-        menu("cost", costs[0], {c: _COSTS[c] for c in costs}, " against "),
+        vl.menu("group", first, {g: GROUP_NAMES[g] for g in groups}, "error in "),
+        vl.menu("norm", "max", NORM_NAMES, " taken "),
+        vl.menu("cost", costs[0], {c: _COSTS[c] for c in costs}, " against "),
     ]
     titles = json.dumps(_COSTS), json.dumps(GROUP_NAMES)
-    tooltip = run_tooltip(
-        quantity("error", title="error", format=".3g"),
-        *(quantity(c, title=_COSTS[c], format=".3g") for c in costs if c not in ("h", "rtol")),
+    tooltip = vl.run_tooltip(
+        vl.quantity("error", title="error", format=".3g"),
+        *(vl.quantity(c, title=_COSTS[c], format=".3g") for c in costs if c not in ("h", "rtol")),
     )
     floors = _floors(series, groups, rows)
     lines = error_lines(options, "across", "error", "seconds", tooltip)
     for channel, numbers in (("x", "~g"), ("y", ".0e")):
         # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
-        lines[0]["encoding"][channel]["axis"] = log_axis((1, 50), numbers, minExtent=40)
+        lines[0]["encoding"][channel]["axis"] = vl.log_axis((1, 50), numbers, minExtent=40)
     # A single view, not a grid of one: the titles need its width and height.
     return {
-        "datasets": datasets([table for table in (data, floors) if table.rows]),
+        "datasets": vl.datasets([table for table in (data, floors) if table.rows]),
         "params": params,
         "data": data.source,
         "transform": [
@@ -142,11 +126,11 @@ def work_precision_with_menus(
             {
                 "mark": {"type": "rule", "strokeWidth": 1},
                 "encoding": {
-                    "x": quantity("low", scale=log_scale()),
+                    "x": vl.quantity("low", scale=vl.log_scale()),
                     "x2": {"field": "high"},
-                    "y": quantity("error", scale=log_scale()),
-                    "color": by_series(options.colors, options),
-                    "opacity": dimmed(0.45, options),
+                    "y": vl.quantity("error", scale=vl.log_scale()),
+                    "color": options.colors(),
+                    "opacity": options.opacity(0.45),
                 },
             },
             _title(f"{titles[0]}[cost]", x="width / 2", y="height + 34"),
@@ -154,13 +138,13 @@ def work_precision_with_menus(
         ],
         "width": 620,
         "height": 340,
-        "config": config(),
+        "config": vl.config(),
     }
 
 
 def _floors(
     series: Sequence[Series], groups: Sequence[str], rows: Sequence[Mapping[str, Any]]
-) -> Dataset:
+) -> vl.Dataset:
     """The reference's own error in every group and norm; no rows if none can be seen."""
     runs = ok_runs(series)
     errors = {
@@ -173,16 +157,16 @@ def _floors(
         for (group, norm), found in errors.items()
         if found
     ]
-    return Dataset("floors", table if any(row["seen"] for row in table) else [])
+    return vl.Dataset("floors", table if any(row["seen"] for row in table) else [])
 
 
-def _floor_line(floors: Dataset) -> Spec:
+def _floor_line(floors: vl.Dataset) -> vl.Spec:
     chosen = {"transform": [{"filter": "datum.group === group && datum.norm === norm"}]}
     return {"data": floors.source} | chosen | floor_layer()
 
 
-def _title(text: str, x: str, y: str, turn: int = 0) -> Spec:
+def _title(text: str, x: str, y: str, turn: int = 0) -> vl.Spec:
     """An axis title that depends on a menu; titles of Vega-Lite cannot."""
-    mark = {"type": "text", "text": {"expr": text}, "color": GREY, "fontSize": 12, "angle": turn}
+    mark = {"type": "text", "text": {"expr": text}, "color": vl.GREY, "fontSize": 12, "angle": turn}
     place = {"x": {"expr": x}, "y": {"expr": y}, "clip": False}
     return {"data": {"values": [{}]}, "mark": mark | place}

@@ -46,8 +46,10 @@ def code(text: object) -> str:
     return f"`{flat}`".replace("|", "\\|") if flat else ""
 
 
-def markdown_table(table: Table) -> str:
-    """A table in GitHub's Markdown, with its caption and note."""
+def markdown_table(table: Table | None) -> str:
+    """A table in GitHub's Markdown, with its caption and note; nothing for None."""
+    if table is None:
+        return ""
     lines = [_row(escape(head) for head in table.head), _row("---" for _ in table.head)]
     for i, cells in enumerate(table.rows):
         shown = [code(c) if j in table.code else escape(c) for j, c in enumerate(cells)]
