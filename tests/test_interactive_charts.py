@@ -10,10 +10,10 @@ from planted import curves, everything
 
 from bench.results.records import NORMS, Rows
 from reports import sampling
-from reports.charts.acceleration_accuracy import acceleration_accuracy
+from reports.charts.errors import acceleration_accuracy
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory
-from reports.charts.work_precision import work_precision_with_menus
+from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.series import series_of
 
 

@@ -13,10 +13,9 @@ import vl_convert
 from planted import STEPS, everything, planted
 
 from bench.results.records import NORMS
-from reports.charts.acceleration_accuracy import acceleration_accuracy
-from reports.charts.convergence import convergence
+from reports.charts.errors import acceleration_accuracy, convergence
 from reports.charts.line_styles import line_styles
-from reports.charts.work_precision import work_precision_with_menus
+from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.series import series_of
 
 

@@ -89,20 +89,17 @@ def performance_profile(
 
     None for fewer than two scenes. Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
-    cases: dict[tuple[str, float, str], dict[str, list[float]]] = {}
-    scenes: dict[tuple[str, float, str], set[str]] = {}
+    cases: dict[tuple[str, float, str], list[RankEntry]] = {}
     for s in entries:
-        case = (s.group, s.target, s.cost)
         if interactive or _shown_first(s):
-            scenes.setdefault(case, set()).add(s.scene)
-            ratios = cases.setdefault(case, {}).setdefault(s.label, [])
-            ratios += [s.ratio] if s.ratio is not None else []
+            cases.setdefault((s.group, s.target, s.cost), []).append(s)
     rows = []
-    for (group, target, cost), by_label in cases.items():
-        count = len(scenes[group, target, cost])
-        for label, ratios in by_label.items() if count > 1 else ():
+    for (group, target, cost), case in cases.items():
+        count = len({s.scene for s in case})
+        for label in dict.fromkeys(s.label for s in case) if count > 1 else ():
             named = {"series": label, "group": group, "target": str(target), "cost": cost}
-            steps = [(1.0, 0), *((r, i) for i, r in enumerate(sorted(ratios), 1))]
+            ratios = sorted(s.ratio for s in case if s.label == label and s.ratio is not None)
+            steps = [(1.0, 0), *((r, i) for i, r in enumerate(ratios, 1))]
             steps.append((_FAR, sum(r <= _FAR for r in ratios)))
             rows += [
                 {**named, "tau": vl.short(tau), "part": vl.short(done / count)}
@@ -114,14 +111,13 @@ def performance_profile(
     labels = list(dict.fromkeys(row["series"] for row in rows))
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
     data = vl.Dataset("profile", rows)
+    scale = {"type": "log", "domain": [1, _FAR]}
     layer: vl.Spec = {
         "data": data.source,
         "transform": _menu_filters() if interactive else [],
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
-            "x": vl.quantity(
-                "tau", title="times the best cost", scale={"type": "log", "domain": [1, _FAR]}
-            ),
+            "x": vl.quantity("tau", title="times the best cost", scale=scale),
             "y": vl.quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
             "color": options.colors(),
             "strokeDash": options.dashes(),

@@ -28,13 +28,9 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
     if sweep:
         table = vl.Dataset("sweep", sweep)
         axis = next(case.axis for case in part.cases if len(case.x) > 1)
-        x = vl.quantity(
-            "x", title=axis, scale=vl.log_scale(), axis=vl.log_axis([r["x"] for r in sweep], "~g")
-        )
+        x = vl.log_quantity("x", title=axis, axis=vl.log_axis([r["x"] for r in sweep], "~g"))
         values = [row["value"] for row in sweep]
-        y = vl.quantity(
-            "value", title=part.quantity, scale=vl.log_scale(), axis=vl.log_axis(values, ".0e")
-        )
+        y = vl.log_quantity("value", title=part.quantity, axis=vl.log_axis(values, ".0e"))
         panels.append(_lines(table, options, x, y, points=True))
         data.append(table)
     if history:

@@ -61,7 +61,7 @@ def _ratios(comparison: Comparison, kind: str) -> vl.Spec | None:
         axis={"tickMinStep": 1, "tickCount": 4},
     )
     axis = vl.log_axis([row["ratio"] for row in points] + [1.0], "~g")
-    y = vl.quantity("ratio", title="new / old", scale=vl.log_scale(), axis=axis)
+    y = vl.log_quantity("ratio", title="new / old", axis=axis)
     same: vl.Spec = {
         "data": {"values": [{"rank": better + 0.5, "end": count - worse + 0.5, "ratio": 1}]},
         "mark": {"type": "rule", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.5},

@@ -74,12 +74,9 @@ def _chart(
             "data": data.source,
             "mark": {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}},
             "encoding": {
-                "x": vl.quantity("unknowns", scale=vl.log_scale(), axis=x_axis),
-                "y": vl.quantity(
-                    field,
-                    title=title,
-                    scale=vl.log_scale(),
-                    axis=vl.log_axis([row[field] for row in rows], ".0e"),
+                "x": vl.log_quantity("unknowns", axis=x_axis),
+                "y": vl.log_quantity(
+                    field, title=title, axis=vl.log_axis([row[field] for row in rows], ".0e")
                 ),
                 "color": options.colors(),
                 "strokeDash": options.dashes(),

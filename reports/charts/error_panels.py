@@ -37,7 +37,7 @@ def error_data(
     for s in series:
         for record in s.ok:
             run = {
-                "look": labels.index(s.label),
+                "style": labels.index(s.label),
                 "h": vl.short(step_or_tolerance(record)),
                 "run": record.resolution,
                 "seconds": vl.short(seconds_of(record)),
@@ -81,35 +81,25 @@ def error_panel(
         [row[field] for row in rows], _FORMATS.get(field, "~s"), zoomed and f"{zoomed}.{field}"
     )
     y_axis = vl.log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
-    x = vl.quantity(field, title=title, scale=vl.log_scale(), axis=x_axis)
+    x = vl.log_quantity(field, title=title, axis=x_axis)
     y_title = f"relative error in {GROUP_NAMES[data.name]}"
-    y = vl.quantity("error", title=y_title, scale=vl.log_scale(), axis=y_axis | {"minExtent": 38})
-    color = {"color": options.colors()}
-    bright = color | {"opacity": options.opacity()}
+    y = vl.log_quantity("error", title=y_title, axis=y_axis | {"minExtent": 38})
     tooltip = vl.run_tooltip(
         vl.quantity("error", title=f"error in {data.name}", format=".3g"),
         vl.quantity("seconds", title="median s", format=".3g"),
         vl.quantity("residuals", title="residual evaluations", format="d"),
     )
-    lines: vl.Spec = {
-        "mark": {"type": "line", "strokeWidth": 1.8},
-        "encoding": {"x": x, "strokeDash": options.numbered_dashes(), "order": vl.quantity("h")}
-        | bright,
-    }
-    points: vl.Spec = {
-        "mark": {"type": "point", "filled": True, "size": 55},
-        "encoding": {"x": x, "shape": options.shapes(), "tooltip": tooltip} | bright,
-    }
-    layers = [lines, points]
+    layers = error_lines(options, {"x": x}, "h", tooltip, size=55)
     if field == "seconds":
-        fastest = vl.quantity("fastest", title=title, scale=vl.log_scale())
+        fastest = vl.log_quantity("fastest", title=title)
         ends = {"x": fastest, "x2": {"field": "slowest"}, "opacity": options.opacity(0.45)}
-        layers.append({"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | color})
+        ends |= {"color": options.colors()}
+        layers.append({"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends})
     filters = [f"datum.{field} > 0"]
     if options.interactive:
         filters.append("datum.norm == norm")
         # The shared legend works only with a selection of the first layer.
-        lines["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
+        layers[0]["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
     return {
         "data": data.source,
         "transform": [{"filter": text} for text in filters],
@@ -119,30 +109,18 @@ def error_panel(
 
 
 def error_lines(
-    options: vl.ChartOptions, x: str, y: str, order: str, tooltip: list[vl.Spec]
+    options: vl.ChartOptions, place: vl.Spec, order: str, tooltip: list[vl.Spec], size: int = 60
 ) -> list[vl.Spec]:
-    """Lines and points of every series, log-log; the first layer handles the pointer."""
-    color = {"color": options.colors(), "opacity": options.opacity()}
-    place = {
-        "x": vl.quantity(x, title=None, scale=vl.log_scale()),
-        "y": vl.quantity(y, title=None, scale=vl.log_scale()),
-    }
-    lines: vl.Spec = {
-        "mark": {"type": "line", "strokeWidth": 1.8},
-        "encoding": {
-            **place,
-            "strokeDash": options.numbered_dashes(),
-            "order": vl.quantity(order),
-            **color,
+    """The layers of lines and points at ``place`` (the channels x, y), in the order of a field."""
+    bright = place | {"color": options.colors(), "opacity": options.opacity()}
+    dashes = {"strokeDash": options.numbered_dashes(), "order": vl.quantity(order)}
+    return [
+        {"mark": {"type": "line", "strokeWidth": 1.8}, "encoding": bright | dashes},
+        {
+            "mark": {"type": "point", "filled": True, "size": size},
+            "encoding": bright | {"shape": options.shapes(), "tooltip": tooltip},
         },
-    }
-    if options.interactive:
-        lines["params"] = [vl.zoom(f"zoom_{y}"), vl.pick()]
-    points: vl.Spec = {
-        "mark": {"type": "point", "filled": True, "size": 60},
-        "encoding": {**place, "shape": options.shapes(), "tooltip": tooltip, **color},
-    }
-    return [lines, points]
+    ]
 
 
 def floor_row(floor: float, lowest: float) -> dict[str, float | int | None]:
@@ -159,7 +137,7 @@ def floor_layer() -> vl.Spec:
     return {
         "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
         "encoding": {
-            "y": vl.quantity("floor", scale=vl.log_scale()),
+            "y": vl.log_quantity("floor"),
             "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
             "tooltip": vl.quantity("floor", title="reference's own error", format=".2g"),
         },
@@ -196,7 +174,7 @@ def slope_guides(
     layer: vl.Spec = {"data": {"values": rows}}
     if options.interactive:
         layer["transform"] = [{"filter": "datum.norm == norm"}]
-    x, y = vl.quantity("h", scale=vl.log_scale()), vl.quantity("error", scale=vl.log_scale())
+    x, y = vl.log_quantity("h"), vl.log_quantity("error")
     ends = {"x": x, "y": y, "x2": {"field": "h2"}, "y2": {"field": "error2"}}
     rule = {"type": "rule", "color": vl.GREY, "strokeWidth": 1}
     text = {"type": "text", "color": vl.GREY, "align": "right", "dx": -6, "dy": -5}

@@ -13,15 +13,21 @@ _HUES = (212, 24, 150, 285, 345, 180, 45, 100)
 _DASHES = ((1, 0), (6, 3), (2, 2), (9, 3, 2, 3), (4, 1), (12, 4))
 _SHAPES = ("circle", "square", "triangle-up", "diamond", "cross", "triangle-down")
 # Dark enough for print, told apart without colour by shape and dashes.
-_PAPER_COLORS = (
-    *("#000000", "#0072b2", "#b34700", "#00735a"),
-    *("#9c4f7d", "#5c5c5c", "#2a5078", "#8a6d00"),
+_PAPER_COLORS = [
+    "#000000",
+    "#0072b2",
+    "#b34700",
+    "#00735a",
+    "#9c4f7d",
+    "#5c5c5c",
+    "#2a5078",
+    "#8a6d00",
+]
+_PAPER_SHAPES = (*_SHAPES, "triangle-right", "triangle-left")
+_PAPER_DASHES = (
+    *((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2)),
+    *((9, 3), (1, 1), (4, 1, 1, 1, 1, 1)),
 )
-_PAPER_SHAPES = (
-    *("circle", "square", "triangle-up", "diamond", "cross"),
-    *("triangle-down", "triangle-right", "triangle-left"),
-)
-_PAPER_DASHES = (*((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2), (9, 3), (1, 1)), (4, 1, 1, 1, 1, 1))
 
 
 @dataclass(frozen=True)

@@ -47,32 +47,16 @@ def on_paper(panel: Spec, data: Sequence[Dataset]) -> Spec:
 def _config() -> Spec:
     """Black on white, thin axes without a grid, 8 points of text."""
     text = {"labelFontSize": 8, "titleFontSize": 8, "titleFontWeight": "normal"}
+    colors = {"tickColor": "black", "labelColor": "black", "titleColor": "black"}
+    sizes = {"tickWidth": 0.5, "tickSize": 3, "titlePadding": 4}
+    place = {"orient": "bottom", "direction": "vertical", "columns": 1, "offset": 6}
+    symbols = {"rowPadding": 1, "symbolSize": 30, "symbolStrokeWidth": 0.9}
     return {
         "background": "white",
         "font": "Helvetica, Arial, Liberation Sans, sans-serif",
         "view": {"stroke": "black", "strokeWidth": 0.5},
-        "axis": text
-        | {
-            "grid": False,
-            "domain": False,
-            "tickColor": "black",
-            "tickWidth": 0.5,
-            "tickSize": 3,
-            "labelColor": "black",
-            "titleColor": "black",
-            "titlePadding": 4,
-        },
-        "legend": text
-        | {
-            "orient": "bottom",
-            "direction": "vertical",
-            "columns": 1,
-            "offset": 6,
-            "rowPadding": 1,
-            "symbolSize": 30,
-            "symbolStrokeWidth": 0.9,
-            "labelLimit": _WIDTH - 30,
-        },
+        "axis": text | colors | sizes | {"grid": False, "domain": False},
+        "legend": text | place | symbols | {"labelLimit": _WIDTH - 30},
     }
 
 

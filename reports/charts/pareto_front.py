@@ -33,8 +33,8 @@ def pareto_chart(
     # Every panel has its own range: the digits 1, 2, 5 have labels where they fit.
     x_axis, y_axis = (vl.log_axis((1, 50), text) for text in ("~g" if interactive else "~s", ".0e"))
     title = None if interactive else RANKED_COSTS[COST]
-    x = vl.quantity("across", title=title, scale=vl.log_scale(), axis=x_axis)
-    y = vl.quantity("error", title="relative error", scale=vl.log_scale(), axis=y_axis)
+    x = vl.log_quantity("across", title=title, axis=x_axis)
+    y = vl.log_quantity("error", title="relative error", axis=y_axis)
     steps: vl.Spec = {
         "transform": [{"filter": "datum.on_front"}],
         "mark": {"type": "line", "interpolate": "step-after", "color": vl.GREY, "strokeWidth": 5,

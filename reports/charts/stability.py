@@ -26,15 +26,7 @@ _COLORS = ("#0b3d2e", "#14603f", "#2b8a57", "#62b37d", "#a5d6ae", "#dcefe0", "#f
 
 
 def stability_curves(found: Sequence[dict[str, Any]], omega_h: str) -> list[vl.Spec]:
-    """A chart per quantity over omega h, a line per integrator.
-
-    Parameters
-    ----------
-    found
-        The analysis of each integrator, as plain values.
-    omega_h
-        Title of the axis.
-    """
+    """A chart per quantity over omega h (the title of the axis), a line per integrator."""
     charts = (_curve(found, *curve, omega_h) for curve in _CURVES)
     return [chart for chart in charts if chart]
 
@@ -66,7 +58,7 @@ def _curve(
     line: vl.Spec = {
         "mark": {"type": "line", "strokeWidth": 1.8, "clip": True},
         "encoding": {
-            "x": vl.quantity("omega_h", title=name, scale=vl.log_scale(), axis=x_axis),
+            "x": vl.log_quantity("omega_h", title=name, axis=x_axis),
             "y": y,
             "color": options.colors(),
             "strokeDash": options.dashes(),

@@ -22,7 +22,7 @@ Spec = dict[str, Any]
 
 GREY = "#808080"
 _TEXT_COLUMNS = {
-    *("series", "look", "norm", "run", "line", "scene", "group", "target", "cost", "text")
+    *("series", "style", "norm", "run", "line", "scene", "group", "target", "cost", "text")
 }
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
 _DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
@@ -71,7 +71,7 @@ class ChartOptions:
         """
         numbers = [str(i) for i in range(len(self.styles))]
         scale = {"domain": numbers, "range": [list(s.dash) for s in self.styles.values()]}
-        return category("look", scale=scale, legend=None)
+        return category("style", scale=scale, legend=None)
 
     def opacity(self, full: float = 1.0) -> Spec:
         """A channel: in an interactive chart the lines that are not picked fade."""
@@ -120,6 +120,16 @@ def quantity(field: str, **more: Any) -> Spec:
     return {"field": field, "type": "quantitative", **more}
 
 
+def log_scale() -> Spec:
+    """A logarithmic scale with some room at the ends."""
+    return {"type": "log", "nice": False, "padding": 12}
+
+
+def log_quantity(field: str, **more: Any) -> Spec:
+    """A channel that shows numbers on a logarithmic scale."""
+    return quantity(field, scale=log_scale(), **more)
+
+
 def category(field: str, **more: Any) -> Spec:
     """A channel that shows names."""
     return {"field": field, "type": "nominal", **more}
@@ -129,11 +139,6 @@ def run_tooltip(*more: Spec) -> list[Spec]:
     """Texts at a point: integrator, resolution, and ``more``."""
     names = (("series", "integrator"), ("run", "resolution"))
     return [*(category(field, title=title) for field, title in names), *more]
-
-
-def log_scale() -> Spec:
-    """A logarithmic scale with some room at the ends."""
-    return {"type": "log", "nice": False, "padding": 12}
 
 
 def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: Any) -> Spec:
@@ -203,30 +208,15 @@ def arrange(
 def config() -> Spec:
     """No background, greys that read on light and dark pages, legends below."""
     text = {"labelColor": GREY, "titleColor": GREY}
+    lines = {"gridColor": GREY, "gridOpacity": 0.3, "domainColor": GREY, "tickColor": GREY}
+    titles = {"titleFontWeight": "normal", "titleFontSize": 12, "labelFontSize": 11}
+    place = {"orient": "bottom", "direction": "vertical", "columns": 2, "columnPadding": 40}
     return {
         "background": "transparent",
         "font": "Arial, Liberation Sans, Helvetica, sans-serif",
         "view": {"stroke": GREY, "strokeOpacity": 0.35},
-        "axis": {
-            **text,
-            "gridColor": GREY,
-            "gridOpacity": 0.3,
-            "domainColor": GREY,
-            "tickColor": GREY,
-            "titleFontWeight": "normal",
-            "titleFontSize": 12,
-            "labelFontSize": 11,
-        },
-        "legend": {
-            **text,
-            "labelFontSize": 12,
-            "orient": "bottom",
-            "direction": "vertical",
-            "columns": 2,
-            "columnPadding": 40,
-            "labelLimit": 440,
-            "symbolSize": 90,
-        },
+        "axis": text | lines | titles,
+        "legend": text | place | {"labelFontSize": 12, "labelLimit": 440, "symbolSize": 90},
     }
 
 

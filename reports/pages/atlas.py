@@ -20,15 +20,10 @@ FILE = "atlas.html"
 
 @dataclass
 class ExperimentSection:
-    """One experiment: its claim, its measured numbers, a remedy."""
+    """One experiment, with a table and a figure for each of its parts."""
 
-    anchor: str
-    title: str
-    as_predicted: bool
+    result: ExperimentResult
     verdict: str
-    claim: str
-    remedy: str
-    source: str
     parts: list[tuple[Table, CaptionedCharts | None]]
 
     @property
@@ -73,13 +68,4 @@ def _section(f: ExperimentResult) -> ExperimentSection:
         caption += f"; {part.show} in the first run." if part.show else "."
         figure = captioned(caption, {f"atlas-{f.name}-{k}": experiment_chart(part)})
         parts.append((part_table(part), figure))
-    return ExperimentSection(
-        anchor=f"atlas-{f.name}",
-        title=f"{f.number}. {f.title}",
-        as_predicted=f.as_predicted,
-        verdict=f"{verdict}: {predicted_counts(f)} numbers.",
-        claim=" ".join(f.claim.split()),
-        remedy=" ".join(f.remedy.split()),
-        source=f.source,
-        parts=parts,
-    )
+    return ExperimentSection(f, f"{verdict}: {predicted_counts(f)} numbers.", parts)

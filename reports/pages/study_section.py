@@ -10,11 +10,10 @@ from functools import partial
 
 from bench.results.records import Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
-from reports.charts.acceleration_accuracy import acceleration_accuracy
-from reports.charts.convergence import convergence
+from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
-from reports.charts.work_precision import work_precision, work_precision_with_menus
+from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.sampling import before_divergence, groups_with_values, thinned
@@ -59,22 +58,8 @@ class StudySection:
 class StudySections:
     """Makes the sections of one scene's studies.
 
-    Parameters
-    ----------
-    name
-        The scene's name on the page.
-    scene
-        The scene, if it is stored.
-    records
-        All runs of the scene.
-    styles
-        Line styles by label.
-    read_rows
-        Reads the sampled values of a record by key.
-    ids
-        Anchors of records by key.
-    interactive
-        Whether charts are interactive instead of still.
+    ``read_rows`` reads the sampled values of a record by key, ``ids`` are the anchors of records
+    by key, ``styles`` the line styles by label.
     """
 
     name: str

@@ -164,22 +164,20 @@ def integrators_table(
         ]
         best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
         rows.append(
-            [
-                label,
-                facts.title.rstrip(".") if facts else "",
-                claimed,
-                _measured(mine),
-                best,
-                worst,
-                facts.source if facts else "",
-            ]
+            {
+                "integrator": label,
+                "what it is": facts.title.rstrip(".") if facts else "",
+                "orders claimed": claimed,
+                "orders measured": _measured(mine),
+                "best scene": best,
+                "worst scene": worst,
+                "source": facts.source if facts else "",
+            }
         )
     if not rows:
         return None
-    head = ["integrator", "what it is", "orders claimed", "orders measured", "best scene"]
-    return Table(
+    return Table.from_dicts(
         "Integrators",
-        [*head, "worst scene", "source"],
         rows,
         note="Orders measured: of the largest error after the start transient, from the smallest "
         "to the largest over the scenes; at constant steps only. Best and worst scene: residual "

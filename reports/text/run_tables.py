@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from bench.results.orders import Fit
 from bench.results.records import LEVELS, NORMS, Record, median
-from reports.formatting import milliseconds, number, order_text, text_range
+from reports.formatting import NO_VALUE, milliseconds, number, order_text, text_range
 from reports.series import (
     NORM_NAMES,
     TRUST,
@@ -27,30 +27,31 @@ def summary_table(series: Sequence[Series]) -> Table:
     groups = groups_of(ok_runs(series))
     rows, best_errors, doubtful = [], {}, False
     for i, s in enumerate(series):
-        cells = []
+        errors = {}
         for j, group in enumerate(groups):
             found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
-            cells.append(number(min(found, default=None)))
+            errors[name := f"error in {group}"] = number(min(found, default=None))
             if found:
                 if min(found) <= trusted_error(s.ok, group, "end"):
-                    cells[-1] += " *"
+                    errors[name] += " *"
                     doubtful = True
                 else:
                     best_errors.setdefault(j, []).append((min(found), i))
         run = _most_accurate(s)
         rows.append(
-            [
-                s.label,
-                *cells,
-                _orders(s, groups),
-                milliseconds(seconds_of(run)) if run else number(None),
-                _count(run.work.get("residuals")) if run else number(None),
-                s.statuses,
-                run.resolution if run else number(None),
-                s.resolutions,
-                s.formulations,
-            ]
+            {
+                "integrator": s.label,
+                **errors,
+                "orders": _orders(s, groups),
+                "time in ms": milliseconds(seconds_of(run) if run else None),
+                "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
+                "runs": s.statuses,
+                "most accurate run": run.resolution if run else NO_VALUE,
+                "resolutions": s.resolutions,
+                "formulation": s.formulations,
+            }
         )
+    best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
     note = (
         "Smallest relative error at the end over the runs. Orders: fitted in the largest error "
         "after the start transient. Time and counts are those of the run that is most accurate "
@@ -58,25 +59,7 @@ def summary_table(series: Sequence[Series]) -> Table:
     )
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
-    return Table(
-        "All integrators",
-        [
-            "integrator",
-            *(f"error in {g}" for g in groups),
-            "orders",
-            "time in ms",
-            "residual evaluations",
-            "runs",
-            "most accurate run",
-            "resolutions",
-            "formulation",
-        ],
-        rows,
-        best={(min(found)[1], 1 + j) for j, found in best_errors.items()}
-        if len(rows) > 1
-        else set(),
-        note=note,
-    )
+    return Table.from_dicts("All integrators", rows, best=best, note=note)
 
 
 def _most_accurate(s: Series) -> Record | None:
@@ -135,21 +118,22 @@ def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -
     if not records:
         return None
     rows = [
-        [
-            s.label,
-            r.resolution,
-            r.status,
-            *(number(error_of(r, group, "max")) for group in groups),
-            *(_count(r.work.get(name)) for name in ("steps", "rejected", "residuals")),
-            milliseconds(seconds_of(r)),
-        ]
+        {
+            "integrator": s.label,
+            "run": r.resolution,
+            "ending": r.status,
+            **{f"error in {group}": number(error_of(r, group, "max")) for group in groups},
+            "steps": _count(r.work.get("steps")),
+            "rejected": _count(r.work.get("rejected")),
+            "residual evaluations": _count(r.work.get("residuals")),
+            "time in ms": milliseconds(seconds_of(r)),
+        }
         for s, r in records
     ]
-    errors = [f"error in {g}" for g in groups]
-    head = ["integrator", "run", "ending", *errors, "steps", "rejected", "residual evaluations"]
     note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
-    anchors = [ids[r.key] for _, r in records] if ids else []
-    return Table("All runs", [*head, "time in ms"], rows, note=note, ids=anchors)
+    return Table.from_dicts(
+        "All runs", rows, note=note, ids=[ids[r.key] for _, r in records] if ids else []
+    )
 
 
 def drift_table(series: Sequence[Series]) -> Table | None:
@@ -195,19 +179,17 @@ def timing_table(series: Sequence[Series]) -> Table | None:
         spreads = [x for r in timed if (x := timing_spread(r)) is not None]
         compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
         rows.append(
-            [
-                s.label,
-                str(len(timed)),
-                text_range(map(str, sorted(len(r.run_s) for r in timed))),
-                number(median(spreads)),
-                number(max(spreads, default=None)),
-                number(max(compiled, default=None)),
-                number(median(compiled)),
-            ]
+            {
+                "integrator": s.label,
+                "runs timed": str(len(timed)),
+                "samples per run": text_range(map(str, sorted(len(r.run_s) for r in timed))),
+                "spread, median": number(median(spreads)),
+                "spread, worst": number(max(spreads, default=None)),
+                "prepared in s, longest (compiles)": number(max(compiled, default=None)),
+                "median": number(median(compiled)),
+            }
         )
-    head = ["integrator", "runs timed", "samples per run", "spread, median", "spread, worst"]
-    head += ["prepared in s, longest (compiles)", "median"]
-    return Table("Timing", head, rows) if rows else None
+    return Table.from_dicts("Timing", rows) if rows else None
 
 
 def _count(value: int | None) -> str:

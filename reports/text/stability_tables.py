@@ -19,21 +19,18 @@ def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
     for f in found:
         powers = f["overshoot_orders"]
         rows.append(
-            [
-                f["integrator"],
-                number(f["radius_at_infinity"]),
-                _roots(f["roots_at_infinity"]),
-                NO_VALUE if f["order"] is None else str(f["order"]),
-                _ranges(f["growing"]),
-                number(f["bifurcation"]),
-                NO_VALUE if powers is None else f"{powers[0]}, {powers[1]}",
-            ]
+            {
+                "integrator": f["integrator"],
+                "radius at infinity": number(f["radius_at_infinity"]),
+                "roots there": _roots(f["roots_at_infinity"]),
+                "order": NO_VALUE if f["order"] is None else str(f["order"]),
+                f"grows for {name} in": _ranges(f["growing"]),
+                "bifurcation": number(f["bifurcation"]),
+                "overshoot grows by the power (q, v)": ", ".join(map(str, powers or NO_VALUE)),
+            }
         )
-    head = ["integrator", "radius at infinity", "roots there", "order", f"grows for {name} in",
-            "bifurcation", "overshoot grows by the power (q, v)"]  # fmt: skip
-    return Table(
+    return Table.from_dicts(
         "What was found",
-        head,
         rows,
         note="Order: that of the principal root. Growth: a radius above 1 by more than 1e-9. "
         "Bifurcation: where the principal pair turns real. A root with a times sign is multiple; "
@@ -82,15 +79,15 @@ def _safe(found: Sequence[dict[str, Any]]) -> list[Table]:
 
 def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
     rows = [
-        [
-            f["integrator"],
-            group,
-            _coefficients(formula["rho"]),
-            _coefficients(formula["sigma"]),
-            str(formula["order"]),
-            _roots_text(formula["zero_roots"], formula["zero_stable"]),
-            _roots_text(formula["infinity_roots"], formula["infinity_stable"]),
-        ]
+        {
+            "integrator": f["integrator"],
+            "of": group,
+            "rho": _coefficients(formula["rho"]),
+            "sigma": _coefficients(formula["sigma"]),
+            "order": str(formula["order"]),
+            "roots of rho": _roots_text(formula["zero_roots"], formula["zero_stable"]),
+            "roots of sigma": _roots_text(formula["infinity_roots"], formula["infinity_stable"]),
+        }
         for f in found
         if f["theory"]
         for group, formula in f["theory"]["formulas"].items()
@@ -100,11 +97,9 @@ def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
     smallest = "; ".join(
         f"{f['integrator']} {number(f['theory']['smallest_ratio'])}" for f in found if f["theory"]
     )
-    head = ["integrator", "of", "rho", "sigma", "order", "roots of rho", "roots of sigma"]
     return [
-        Table(
+        Table.from_dicts(
             "The same methods as linear multistep formulas",
-            head,
             rows,
             note="rho(E) u = h^k sigma(E) d^k u/dt^k with k = 2 for q and 1 for v and x; "
             "coefficients from the highest power of E. Roots of rho govern small steps, those of "

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass
@@ -21,3 +23,8 @@ class Table:
     note: str = ""
     ids: list[str] = field(default_factory=list)
     links: dict[tuple[int, int], list[str]] = field(default_factory=dict)
+
+    @classmethod
+    def from_dicts(cls, caption: str, rows: Sequence[Mapping[str, str]], **more: Any) -> Table:
+        """A table from rows by column; all have the same columns, there is at least one."""
+        return cls(caption, list(rows[0]), [list(row.values()) for row in rows], **more)

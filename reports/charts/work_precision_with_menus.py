@@ -1,4 +1,4 @@
-"""Work-precision charts: error against cost, as a picture or with menus."""
+"""The interactive work-precision chart: menus choose group, norm and cost."""
 
 from __future__ import annotations
 
@@ -8,14 +8,7 @@ from typing import Any
 
 from bench.results.records import NORMS
 from reports.charts import vega_lite as vl
-from reports.charts.error_panels import (
-    error_data,
-    error_lines,
-    error_panel,
-    floor_layer,
-    floor_row,
-    floor_rule,
-)
+from reports.charts.error_panels import error_lines, floor_layer, floor_row
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.series import (
     COST_NAMES,
@@ -36,30 +29,6 @@ _COSTS = {
 }
 
 
-def work_precision(
-    series: Sequence[Series],
-    groups: Sequence[str],
-    styles: Mapping[str, LineStyle],
-    norm: str = "end",
-) -> vl.Spec | None:
-    """Errors in the groups against seconds and residual evaluations, a panel each.
-
-    None if there is nothing to draw.
-    """
-    series = [s for s in series if s.ok]
-    options = vl.ChartOptions(styles_of(series, styles), norm)
-    data, panels, columns = [error_data(series, group, options) for group in groups], [], 1
-    for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
-        before = len(panels)
-        for table in data:
-            panel = error_panel(
-                table, across, options, not panels, floor_rule(series, table, options)
-            )
-            panels += [panel] if panel else []
-        columns = max(columns, len(panels) - before)
-    return vl.arrange(panels, data, columns)
-
-
 def work_precision_with_menus(
     series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
 ) -> vl.Spec | None:
@@ -71,7 +40,7 @@ def work_precision_with_menus(
         for r in s.ok:
             run = {
                 "series": s.label,
-                "look": list(options.styles).index(s.label),
+                "style": list(options.styles).index(s.label),
                 "run": r.resolution,
                 "fastest": vl.short(min(r.run_s, default=None)),
                 "slowest": vl.short(max(r.run_s, default=None)),
@@ -104,10 +73,13 @@ def work_precision_with_menus(
         *(vl.quantity(c, title=_COSTS[c], format=".3g") for c in costs if c not in ("h", "rtol")),
     )
     floors = _floors(series, groups, rows)
-    lines = error_lines(options, "across", "error", "seconds", tooltip)
-    for channel, numbers in (("x", "~g"), ("y", ".0e")):
-        # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
-        lines[0]["encoding"][channel]["axis"] = vl.log_axis((1, 50), numbers, minExtent=40)
+    # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
+    place = {
+        channel: vl.log_quantity(field, title=None, axis=vl.log_axis((1, 50), text, minExtent=40))
+        for channel, field, text in (("x", "across", "~g"), ("y", "error", ".0e"))
+    }
+    lines = error_lines(options, place, "seconds", tooltip)
+    lines[0]["params"] = [vl.zoom("zoom_error"), vl.pick()]
     # A single view, not a grid of one: the titles need its width and height.
     return {
         "datasets": vl.datasets([table for table in (data, floors) if table.rows]),
@@ -126,9 +98,9 @@ def work_precision_with_menus(
             {
                 "mark": {"type": "rule", "strokeWidth": 1},
                 "encoding": {
-                    "x": vl.quantity("low", scale=vl.log_scale()),
+                    "x": vl.log_quantity("low"),
                     "x2": {"field": "high"},
-                    "y": vl.quantity("error", scale=vl.log_scale()),
+                    "y": vl.log_quantity("error"),
                     "color": options.colors(),
                     "opacity": options.opacity(0.45),
                 },
