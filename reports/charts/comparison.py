@@ -32,7 +32,7 @@ def furthest(changes: Sequence[Change], kind: str) -> list[Change]:
 
 
 def _log_ratio(change: Change) -> float:
-    """Logarithm of new over old; zero and infinity stand at the bounds."""
+    """Logarithm of new over old; limited to a factor of ``_FAR``."""
     return math.log(min(max(change.ratio or 1 / _FAR, 1 / _FAR), _FAR))
 
 

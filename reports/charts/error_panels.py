@@ -184,11 +184,9 @@ def slope_guides(
 
 def _no_guide(data: vl.Dataset, norm: str) -> list[dict[str, Any]]:
     """A guide of no length: Vega warns of a scale without values."""
-    rows = [row for row in data.rows if row["norm"] == norm][:1]
-    return [
-        {"norm": norm, "name": "", "h": h, "error": error, "h2": h, "error2": error}
-        for h, error in ((row["h"], row["error"]) for row in rows)
-    ]
+    points = [(row["h"], row["error"]) for row in data.rows if row["norm"] == norm]
+    ends = ({"h": h, "error": error, "h2": h, "error2": error} for h, error in points[:1])
+    return [{"norm": norm, "name": ""} | end for end in ends]
 
 
 def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:

@@ -24,10 +24,7 @@ _PAPER_COLORS = [
     "#8a6d00",
 ]
 _PAPER_SHAPES = (*_SHAPES, "triangle-right", "triangle-left")
-_PAPER_DASHES = (
-    *((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2)),
-    *((9, 3), (1, 1), (4, 1, 1, 1, 1, 1)),
-)
+_PAPER_DASHES = (*((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2)), *((9, 3), (1, 1), (4, 1, 1, 1, 1, 1)))
 
 
 @dataclass(frozen=True)

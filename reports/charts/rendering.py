@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import vl_convert
@@ -40,13 +41,9 @@ def draw(charts: Mapping[str, Spec], folder: Path) -> None:
     own, *others = parts(texts, max(1, min(cores(), size // PART_SIZE)))
     # -P: a folder "reports" in the user's current folder is not meant.
     command = [sys.executable, "-P", "-m", "reports.charts.rendering", str(folder)]
+    run = partial(subprocess.run, command, stderr=subprocess.PIPE, text=True)
     with ThreadPoolExecutor(len(others) or 1) as pool:
-        helpers = [
-            pool.submit(
-                subprocess.run, command, input=json.dumps(part), stderr=subprocess.PIPE, text=True
-            )
-            for part in others
-        ]
+        helpers = [pool.submit(run, input=json.dumps(part)) for part in others]
         _write(own, folder)
     for helper in helpers:
         ended = helper.result()

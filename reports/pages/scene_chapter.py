@@ -49,14 +49,14 @@ def scene_chapter(
     """
     if not studies and sections.records:
         first = sections.records[0]
-        everything = Study(
+        all_runs = Study(
             title="All runs",
             problem=first.problem,
             t_end=first.t_end,
             figures=list(ALL_FIGURES),
             cells=[r.key for r in sections.records],
         )
-        studies = [everything]
+        studies = [all_runs]
     scene = sections.scene
     new = None if same_as else scene
     about = paragraphs(new.description) if new else []

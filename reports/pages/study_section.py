@@ -148,11 +148,11 @@ class StudySections:
         return captioned(caption, {name: chart})
 
     def _histories(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
-        shown = []
-        for s in _most_accurate(series, MOST_LINES):
-            rows = self._rows(s.finest)
-            if rows and rows.notes:
-                shown.append((s.label, rows))
+        shown = [
+            (s.label, rows)
+            for s in _most_accurate(series, MOST_LINES)
+            if (rows := self._rows(s.finest)) and rows.notes
+        ]
         chart = histories(shown, self.styles, self.interactive)
         caption = (
             "Over time, for the finest run of each: step size, weights of the recurrence, how far "
@@ -179,11 +179,7 @@ class StudySections:
         runs = [r for s in series for r in s.records]
         if len(runs) > ALL_RUNS:
             runs = [s.finest for s in _most_accurate(series, MOST_LINES)]
-        shown = []
-        for record in runs:
-            rows = self._rows(record)
-            if rows:
-                shown.append((record, run_name(record), rows))
+        shown = [(r, run_name(r), rows) for r in runs if (rows := self._rows(r))]
         reference = self.scene.reference if self.scene else None
         if reference and not self.interactive:
             reference = thinned(reference)
@@ -199,9 +195,8 @@ class StudySections:
         )
         names = self.scene.coordinates if self.scene else []
         chart = trajectory(lines, reference, groups, styles, names, self.interactive, components)
-        caption = "Values over time" + (
-            "; the reference is the broad grey line." if reference else "."
-        )
+        caption = "Values over time"
+        caption += "; the reference is the broad grey line." if reference else "."
         caption += _left_out(series, MOST_LINES)
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > MOST_COMPONENTS for size in sizes.values()):

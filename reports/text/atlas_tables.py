@@ -29,13 +29,13 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
 
 
 def predicted_counts(f: ExperimentResult) -> str:
-    """How many numbers came out as predicted: '3 of 4'."""
+    """The count of numbers that came out as predicted: '3 of 4'."""
     cases = [case for part in f.parts for case in part.cases if case.predicted is not None]
     return f"{sum(bool(case.as_predicted) for case in cases)} of {len(cases)}"
 
 
 def _spared(f: ExperimentResult, label: str) -> str:
-    """How many parts spare the method: '2 of 3'."""
+    """The count of parts that spare the method: '2 of 3'."""
     own = [c for part in f.parts for c in part.cases if c.label == label and c.x]
     if not own:
         return "does not apply"

@@ -130,7 +130,7 @@ def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -
         }
         for s, r in records
     ]
-    note = "Relative errors, the largest over all times. Reasons of failed runs stand below."
+    note = "Relative errors, the largest over all times. The reasons of failed runs are below."
     return Table.from_dicts(
         "All runs", rows, note=note, ids=[ids[r.key] for _, r in records] if ids else []
     )

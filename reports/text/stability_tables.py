@@ -15,20 +15,20 @@ def stability_tables(found: Sequence[dict[str, Any]], omega_h: str) -> list[Tabl
 
 
 def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
-    rows = []
-    for f in found:
-        powers = f["overshoot_orders"]
-        rows.append(
-            {
-                "integrator": f["integrator"],
-                "radius at infinity": number(f["radius_at_infinity"]),
-                "roots there": _roots(f["roots_at_infinity"]),
-                "order": NO_VALUE if f["order"] is None else str(f["order"]),
-                f"grows for {name} in": _ranges(f["growing"]),
-                "bifurcation": number(f["bifurcation"]),
-                "overshoot grows by the power (q, v)": ", ".join(map(str, powers or NO_VALUE)),
-            }
-        )
+    rows = [
+        {
+            "integrator": f["integrator"],
+            "radius at infinity": number(f["radius_at_infinity"]),
+            "roots there": _roots(f["roots_at_infinity"]),
+            "order": NO_VALUE if f["order"] is None else str(f["order"]),
+            f"grows for {name} in": _ranges(f["growing"]),
+            "bifurcation": number(f["bifurcation"]),
+            "overshoot grows by the power (q, v)": ", ".join(
+                map(str, f["overshoot_orders"] or NO_VALUE)
+            ),
+        }
+        for f in found
+    ]
     return Table.from_dicts(
         "What was found",
         rows,
