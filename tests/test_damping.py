@@ -17,8 +17,9 @@ from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
 from bench.stability import damping as analysis
-from reports.pages import html, markdown
-from reports.text import damping
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.text.damping_table import damping_table
 
 PROFILE = """
 samples = 0
@@ -151,7 +152,7 @@ def test_every_ending_has_its_words():
         "lost": Damping(omega_h=[0.1], message="It took too long."),
         "elsewhere": Damping(omega_h=[0.2], radius=[1.0], ratio=[0.0], period_error=[0.0]),
     }
-    table = damping.table(found, scenes)
+    table = damping_table(found, scenes)
     assert table.head == ["integrator", "one, omega h = 0.1"]
     assert table.rows == [
         ["damps", "0.0123 (+0.12%)"],
@@ -163,16 +164,16 @@ def test_every_ending_has_its_words():
         ["elsewhere", ""],
     ]
     more = [(f"scene {k}", scene(rates={"oscillation": 2.0})) for k in range(8)]
-    turned = damping.table(found, more)
+    turned = damping_table(found, more)
     assert turned.head == ["scene", *found]
     assert turned.rows[0][1] == "0.0123 (+0.12%)"
 
 
 def test_without_frequencies_or_analysis_there_is_no_table(tmp_path):
     known = {"a": Damping(omega_h=[0.1], message="m")}
-    assert damping.table(known, [("one", scene(rates=None))]) is None
-    assert damping.table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
-    assert damping.table({}, [("one", scene(rates={"oscillation": 2.0}))]) is None
+    assert damping_table(known, [("one", scene(rates=None))]) is None
+    assert damping_table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
+    assert damping_table({}, [("one", scene(rates={"oscillation": 2.0}))]) is None
     plant(tmp_path, everything())
-    for write in (html.write, markdown.write):
+    for write in (write_html_report, write_markdown_report):
         assert "of the method itself" not in write(tmp_path).read_text(encoding="utf-8")

@@ -30,14 +30,14 @@ NORMS = tuple(NORM_NAMES)
 #: Levels at which a run can violate the constraints: Phi and its two time derivatives.
 LEVELS = ("position", "velocity", "acceleration")
 #: Titles of the costs of a run: the time in s, and counts of `integrators.contract.Work`.
-COSTS = {
+COST_NAMES = {
     "seconds": "median seconds per run",
     "residuals": "residual evaluations",
     "jacobians": "Jacobian evaluations",
-    "newton": "Newton iterations",
     "factorisations": "factorisations",
-    "solves": "linear solves",
+    "newton": "Newton iterations",
     "steps": "steps",
+    "solves": "linear solves",
     "rejected": "rejected steps",
 }
 #: Below this many times the reference's own error, an error says nothing.

@@ -11,8 +11,11 @@ from planted import curves, everything
 from bench.results.quantities import NORMS
 from bench.results.records import Rows
 from reports import sampling
-from reports.charts import interactive, studies
-from reports.series import looks_of, series_of
+from reports.charts.errors import acceleration_accuracy
+from reports.charts.line_styles import line_styles
+from reports.charts.over_time import histories, trajectory
+from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.series import series_of
 
 
 def table(text):
@@ -28,12 +31,12 @@ def series():
 
 
 @pytest.fixture
-def looks(series):
-    return looks_of((s.label, s.family) for s in series)
+def styles(series):
+    return line_styles((s.label, s.family) for s in series)
 
 
-def test_the_explorer_holds_every_error_beside_every_cost(series, looks):
-    chart = interactive.explorer(series, ["q", "v", "a", "lam"], looks)
+def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles):
+    chart = work_precision_with_menus(series, ["q", "v", "a", "lam"], styles)
     rows = table(chart["datasets"]["runs"])
     runs = [(s, r) for s in series for r in s.ok]
     assert len(rows) == len(runs)
@@ -55,12 +58,12 @@ def test_the_explorer_holds_every_error_beside_every_cost(series, looks):
     assert "jacobians" not in menus["cost"]  # nobody counted them
 
 
-def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
-    chart = interactive.explorer(series, ["q"], looks)
+def test_a_reference_that_is_near_is_drawn_as_a_floor(series, styles):
+    chart = work_precision_with_menus(series, ["q"], styles)
     assert "floors" not in chart["datasets"]  # 1e-15, far below
     for record in series[0].records:
         record.reference_error["q"]["max"] = 1e-4
-    chart = interactive.explorer(series, ["q"], looks)
+    chart = work_precision_with_menus(series, ["q"], styles)
     floors = table(chart["datasets"]["floors"])
     assert [row for row in floors if row["seen"] == "1"] == [
         {"group": "q", "norm": "max", "floor": "0.0001", "seen": "1"}
@@ -71,8 +74,8 @@ def test_a_reference_that_is_near_is_drawn_as_a_floor(series, looks):
     assert {float(row["floor"]) for row in floors if row["seen"] == "0"} == {float(f"{lowest:.5g}")}
 
 
-def test_acceleration_stands_beside_position(series, looks):
-    chart = interactive.accuracy(series, looks, "max")
+def test_acceleration_stands_beside_position(series, styles):
+    chart = acceleration_accuracy(series, styles, "max")
     points = {(float(r["q"]), float(r["a"])) for r in table(chart["datasets"]["accuracy"])}
     wanted = {
         (float(f"{r.errors['q']['max']:.5g}"), float(f"{r.errors['a']['max']:.5g}"))
@@ -80,37 +83,35 @@ def test_acceleration_stands_beside_position(series, looks):
         for r in s.ok
     }
     assert points == wanted
-    assert interactive.accuracy([], looks) is None
+    assert acceleration_accuracy([], styles) is None
 
 
-def test_only_what_varies_is_drawn_over_time(looks):
-    label = next(iter(looks))
+def test_only_what_varies_is_drawn_over_time(styles):
+    label = next(iter(styles))
     rows = curves(1.0, {"q": 1})
-    count = len(sampling.t)
-    sampling.notes = {
+    count = len(rows.t)
+    rows.notes = {
         "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
         "gamma": [None, *[0.6] * (count - 1)],
         "position": [0.0, *(1e-12 * k for k in range(1, count))],
     }
-    chart = studies.histories([(label, rows)], looks)
+    chart = histories([(label, rows)], styles)
     drawn = [panel["layer"][0]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert drawn == ["h", "position"]
     values = [row["h"] for row in table(chart["datasets"]["histories"])]
     assert values[0] == ""  # no step led to the start
-    assert [float(v) for v in values[1:]] == pytest.approx(sampling.notes["h"][1:])
-    assert studies.histories([(label, curves(1.0, {"q": 1}))], looks) is None
+    assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
+    assert histories([(label, curves(1.0, {"q": 1}))], styles) is None
 
 
-def test_a_study_chooses_what_is_drawn_over_time(looks):
-    label = next(iter(looks))
+def test_a_study_chooses_what_is_drawn_over_time(styles):
+    label = next(iter(styles))
     rows = curves(1.0, {"q": 5, "x": 2})
-    chart = studies.trajectory(
-        [(label, rows)], None, ["q", "x"], looks, components=[("q", 4), ("x", 0)]
-    )
+    chart = trajectory([(label, rows)], None, ["q", "x"], styles, components=[("q", 4), ("x", 0)])
     fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert fields == ["q4", "x0"]
     first = table(chart["datasets"]["runs"])[0]
-    assert float(first["q4"]) == pytest.approx(sampling.values["q"][0][4], rel=1e-4)
+    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
     assert "q0" not in first
 
 

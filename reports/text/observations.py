@@ -1,78 +1,76 @@
-"""Sentences made from records by rules; none without its numbers."""
+"""Sentences about a study, made from its records by rules: orders, tolerances, failures."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 from bench.results.orders import Fit
 from bench.results.records import Record
+from reports.formatting import number, number_range, order_text, text_range, words
 from reports.series import (
-    TRUST,
     Series,
     error_of,
-    floor_of,
     groups_of,
-    number,
-    order_text,
-    size_of,
+    ok_runs,
+    reference_error,
+    step_or_tolerance,
+    trusted_error,
     whole_order,
-    words,
 )
 
+#: Pairs (group, verdict on its order).
+_Verdicts = tuple[tuple[str, str], ...]
+
 _ORDINALS = ("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
-#: The maximum over all times is worth a sentence when it loses this much of the order.
+#: A sentence tells when the maximum over all times loses this much of the order.
 _LOSS = 0.5
 
 
 @dataclass(frozen=True)
-class Finding:
+class Observation:
     """One sentence about the integrators named."""
 
-    subjects: tuple[str, ...]
+    integrators: tuple[str, ...]
     text: str
 
 
-def findings(series: Sequence[Series]) -> list[Finding]:
-    """What the fitted orders, the tolerances and the failures of one study say.
+def observations(series: Sequence[Series]) -> list[Observation]:
+    """Observations of the fitted orders, the tolerances and the failures of one study.
 
-    Integrators of which the same is true share a sentence; their numbers become ranges.
+    Integrators with the same orders share a sentence; their numbers become ranges.
     """
-    alike: dict[tuple, list[Series]] = {}
+    alike: dict[Hashable, list[Series]] = {}
     for s in series:
         if s.controls == "step" and len(s.ok) >= 3:
             alike.setdefault(_signature(s), []).append(s)
     found = [
-        Finding(tuple(s.label for s in members), _order_sentence(members))
+        Observation(tuple(s.label for s in members), _order_sentence(members))
         for members in alike.values()
     ]
     for s in series:
         if s.controls == "tolerance" and len(s.ok) >= 2:
-            found.append(Finding((s.label,), _tolerance_sentence(s)))
+            found.append(Observation((s.label,), _tolerance_sentence(s)))
     for s in series:
         if len(s.ok) < len(s.records):
-            found.append(Finding((s.label,), _failure_sentence(s)))
+            found.append(Observation((s.label,), _failure_sentence(s)))
     return found
 
 
 # ---- orders ------------------------------------------------------------------------------
-def _signature(s: Series) -> tuple:
-    norm = _main_norm([s])
-    groups = groups_of(s.ok)
-    said = tuple((group, _verdict(s.fit(group, norm))) for group in groups)
+def _signature(s: Series) -> tuple[str, str, _Verdicts, _Verdicts]:
+    """Formulation, norm, verdicts by group, verdicts of the groups that lose order in "max"."""
+    norm, groups = _main_norm(s), groups_of(s.ok)
+    orders = tuple((group, _verdict(s.fit(group, norm))) for group in groups)
     lost = tuple((g, _verdict(s.fit(g, "max"))) for g in groups if _loses(s, g, norm))
-    return s.formulations, norm, said, lost
+    return s.formulations, norm, orders, lost
 
 
-def _main_norm(series: Sequence[Series]) -> str:
-    """Settled; the plain maximum where a run is too short to settle."""
-    settled = all(
-        any(error_of(r, g, "settled") is not None for r in s.ok)
-        for s in series
-        for g in groups_of(s.ok)
-    )
-    return "settled" if settled else "max"
+def _main_norm(s: Series) -> str:
+    """The norm "settled"; "max" where the runs are too short to settle."""
+    settled = (any(error_of(r, g, "settled") is not None for r in s.ok) for g in groups_of(s.ok))
+    return "settled" if all(settled) else "max"
 
 
 def _verdict(fit: Fit) -> str:
@@ -85,7 +83,7 @@ def _verdict(fit: Fit) -> str:
 
 
 def _loses(s: Series, group: str, norm: str) -> bool:
-    """Whether the start transient costs order: settled converges, the maximum less so."""
+    """Whether the start transient lowers the order: "settled" converges faster than "max"."""
     settled, largest = s.fit(group, norm), s.fit(group, "max")
     if norm == "max" or settled.order is None or settled.verdict != "converges":
         return False
@@ -95,13 +93,13 @@ def _loses(s: Series, group: str, norm: str) -> bool:
 
 
 def _order_sentence(members: Sequence[Series]) -> str:
-    formulation, norm, said, lost = _signature(members[0])
+    formulation, norm, orders, lost = _signature(members[0])
     by_verdict: dict[str, list[str]] = {}
-    for group, verdict in said:
+    for group, verdict in orders:
         by_verdict.setdefault(verdict, []).append(group)
-    order = sorted(by_verdict, key=lambda v: (v == "not determined", v == "does not converge"))
+    verdicts = sorted(by_verdict, key=lambda v: (v == "not determined", v == "does not converge"))
     parts = []
-    for verdict in order:
+    for verdict in verdicts:
         show = _fitted if "order" in verdict else _stuck
         parts.append(
             f"{verdict} in " + words(f"{g} ({show(members, g, norm)})" for g in by_verdict[verdict])
@@ -124,25 +122,24 @@ def _order_sentence(members: Sequence[Series]) -> str:
 
 
 def _fitted(members: Sequence[Series], group: str, norm: str) -> str:
-    orders = sorted(order_text(s.fit(group, norm).order) for s in members)
-    return " to ".join(dict.fromkeys((orders[0], orders[-1])))
+    orders = (s.fit(group, norm).order for s in members)
+    return text_range(sorted(order_text(order) for order in orders if order is not None))
 
 
 def _stuck(members: Sequence[Series], group: str, norm: str) -> str:
-    """The errors at the coarsest and the finest step, where there is no order to show."""
-    ends = [_range([error_of(s.ok[i], group, norm) for s in members]) for i in (0, -1)]
+    """The errors at the coarsest and the finest step, for a group without an order."""
+    ends = [number_range(error_of(s.ok[i], group, norm) for s in members) for i in (0, -1)]
     text = f"error {ends[0]} at the coarsest step, {ends[1]} at the finest"
-    floor = floor_of((r for s in members for r in s.ok), group, norm)
+    runs = ok_runs(members)
     finest = [e for s in members if (e := error_of(s.ok[-1], group, norm)) is not None]
-    if finest and min(finest) <= TRUST * floor:
-        text += f"; the reference's own error is {number(floor)}"
+    if finest and min(finest) <= trusted_error(runs, group, norm):
+        text += f"; the reference's own error is {number(reference_error(runs, group, norm))}"
     return text
 
 
 def _window(members: Sequence[Series]) -> str:
-    steps = [size_of(r) for s in members for r in s.ok]
-    counts = sorted({len(s.ok) for s in members})
-    runs = " to ".join(str(c) for c in dict.fromkeys((counts[0], counts[-1])))
+    steps = [step_or_tolerance(r) for r in ok_runs(members)]
+    runs = text_range(map(str, sorted(len(s.ok) for s in members)))
     return f"{runs} steps h={number(max(steps))} to {number(min(steps))}"
 
 
@@ -174,10 +171,3 @@ def _failure_sentence(s: Series) -> str:
 def _where(records: Sequence[Record]) -> str:
     shown = [record.resolution for record in records[:3]]
     return "; ".join(shown) + (f"; and {len(records) - 3} more" if len(records) > 3 else "")
-
-
-def _range(values: Sequence[float | None]) -> str:
-    numbers = sorted(v for v in values if v is not None)
-    if not numbers:
-        return "–"  # noqa: RUF001 - the sign for "no value"
-    return " to ".join(dict.fromkeys((number(numbers[0]), number(numbers[-1]))))

@@ -1,4 +1,4 @@
-"""What a single figure shows: the runs of one scene in a store, chosen by what a person writes."""
+"""The runs of one scene in a store, selected by names that a person writes."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Selection:
     scene
         The scene; may be None if the folder has one.
     integrators
-        Names, full specs or labels of those to take; all if empty.
+        Names, full specs or labels of the integrators; all if empty.
     t_end
         The end of the interval in s, if the folder has the scene over several.
 
     Raises
     ------
     SpecError
-        If a name is not known, does not say enough, or nothing is left.
+        If a name is not known or not unique, or no run is left.
     bench.results.store.StoreError
         If the folder holds no readable store.
     """
@@ -91,7 +91,7 @@ def _one_scene(
         raise SpecError(f"Several scenes are stored; choose one with --scene: {', '.join(known)}.")
     name = known[0] if scene is None else scene.strip()
     if name not in known:
-        # The bare name will do if it means one of them.
+        # The bare name is enough if it means one scene.
         meant = [problem for problem in known if problem.partition("[")[0] == name]
         if len(meant) != 1:
             raise SpecError(f"There is no scene {name!r}; {suggest(name, known)}.")

@@ -14,9 +14,13 @@ from planted import Document, everything, plant, planted
 
 from bench.results.quantities import NORMS
 from bench.results.store import Store
-from reports.charts import pareto_front
-from reports.pages import html, markdown
-from reports.series import looks_of, series_of
+from reports.charts.line_styles import line_styles
+from reports.charts.pareto_front import pareto_chart
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.pareto_front import pareto_front
+from reports.series import series_of
+from reports.text.ranking_tables import pareto_table
 
 
 def run(name, error, residuals, scene="one", floor=1e-15, **changes):
@@ -30,7 +34,7 @@ def run(name, error, residuals, scene="one", floor=1e-15, **changes):
 
 
 def on_front(records, group="a", cost="residuals"):
-    runs = pareto_front.front(series_of(records), group, cost)
+    runs = pareto_front(series_of(records), group, cost)
     return [(r.integrator, r.work["residuals"]) for r in runs]
 
 
@@ -71,13 +75,13 @@ def test_the_front_equals_its_definition_on_many_runs():
         theirs = ((o.work["residuals"], o.errors["q"]["max"]) for o in records)
         return any(o[0] <= mine[0] and o[1] <= mine[1] and o != mine for o in theirs)
 
-    found = {r.key for r in pareto_front.front(series_of(records), "q", "residuals")}
+    found = {r.key for r in pareto_front(series_of(records), "q", "residuals")}
     assert found == {r.key for r in records if not beaten(r)}
     assert 0 < len(found) < len(records)
 
 
-def looks(records):
-    return looks_of((r.integrator, r.family) for r in records)
+def styles(records):
+    return line_styles((r.integrator, r.family) for r in records)
 
 
 @pytest.mark.parametrize("interactive", [False, True])
@@ -86,33 +90,33 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
     for record in records:
         record.run_s = [1.0 / record.work["residuals"]] if record.status == "ok" else []
     series = series_of(records)
-    chart = pareto_front.chart({"pendulum": series}, looks(records), interactive)
+    chart = pareto_chart({"pendulum": series}, styles(records), interactive)
     altair.Chart.from_dict(chart, validate=True)
     assert "<svg" in vl_convert.vegalite_to_svg(chart)
-    rows = list(csv.DictReader(io.StringIO(chart["datasets"]["front"])))
+    rows = list(csv.DictReader(io.StringIO(chart["datasets"]["pareto_front"])))
     assert len(rows) == sum(r.status == "ok" for r in records)
     labels = [s.label for s in series if s.ok]
     for group, cost in itertools.product(("q", "a", "lam"), ("seconds", "residuals")):
         marked = {(labels[int(row["s"])], row["run"]) for row in rows if row[f"{group}_{cost}"]}
-        wanted = pareto_front.front(series, group, cost)
+        wanted = pareto_front(series, group, cost)
         assert marked == {(r.integrator, r.resolution) for r in wanted}
 
 
 def test_a_scene_with_one_integrator_has_no_front():
     alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
-    assert pareto_front.chart(alone, looks([run("a", 1, 1)]), True) is None
-    assert pareto_front.table(alone, {}) is None
+    assert pareto_chart(alone, styles([run("a", 1, 1)]), True) is None
+    assert pareto_table(alone, {}) is None
 
 
 def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
     plant(tmp_path, everything())
-    page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
-    paper = markdown.write(tmp_path).read_text(encoding="utf-8")
+    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
+    paper = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     rows = page.rows("Not beaten in acceleration and cost at once")
     assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
     with Store(tmp_path) as store:
         series = series_of(r for r in store.records().values() if r.problem == "pendulum")
-    runs = pareto_front.front(series, "a", "residuals")
+    runs = pareto_front(series, "a", "residuals")
     cell = rows[1]["fewest residual evaluations"]
     for name in {r.integrator for r in runs}:
         said = f"{name} ({sum(r.integrator == name for r in runs)})"

@@ -1,4 +1,4 @@
-"""The verdict: what is said on top of the page is what a direct query of the records gives."""
+"""The ranking on top of the page equals a direct query of the records."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import pytest
 from planted import planted
 
 from bench.results.records import IntegratorFacts
-from reports.charts import overview
-from reports.series import looks_of, series_of
-from reports.text.ranking import overall, standings, verdicts
-from reports.text.tables import integrators, verdict
+from reports.charts.all_scenes import cost_heat_map, performance_profile
+from reports.charts.line_styles import line_styles
+from reports.ranking import rank
+from reports.series import series_of
+from reports.text.ranking_tables import integrators_table, winners_table
+from reports.text.winners import overall, winners
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 
@@ -47,11 +49,25 @@ def scenes():
 
 @pytest.fixture
 def found():
-    return standings({name: series_of(records) for name, records in scenes().items()})
+    return rank({name: series_of(records) for name, records in scenes().items()})
+
+
+@pytest.mark.parametrize(
+    ("samples", "count", "tied"),
+    [
+        ([3e-3, 4e-3, 5e-3], 100, {"seconds": True, "residuals": True}),  # the least is the most
+        ([3.0000001e-3, 4e-3, 5e-3], 101, {"seconds": False, "residuals": False}),
+    ],
+)
+def test_a_tie_ends_where_samples_and_counts_no_longer_meet(samples, count, tied):
+    records = [run("one", "quick", 0.01, None, 100), run("one", "rival", 0.01, None, count)]
+    records[0].run_s, records[1].run_s = [1e-3, 2e-3, 3e-3], samples
+    (said,) = winners(rank({"one": series_of(records)}))
+    assert {cost: "tie" in text for cost, text in said.by.items()} == tied
 
 
 def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
-    said = {v.scene: v for v in verdicts(found)}
+    said = {v.scene: v for v in winners(found)}
     assert said["won"].by == {
         "seconds": "quick (1 ms; next: lean, 3 times)",
         "residuals": "lean (300; next: quick, 3 times)",
@@ -72,27 +88,13 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     assert "vague" not in said  # the reference is no better than the target
     assert "alone" not in said
     ids = {key: f"at {key}" for key in records}
-    table = verdict(list(said.values()), ids)
+    table = winners_table(list(said.values()), ids)
     assert [row[0] for row in table.rows] == list(said)
     assert table.links[0, 1] == [ids[key] for key in said["won"].keys["seconds"]]
     assert table.links[1, 1] == []
 
 
-@pytest.mark.parametrize(
-    ("samples", "count", "tied"),
-    [
-        ([3e-3, 4e-3, 5e-3], 100, {"seconds": True, "residuals": True}),  # the least is the most
-        ([3.0000001e-3, 4e-3, 5e-3], 101, {"seconds": False, "residuals": False}),
-    ],
-)
-def test_a_tie_ends_where_samples_and_counts_no_longer_meet(samples, count, tied):
-    records = [run("one", "quick", 0.01, None, 100), run("one", "rival", 0.01, None, count)]
-    records[0].run_s, records[1].run_s = [1e-3, 2e-3, 3e-3], samples
-    (said,) = verdicts(standings({"one": series_of(records)}))
-    assert {cost: "tie" in text for cost, text in said.by.items()} == tied
-
-
-def test_standings_equal_a_direct_query(found):
+def test_the_ranking_equals_a_direct_query(found):
     for s in found:
         runs = [
             r
@@ -121,7 +123,7 @@ def test_the_overall_lines_count_scenes(found):
 
 def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
     labels = [(s.label, "alpha") for s in found]
-    spec = overview.profile(found, looks_of(labels), interactive=False)
+    spec = performance_profile(found, line_styles(labels), interactive=False)
     rows = [line.split(",") for line in spec["datasets"]["profile"].splitlines()]
     head, *rows = rows
     table = [dict(zip(head, row, strict=True)) for row in rows]
@@ -136,15 +138,15 @@ def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
 
 
 def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
-    spec = overview.heat(found, interactive=False)
-    head, *rows = (line.split(",") for line in spec["datasets"]["standings"].splitlines())
+    spec = cost_heat_map(found, interactive=False)
+    head, *rows = (line.split(",") for line in spec["datasets"]["ranking"].splitlines())
     cells = {(r[head.index("scene")], r[head.index("series")]): r for r in rows}
     ratio, how = head.index("ratio"), head.index("run")
     assert float(cells["won", "quick"][ratio]) == 3.0
     assert cells["won", "coarse"][ratio] == ""
     assert cells["won", "coarse"][how] == "not reached"
     assert math.isclose(float(cells["tied", "lean"][ratio]), 1.0)
-    assert overview.heat([], interactive=True) is None
+    assert cost_heat_map([], interactive=True) is None
 
 
 def test_each_integrator_is_described_by_claims_and_measurements(found):
@@ -155,7 +157,7 @@ def test_each_integrator_is_described_by_claims_and_measurements(found):
         "other": series_of([run("other", "slow", h, 1.0, 1, SECOND) for h in steps]),
     }
     known = {"slow": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
-    rows = {row[0]: row for row in integrators(series, found, known).rows}
+    rows = {row[0]: row for row in integrators_table(series, found, known).rows}
     assert rows["slow"][1:4] == ["A method", "q 2, a 2", "q 2.00, a 1.00 to 2.00"]
     assert rows["slow"][4:] == ["none (–)", "none (–)", "me"]  # noqa: RUF001
     # quick: 3 times the best on "won", the best on "tied" and "alone", 10 times on "untimed"

@@ -1,23 +1,23 @@
-"""What methods at constant steps add of their own at the frequencies of the scenes."""
+"""Numerical damping and period error of methods at the frequencies of the scenes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 from bench.results.records import Damping, SceneRecord
-from reports.series import number
-from reports.text.tables import Table
+from reports.formatting import number
+from reports.text.table import Table
 
-#: A radius above 1 by more than this is growth; a ratio smaller than this is rounding.
+#: A radius above 1 by more than this is growth; a ratio below this is rounding.
 _GROWTH, _ROUNDING = 1e-9, 1e-12
 
 
-def table(
+def damping_table(
     methods: Mapping[str, Damping], scenes: Sequence[tuple[str, SceneRecord]]
 ) -> Table | None:
     """Numerical damping ratio and period error of each method at each scene's frequency.
 
-    Scenes or methods go down the table, whichever are more. None if nothing was analysed.
+    The longer of the two lists, scenes or methods, makes the rows. None if nothing was analysed.
     """
     places = [(name, at) for name, scene in scenes if (at := scene.omega_h)]
     cells = [[_cell(damping, at) for damping in methods.values()] for _, at in places]
@@ -36,12 +36,12 @@ def table(
         rows,
         note="Damping ratio, and in brackets the relative error of the period, of the undamped "
         "oscillator at the fastest oscillation along the motion, omega, and the scene's nominal "
-        "step h. Constant steps only; where nothing oscillates any more, what a step leaves.",
+        "step h. Constant steps only; without an oscillation, the part that a step leaves.",
     )
 
 
 def _cell(damping: Damping, at: float) -> str:
-    """One entry; empty for a method that does not run on the scene."""
+    """One cell; empty for a method without runs on the scene."""
     if at not in damping.omega_h:
         return ""
     if damping.message:
