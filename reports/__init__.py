@@ -1,1 +1,1 @@
-"""What is shown: pages and pictures made from stored records alone."""
+"""Pages, charts and tables, made from stored records alone."""

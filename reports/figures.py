@@ -10,35 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bench.results.quantities import COST_NAMES, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
-from reports.charts.panels import component as component_name
-from reports.charts.panels import (
-    error_data,
-    error_panel,
-    floor_rule,
-    reference_line,
-    run_lines,
-    slope_guides,
-    wide_rows,
-)
-from reports.charts.paper_style import FORMATS, looks_on_paper, on_paper
-from reports.charts.selection import Selection, group_and_norm, group_and_place
-from reports.charts.vega import Data, Spec, View
-from reports.series import Series, words
+from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
+from reports.charts.line_styles import paper_line_styles
+from reports.charts.over_time import reference_line, run_lines, wide_rows
+from reports.charts.paper_style import FORMATS, on_paper
+from reports.charts.vega_lite import ChartOptions, Dataset, Spec
+from reports.formatting import component_name, words
+from reports.selection import Selection, group_and_place
+from reports.series import Series, ok_runs
 
-COSTS = {
-    "seconds": "median seconds per run",
-    "residuals": "residual evaluations",
-    "jacobians": "Jacobian evaluations",
-    "newton": "Newton iterations",
-    "factorisations": "factorisations",
-    "solves": "linear solves",
-    "steps": "steps",
-    "rejected": "rejected steps",
-}
+if TYPE_CHECKING:
+    import altair
 
 
 def work_precision(
@@ -49,7 +36,7 @@ def work_precision(
     cost: str = "residuals",
     integrators: Sequence[str] = (),
     t_end: float | None = None,
-) -> Any:
+) -> altair.LayerChart:
     """Error against cost as an Altair chart, a line per integrator.
 
     Parameters
@@ -86,7 +73,7 @@ def convergence(
     error: str = "q:end",
     integrators: Sequence[str] = (),
     t_end: float | None = None,
-) -> Any:
+) -> altair.LayerChart:
     """Error against step size as an Altair chart; see ``work_precision``."""
     return _altair(_convergence(Selection(folder, scene, integrators, t_end), error))
 
@@ -98,7 +85,7 @@ def trajectory(
     component: str = "q:1",
     integrators: Sequence[str] = (),
     t_end: float | None = None,
-) -> Any:
+) -> altair.LayerChart:
     """A component over time as an Altair chart: the finest run of each; see ``work_precision``.
 
     ``component`` is a group and a number or the name of a coordinate, such as "a:Y" or "lam:1".
@@ -106,7 +93,7 @@ def trajectory(
     return _altair(_trajectory(Selection(folder, scene, integrators, t_end), component))
 
 
-def write(
+def write_figure(
     kind: str,
     folder: Path,
     path: Path,
@@ -128,25 +115,25 @@ def write(
     save = FORMATS.get(path.suffix)
     if save is None:
         raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
-    make, takes = _KINDS[kind]
+    make, allowed = _KINDS[kind]
     for name in more:
-        if name not in takes:
-            raise SpecError(f"The figure {kind} has no --{name}; it takes {words(takes)}.")
+        if name not in allowed:
+            raise SpecError(f"The figure {kind} has no --{name}; it takes {words(allowed)}.")
     save(path, make(Selection(folder, scene, integrators, t_end), **more))
     return path
 
 
 # ---- kinds -------------------------------------------------------------------------------
 def _work_precision(chosen: Selection, error: str = "q:end", cost: str = "residuals") -> Spec:
-    counted = {name for s in chosen.series for r in s.ok for name in r.work}
+    counted = {name for r in ok_runs(chosen.series) for name in r.work}
     if cost not in (known := {"seconds", *counted}):
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
-    return _errors(chosen, chosen.series, error, cost, COSTS.get(cost, cost))
+    return _errors(chosen, chosen.series, error, cost, COST_NAMES.get(cost, cost))
 
 
 def _convergence(chosen: Selection, error: str = "q:end") -> Spec:
-    stepped = [s for s in chosen.series if s.controls == "step"]
-    return _errors(chosen, stepped, error, "h", "step size h in s", slope_guides)
+    constant_steps = [s for s in chosen.series if s.controls == "step"]
+    return _errors(chosen, constant_steps, error, "h", "step size h in s", slope_guides)
 
 
 def _errors(
@@ -155,14 +142,14 @@ def _errors(
     error: str,
     field: str,
     title: str,
-    guides: Callable[[Sequence[Series], Data, View], list[Spec]] | None = None,
+    guides: Callable[[Sequence[Series], Dataset, ChartOptions], list[Spec]] | None = None,
 ) -> Spec:
-    group, norm = group_and_norm(error, {g for s in chosen.series for r in s.ok for g in r.errors})
-    view = View(looks_on_paper(series), norm)
+    group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
+    options = ChartOptions(paper_line_styles(s.label for s in series), norm)
     counts = dict.fromkeys(["residuals", field]) if field not in ("h", "seconds") else ["residuals"]
-    data = error_data(series, group, view, list(counts))
-    behind = floor_rule(series, data, view) + (guides(series, data, view) if guides else [])
-    panel = error_panel(data, (field, title), view, True, behind) if data.rows else None
+    data = error_data(series, group, options, list(counts))
+    behind = floor_rule(series, data, options) + (guides(series, data, options) if guides else [])
+    panel = error_panel(data, (field, title), options, True, behind) if data.rows else None
     if panel is None:
         raise SpecError(
             f"No chosen run on {chosen.name} has both an error of {group} ({norm}) and "
@@ -173,20 +160,22 @@ def _errors(
 
 def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
     names = chosen.scene.coordinates if chosen.scene else []
-    runs = [chosen.rows(s.ok[-1]) for s in chosen.series]
+    runs = [chosen.rows(s.finest) for s in chosen.series]
     group, place = group_and_place(component, runs[0].values, names)
     field, title = f"{group}0", component_name(group, place, names)
     labels = [s.label for s in chosen.series]
-    drawn = Data("runs", [row for k, r in enumerate(runs) for row in _rows(r, group, place, k)])
+    drawn = Dataset("runs", [row for k, r in enumerate(runs) for row in _rows(r, group, place, k)])
     reference = chosen.scene.reference if chosen.scene else None
-    behind = Data("reference", _rows(reference, group, place, -1) if reference else [])
+    behind = Dataset("reference", _rows(reference, group, place, -1) if reference else [])
     known = [reference_line(behind, field, title)] if field in behind.columns else []
-    lines = run_lines(drawn, field, title, labels, View(looks_on_paper(chosen.series)), first=True)
+    lines = run_lines(
+        drawn, field, title, labels, ChartOptions(paper_line_styles(labels)), first=True
+    )
     return on_paper({"layer": [*known, lines]}, [drawn, behind])
 
 
 def _rows(rows: Rows, group: str, place: int, number: int) -> list[dict[str, Any]]:
-    # A reference with fewer components has none of these.
+    # A reference may have fewer components: then these rows are empty.
     values = [row[place : place + 1] for row in rows.values.get(group, [])]
     return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], number)
 
@@ -198,7 +187,7 @@ _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {
 }
 
 
-def _altair(figure: Spec) -> Any:
+def _altair(figure: Spec) -> altair.LayerChart:
     try:
         import altair
     except ImportError:
@@ -206,4 +195,4 @@ def _altair(figure: Spec) -> Any:
             "Altair is not installed; install stepbench[figures], or write the figure with "
             "'stepbench figure'."
         ) from None
-    return altair.Chart.from_dict(figure)
+    return altair.LayerChart.from_dict(figure)

@@ -1,40 +1,19 @@
-"""Records grouped into the lines of a chart, and how each line looks and each number reads."""
+"""Records grouped into series, the lines of a chart; the numbers of a record by name."""
 
 from __future__ import annotations
 
-import colorsys
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from bench.results.orders import Fit, fit_order
-from bench.results.records import GROUPS, Record, median
+from bench.results.quantities import GROUPS, TRUST
+from bench.results.records import Record, median
+from reports.formatting import number, text_range
 
-#: Names as a reader knows them.
-GROUP_NAMES = {
-    "q": "position q",
-    "v": "velocity v",
-    "a": "acceleration a",
-    "lam": "multiplier lam",
-    "x": "controller state x",
-    "y": "output y",
-}
-NORM_NAMES = {
-    "end": "at the end",
-    "max": "largest over all times",
-    "rms": "root mean square over time",
-    "settled": "largest after the start transient",
-}
 #: A fitted order this close to a whole number is called by it.
 _NEAR = 0.25
-#: Below this many times the reference's own error, an error says nothing.
-TRUST = 100.0
-
-# One hue per family, in degrees; all read on white and on near-black.
-_HUES = (212, 24, 150, 285, 345, 180, 45, 100)
-_DASHES = ([1, 0], [6, 3], [2, 2], [9, 3, 2, 3], [4, 1], [12, 4])
-_SHAPES = ("circle", "square", "triangle-up", "diamond", "cross", "triangle-down")
 
 
 @dataclass(frozen=True)
@@ -53,43 +32,38 @@ class Series:
         return [r for r in self.records if r.status == "ok"]
 
     @property
+    def finest(self) -> Record:
+        """The finest run that reached the end; the finest of all if none did."""
+        return (self.ok or self.records)[-1]
+
+    @property
     def formulations(self) -> str:
-        """The formulations in which the runs were made (one, as a rule)."""
+        """The formulations of the runs (one, as a rule)."""
         return ", ".join(dict.fromkeys(r.formulation for r in self.records))
 
     @property
     def statuses(self) -> str:
-        """How the runs ended, in words: '6 ok', '4 ok, 2 newton_failed'."""
+        """The endings of the runs with counts: '6 ok', '4 ok, 2 newton_failed'."""
         counts = Counter(r.status for r in self.records)
         order = sorted(counts, key=lambda s: (s != "ok", s))
         return ", ".join(f"{counts[s]} {s}" for s in order)
 
     @property
-    def range(self) -> str:
-        """The resolutions from coarse to fine, in words."""
+    def resolutions(self) -> str:
+        """The resolutions from coarse to fine: 'h=0.1 to 0.01 (4)'."""
         name = "h" if self.controls == "step" else "rtol"
-        values = [size_of(r) for r in self.records]
-        ends = " to ".join(number(v) for v in dict.fromkeys((values[0], values[-1])))
-        return f"{name}={ends} ({len(values)})"
+        values = [step_or_tolerance(r) for r in self.records]
+        return f"{name}={text_range(map(number, values))} ({len(values)})"
 
     def fit(self, group: str, norm: str) -> Fit:
         """The fitted order of one group in one norm."""
         if (group, norm) not in self._fits:
             self._fits[group, norm] = fit_order(
-                [size_of(r) for r in self.ok],
+                [step_or_tolerance(r) for r in self.ok],
                 [error_of(r, group, norm) for r in self.ok],
-                floor_of(self.ok, group, norm),
+                reference_error(self.ok, group, norm),
             )
         return self._fits[group, norm]
-
-
-@dataclass(frozen=True)
-class Look:
-    """Colour, dashes and point shape of a line."""
-
-    color: str
-    dash: tuple[int, ...]
-    shape: str
 
 
 def series_of(records: Iterable[Record]) -> list[Series]:
@@ -98,9 +72,19 @@ def series_of(records: Iterable[Record]) -> list[Series]:
     for record in records:
         groups.setdefault(label_of(record), []).append(record)
     return [
-        Series(label, rs[0].family, rs[0].controls, tuple(sorted(rs, key=size_of, reverse=True)))
+        Series(
+            label,
+            rs[0].family,
+            rs[0].controls,
+            tuple(sorted(rs, key=step_or_tolerance, reverse=True)),
+        )
         for label, rs in groups.items()
     ]
+
+
+def ok_runs(series: Iterable[Series]) -> list[Record]:
+    """The runs of all series that reached the end."""
+    return [r for s in series for r in s.ok]
 
 
 def label_of(record: Record) -> str:
@@ -115,8 +99,8 @@ def run_name(record: Record) -> str:
     return f"{record.integrator}, {record.resolution}"
 
 
-def size_of(record: Record) -> float:
-    """What is refined: h in s, or the relative tolerance."""
+def step_or_tolerance(record: Record) -> float:
+    """The step size h in s, or the relative tolerance of an adaptive run."""
     value = record.h if record.controls == "step" else record.rtol
     return math.nan if value is None else value
 
@@ -126,22 +110,39 @@ def error_of(record: Record, group: str, norm: str) -> float | None:
     return record.errors.get(group, {}).get(norm)
 
 
-def floor_of(records: Iterable[Record], group: str, norm: str) -> float:
-    """The largest of the errors of the references that the records were compared with."""
+def reference_error(records: Iterable[Record], group: str, norm: str) -> float:
+    """The largest error of the references that the records were compared with."""
     return max((r.reference_error.get(group, {}).get(norm, 0.0) for r in records), default=0.0)
 
 
-def whole_order(fit: Fit) -> int | None:
-    """The whole number that a fitted order may be called by."""
-    if fit.verdict != "converges" or fit.order is None:
-        return None
-    whole = round(fit.order)
-    return whole if whole > 0 and abs(fit.order - whole) <= _NEAR else None
+def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
+    """The smallest error that the reference is good enough to judge."""
+    return TRUST * reference_error(records, group, norm)
 
 
 def seconds_of(record: Record) -> float | None:
     """Median seconds per run."""
     return median(record.run_s)
+
+
+def timing_spread(record: Record) -> float | None:
+    """(max - min) / median of the timing samples; None for fewer than two."""
+    middle = seconds_of(record)
+    if len(record.run_s) < 2 or not middle:
+        return None
+    return (max(record.run_s) - min(record.run_s)) / middle
+
+
+def cost_of(record: Record, cost: str) -> float | None:
+    """The cost of a run, in seconds or in counts."""
+    return seconds_of(record) if cost == "seconds" else record.work.get(cost)
+
+
+def with_values(
+    records: Iterable[Record], value_of: Callable[[Record], float | None]
+) -> list[tuple[float, Record]]:
+    """Pairs (value, record) of the records that have the value."""
+    return [(value, r) for r in records if (value := value_of(r)) is not None]
 
 
 def groups_of(records: Iterable[Record]) -> list[str]:
@@ -150,47 +151,9 @@ def groups_of(records: Iterable[Record]) -> list[str]:
     return [group for group in GROUPS if group in present]
 
 
-def looks_of(members: Iterable[tuple[str, str]]) -> dict[str, Look]:
-    """A look for each (label, family): a hue per family; shade, dash and shape per member."""
-    families: dict[str, list[str]] = {}
-    for label, family in dict.fromkeys(members):
-        families.setdefault(family, []).append(label)
-    looks = {}
-    for f, labels in enumerate(families.values()):
-        for m, label in enumerate(labels):
-            # Shade and a little of the hue vary: members stay apart and families together.
-            span = min(1.0, (len(labels) - 1) / 4)
-            place = span * (m / (len(labels) - 1) - 0.5) if span else 0.0
-            hue = (_HUES[f % len(_HUES)] + 56 * place) % 360
-            light = 0.48 + (0.14 if m % 2 else -0.1) * span
-            red, green, blue = colorsys.hls_to_rgb(hue / 360, light, 0.68)
-            color = f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
-            dash, shape = _DASHES[m % len(_DASHES)], _SHAPES[(m + f) % len(_SHAPES)]
-            looks[label] = Look(color, tuple(dash), shape)
-    return looks
-
-
-def number(value: float | None) -> str:
-    """Three significant digits, plain where that is short; a dash for no value."""
-    if value is None or not math.isfinite(value):
-        return "–"  # noqa: RUF001 - the sign for "no value"
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        rounded = float(f"{value:.3g}")
-        return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
-    return f"{value:.3g}"
-
-
-def order_text(order: float) -> str:
-    """Two decimals; a zero has no sign."""
-    return f"{round(order, 2) + 0.0:.2f}"
-
-
-def milliseconds(seconds: float | None) -> str:
-    """Seconds shown in ms."""
-    return number(None if seconds is None else seconds * 1e3)
-
-
-def words(items: Iterable[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    *head, last = items
-    return f"{', '.join(head)} and {last}" if head else last
+def whole_order(fit: Fit) -> int | None:
+    """The whole number that a fitted order may be called by."""
+    if fit.verdict != "converges" or fit.order is None:
+        return None
+    whole = round(fit.order)
+    return whole if whole > 0 and abs(fit.order - whole) <= _NEAR else None

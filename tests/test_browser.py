@@ -11,7 +11,7 @@ import pytest
 from planted import everything, plant
 
 from bench.results.store import Store
-from reports.pages import html
+from reports.pages.html_report import write_html_report
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
@@ -23,7 +23,7 @@ EXPLORER = "scene-2-1-work_precision"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = plant(tmp_path_factory.mktemp("planted"), everything())
-    html.write(path)
+    write_html_report(path)
     return path
 
 

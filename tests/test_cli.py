@@ -200,7 +200,8 @@ def test_records_open_in_pandas(stepbench, tmp_path):
 
 def test_select_and_add_on_the_command_line(tmp_path):
     from bench.plugins.registry import Registry
-    from bench.running.plan import make_suite, read_profile
+    from bench.running.plan import make_suite
+    from bench.running.profiles import read_profile
 
     registry = Registry()
     name, profile = read_profile("quick")
@@ -218,7 +219,8 @@ def test_select_and_add_on_the_command_line(tmp_path):
 
 def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
     from bench.plugins.registry import Registry
-    from bench.running.plan import make_suite, read_profile
+    from bench.running.plan import make_suite
+    from bench.running.profiles import read_profile
 
     suite = make_suite(*read_profile("quick"), Registry(), ["pendulum"], ["newmark", "ida"])
     first, second = suite.plan.studies

@@ -15,7 +15,8 @@ from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
 from bench.results.compare import compare, read_limits, regressions
 from bench.results.records import Record, median
 from bench.results.store import FILE, Store
-from reports.pages import comparison
+from reports.charts.comparison import ratio_charts
+from reports.pages.comparison import write_comparison
 
 FREE = {"q": (1.0, 2), "a": (3.0, 2)}
 
@@ -314,7 +315,7 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
 
     found = compare(old, edited(old, "new", edit))
     count = sum(found.judged.values())
-    charts = comparison.charts(found)
+    charts = ratio_charts(found)
     assert set(charts) == {"ratio-error", "ratio-work"}
     same, points = (layer["data"]["values"] for layer in charts["ratio-error"]["layer"])
     assert [(p["rank"], p["ratio"], p["worse"]) for p in points] == [
@@ -335,12 +336,12 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
 
 def test_both_pages_show_the_charts_and_identical_runs_have_none(old, tmp_path):
     found = compare(old, edited(old, "twice", double_newton))
-    html, markdown = comparison.write(found, [], tmp_path / "pages")
+    html, markdown = write_comparison(found, [], tmp_path / "pages")
     assert html.read_text().count("<svg") == 1
     places = re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown.read_text())
     assert places == ["comparison_figures/ratio-work.svg"]
     assert (markdown.parent / places[0]).read_text() in html.read_text()
-    html, markdown = comparison.write(compare(old, old), [], tmp_path / "pages")
+    html, markdown = write_comparison(compare(old, old), [], tmp_path / "pages")
     assert "<svg" not in html.read_text()
     assert "![" not in markdown.read_text()
     assert not list((tmp_path / "pages").glob("**/*.svg"))

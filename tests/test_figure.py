@@ -17,11 +17,12 @@ import altair
 import pytest
 from planted import everything, plant, planted
 
+from bench.results.quantities import COST_NAMES
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
-from reports.charts.paper_style import looks_on_paper
-from reports.figures import COSTS, convergence, trajectory, work_precision
+from reports.charts.line_styles import paper_line_styles
+from reports.figures import convergence, trajectory, work_precision
 from reports.series import series_of
 
 
@@ -65,7 +66,7 @@ def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, g
     assert shown == expected
     points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
     assert points["encoding"]["x"]["field"] == cost
-    assert points["encoding"]["x"]["title"] == COSTS[cost]
+    assert points["encoding"]["x"]["title"] == COST_NAMES[cost]
     assert figure["encoding"]["y"]["field"] == "error"
 
 
@@ -144,12 +145,11 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
 
 # ---- paper -------------------------------------------------------------------------------
 def test_no_two_of_24_lines_look_alike_without_colour():
-    many = series_of(planted("p", f"m{i}", {"q": (1.0, 2)}, h=0.1) for i in range(24))
-    looks = looks_on_paper(many).values()
-    for one, two in combinations(looks, 2):
+    styles = paper_line_styles(f"m{i}" for i in range(24)).values()
+    for one, two in combinations(styles, 2):
         assert (one.dash, one.shape) != (two.dash, two.shape)
-    for look in looks:
-        red, green, blue = (int(look.color[k : k + 2], 16) for k in (1, 3, 5))
+    for style in styles:
+        red, green, blue = (int(style.color[k : k + 2], 16) for k in (1, 3, 5))
         assert 0.2126 * red + 0.7152 * green + 0.0722 * blue < 150  # reads as dark in print
 
 
@@ -218,9 +218,9 @@ def test_files_need_no_altair_and_charts_say_what_to_install(folder, tmp_path):
     code = (
         "import sys; sys.modules['altair'] = None\n"
         "from pathlib import Path\n"
-        "from reports.figures import convergence, write\n"
+        "from reports.figures import convergence, write_figure\n"
         f"folder, file = Path({str(folder)!r}), Path({str(tmp_path / 'a.json')!r})\n"
-        "write('convergence', folder, file, scene='pendulum')\n"
+        "write_figure('convergence', folder, file, scene='pendulum')\n"
         "print('jax' in sys.modules)\n"
         "try:\n    convergence(folder, scene='pendulum')\n"
         "except ImportError as error:\n    print(error)\n"

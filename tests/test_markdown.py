@@ -10,7 +10,9 @@ from planted import edited, everything, plant
 
 from bench.results.compare import compare
 from bench.results.store import Store
-from reports.pages import catalogue, comparison, markdown
+from reports.pages.catalogue import write_catalogue
+from reports.pages.comparison import write_comparison
+from reports.pages.markdown_report import FIGURES, write_markdown_report
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md")]
@@ -51,10 +53,10 @@ def folder(tmp_path_factory):
 
 
 def test_the_report_has_no_faults_and_its_pictures_exist(folder):
-    path = markdown.write(folder)
+    path = write_markdown_report(folder)
     assert faults(path) == []
     assert missing(path) == []
-    next((folder / markdown.FIGURES).glob("*.svg")).unlink()
+    next((folder / FIGURES).glob("*.svg")).unlink()
     assert len(missing(path)) == 1
 
 
@@ -65,13 +67,13 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
         for study in plan.studies:
             study.title = study.problem
         store.save_plan(plan)
-    path = markdown.write(bare)
+    path = write_markdown_report(bare)
     assert faults(path) == []
     assert "### Accuracy and cost" in path.read_text(encoding="utf-8")
 
 
 def test_a_report_of_nothing_has_no_faults(tmp_path):
-    assert faults(markdown.write(plant(tmp_path, [], plan=False))) == []
+    assert faults(write_markdown_report(plant(tmp_path, [], plan=False))) == []
 
 
 def test_a_comparison_has_no_faults(folder, tmp_path):
@@ -81,14 +83,14 @@ def test_a_comparison_has_no_faults(folder, tmp_path):
             record.status, record.message = "newton_failed", "It | stopped *there*."
 
     changed = compare(folder, edited(folder, tmp_path / "twice", edit))
-    (path,) = [p for p in comparison.write(changed, ["A & B."], tmp_path) if p.suffix == ".md"]
+    (path,) = [p for p in write_comparison(changed, ["A & B."], tmp_path) if p.suffix == ".md"]
     assert faults(path) == []
     assert missing(path) == []
 
 
 def test_the_catalogue_has_no_faults(folder, tmp_path):
     with Store(folder) as store:
-        pages = catalogue.catalogue(list(store.scenes().values()), tmp_path)
+        pages = write_catalogue(list(store.scenes().values()), tmp_path)
     (path,) = [p for p in pages if p.suffix == ".md"]
     assert faults(path) == []
     assert missing(path) == []

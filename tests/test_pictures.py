@@ -1,4 +1,4 @@
-"""Pictures: many engines draw what one draws, and no picture holds more lines than can be read."""
+"""Pictures: many processes draw what one draws; no picture has more lines than can be read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from planted import Document, plant, planted
 
 from reports.charts import rendering
-from reports.pages import html, markdown
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import FIGURES, write_markdown_report
 
 
 def line(name, text="a,b\n1,2\n"):
@@ -29,11 +30,11 @@ CHARTS = {f"chart-{k}": line(f"d{k}", f"a,b\n1,{k}\n2,{2 * k}\n") for k in range
 
 
 def drawn(folder):
-    # Numbers in the names of clips and gradients count on within one engine.
+    # Numbers in the names of clips and gradients count on within one process.
     return {f.name: re.sub(r"(clip|gradient_)\d+", r"\1", f.read_text()) for f in folder.iterdir()}
 
 
-def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
+def test_two_processes_draw_what_one_draws(tmp_path, monkeypatch):
     started = []
     popen = subprocess.Popen
     monkeypatch.setattr(
@@ -41,8 +42,8 @@ def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
     )
     rendering.draw(CHARTS, tmp_path / "one")
     assert started == []
-    monkeypatch.setattr(rendering, "_WORTH", 400)
-    monkeypatch.setattr(rendering, "_cores", lambda: 2)
+    monkeypatch.setattr(rendering, "PART_SIZE", 400)
+    monkeypatch.setattr(rendering, "cores", lambda: 2)
     rendering.draw(CHARTS, tmp_path / "two")
     assert len(started) == 1
     assert drawn(tmp_path / "one") == drawn(tmp_path / "two")
@@ -52,27 +53,27 @@ def test_two_engines_draw_what_one_draws(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("worth", [10**9, 100])
 def test_a_chart_that_cannot_be_drawn_says_so(tmp_path, monkeypatch, worth):
-    monkeypatch.setattr(rendering, "_WORTH", worth)
-    monkeypatch.setattr(rendering, "_cores", lambda: 2)
-    # The larger part is drawn here, the smaller one by the other engine.
+    monkeypatch.setattr(rendering, "PART_SIZE", worth)
+    monkeypatch.setattr(rendering, "cores", lambda: 2)
+    # The larger part is drawn here, the smaller one by the other process.
     charts = {"good": line("good", "a,b\n" + "1,2\n" * 99), "bad": {"mark": "no such mark"}}
     with pytest.raises(RuntimeError, match="bad cannot be drawn"):
         rendering.draw(charts, tmp_path)
 
 
-def test_shares_are_of_about_the_same_size():
+def test_parts_are_of_about_the_same_size():
     texts = {str(n): "x" * n for n in (70, 40, 30, 20, 10)}
-    shares = rendering._shares(texts, 2)
-    assert sorted(sum(map(len, share.values())) for share in shares) == [80, 90]
-    assert sorted(name for share in shares for name in share) == sorted(texts)
+    parts = rendering.parts(texts, 2)
+    assert sorted(sum(map(len, part.values())) for part in parts) == [80, 90]
+    assert sorted(name for part in parts for name in part) == sorted(texts)
 
 
-def test_an_engine_does_not_import_what_lies_where_the_user_stands(tmp_path):
+def test_a_drawing_process_does_not_import_what_lies_where_the_user_stands(tmp_path):
     (tmp_path / "reports").mkdir()
     (tmp_path / "reports" / "__init__.py").write_text("raise SystemExit('the wrong one')")
     code = (
         "from pathlib import Path; from reports.charts import rendering; "
-        "rendering._WORTH, rendering._cores = 1, lambda: 2; "
+        "rendering.PART_SIZE, rendering.cores = 1, lambda: 2; "
         f"rendering.draw({ {k: CHARTS[k] for k in list(CHARTS)[:2]}!r}, Path('out'))"
     )
     subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, check=True)
@@ -98,8 +99,8 @@ def labels(chart):
 
 
 def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
-    text = markdown.write(crowd).read_text(encoding="utf-8")
-    figures = crowd / markdown.FIGURES
+    text = write_markdown_report(crowd).read_text(encoding="utf-8")
+    figures = crowd / FIGURES
     best = [f"m{k:02}" for k in range(28, -1, -1)]
     for name, most in (("convergence-end", 24), ("work_precision", 24), ("trajectory", 12)):
         chart = (figures / f"scene-1-1-{name}.svg").read_text()
@@ -108,7 +109,7 @@ def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
 
 
 def test_a_chart_that_answers_shows_the_errors_of_all_and_few_lines_over_time(crowd):
-    page = Document(html.write(crowd).read_text(encoding="utf-8"))
+    page = Document(write_html_report(crowd).read_text(encoding="utf-8"))
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-work_precision"]["datasets"]["runs"]))
     assert {row["series"] for row in rows} == {f"m{k:02}" for k in range(29)}
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-trajectory"]["datasets"]["runs"]))

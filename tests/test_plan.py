@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bench.plugins.registry import Registry
-from bench.running.plan import built_in_profiles, make_suite, read_profile
+from bench.running.plan import make_suite
+from bench.running.profiles import built_in_profiles, read_profile
 from problems.spec import SpecError
 
 STUDY = """

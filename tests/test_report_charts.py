@@ -12,9 +12,11 @@ import pytest
 import vl_convert
 from planted import STEPS, everything, planted
 
-from bench.results.records import NORMS
-from reports.charts import interactive, studies
-from reports.series import looks_of, series_of
+from bench.results.quantities import NORMS
+from reports.charts.errors import acceleration_accuracy, convergence
+from reports.charts.line_styles import line_styles
+from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.series import series_of
 
 
 def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
@@ -22,13 +24,13 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
     for record in records:
         record.run_s = [1e-3, 2e-3]
     series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
-    convergence = studies.convergence(series, ["q", "v", "a", "lam"], looks, interactive=True)
-    assert len(convergence["concat"]) == 4
+    styles = line_styles((s.label, s.family) for s in series)
+    by_step = convergence(series, ["q", "v", "a", "lam"], styles, interactive=True)
+    assert len(by_step["concat"]) == 4
     for chart in (
-        convergence,
-        interactive.explorer(series, ["q", "v", "a", "lam"], looks),
-        interactive.accuracy(series, looks, interactive=True),
+        by_step,
+        work_precision_with_menus(series, ["q", "v", "a", "lam"], styles),
+        acceleration_accuracy(series, styles, interactive=True),
     ):
         altair.Chart.from_dict(chart, validate=True)
         vega = json.dumps(vl_convert.vegalite_to_vega(chart))
@@ -42,8 +44,8 @@ def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
     records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
     records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
     series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
-    svg = vl_convert.vegalite_to_svg(studies.convergence(series, ["q", "lam"], looks))
+    styles = line_styles((s.label, s.family) for s in series)
+    svg = vl_convert.vegalite_to_svg(convergence(series, ["q", "lam"], styles))
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
     assert "m: order q 2.00, lam 1.00" in text
     assert "n: order q 2.00, lam 0.00" in text
@@ -66,14 +68,14 @@ def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
 def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
     records = [r for r in everything() if r.problem == "pendulum"]
     series = series_of(records)
-    looks = looks_of((s.label, s.family) for s in series)
+    styles = line_styles((s.label, s.family) for s in series)
     for norm, order in (("end", 2), ("max", 1)):
-        found = guides(studies.convergence(series, ["q", "lam"], looks, norm))
+        found = guides(convergence(series, ["q", "lam"], styles, norm))
         assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
         assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
     odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
-    looks = looks_of([("odd", "alpha")])
-    assert guides(studies.convergence(series_of(odd), ["q"], looks)) == {"q": []}
+    styles = line_styles([("odd", "alpha")])
+    assert guides(convergence(series_of(odd), ["q"], styles)) == {"q": []}
 
 
 def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
@@ -81,8 +83,8 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
     for record in records:
         record.errors["lam"]["end"] = 0.0
         record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
-    series, looks = series_of(records), looks_of([("m", "alpha")])
-    chart = studies.convergence(series, ["q", "lam"], looks, "end", interactive=True)
+    series, styles = series_of(records), line_styles([("m", "alpha")])
+    chart = convergence(series, ["q", "lam"], styles, "end", interactive=True)
     (choice,) = chart["params"]
     assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
     # Layers hold something in every norm in which there are errors, so that no scale is empty.
@@ -91,16 +93,16 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         assert {row["norm"] for row in rows} == norms
         unnamed = [row for row in rows if not row["name"]]
         assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
-    picture = studies.convergence(series, ["q", "lam"], looks, "end")
+    picture = convergence(series, ["q", "lam"], styles, "end")
     assert [panel["data"]["name"] for panel in picture["concat"]] == ["q"]
 
 
 def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
-    looks = looks_of([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
-    assert len({(look.color, look.dash, look.shape) for look in looks.values()}) == 8
+    styles = line_styles([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
+    assert len({(style.color, style.dash, style.shape) for style in styles.values()}) == 8
 
     def hue(label: str) -> float:
-        color = looks[label].color
+        color = styles[label].color
         parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
         return colorsys.rgb_to_hls(*parts)[0] * 360
 

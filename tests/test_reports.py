@@ -16,19 +16,24 @@ import pytest
 from planted import ATTACK, STEPS, Document, everything, plant, planted
 
 from bench.results.orders import fit_order
-from bench.results.records import NORMS, Record, Rows, Study, median
+from bench.results.quantities import NORMS
+from bench.results.records import Record, Rows, Study, median
 from bench.results.store import Store
-from reports.pages import html, markdown
-from reports.series import milliseconds, number, series_of
-from reports.text.sentences import findings
-from reports.text.tables import summary, targets
+from reports.formatting import milliseconds, number
+from reports.pages import html_report
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.series import series_of
+from reports.text.observations import observations
+from reports.text.ranking_tables import targets_table
+from reports.text.run_tables import summary_table
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = plant(tmp_path_factory.mktemp("planted"), everything())
-    html.write(path)
-    markdown.write(path)
+    write_html_report(path)
+    write_markdown_report(path)
     return path
 
 
@@ -103,7 +108,7 @@ def test_a_target_nobody_reached_names_the_nearest() -> None:
         planted("spring_mass", name, {"q": (c, 2), "a": (c, 2)}, h=0.01)
         for name, c in (("near", 1.0), ("far", 50.0))
     ]
-    row = targets(series_of(records)).rows[2]
+    row = targets_table(series_of(records)).rows[2]
     assert row[:3] == ["q to 1e-06", "0 of 2", "nearest: 0.0001 by near, h=0.01"]
 
 
@@ -111,7 +116,7 @@ def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
     records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
     for record in records:
         record.reference_error = {"q": dict.fromkeys(NORMS, 1e-7)}
-    rows = targets(series_of(records)).rows
+    rows = targets_table(series_of(records)).rows
     assert "1 of" not in rows[2][1]
     assert rows[2][1] == "cannot be judged: the reference's own error is 1e-07"
     assert rows[1][1] == "2 of 2"
@@ -121,11 +126,13 @@ def test_rivals_whose_samples_overlap_are_not_called_slower() -> None:
     records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-2) for n in ("one", "two", "three")]
     for record, samples in zip(records, ([1.0, 1.4], [1.3, 1.5], [1.5, 1.6]), strict=True):
         record.run_s = samples
-    fastest = targets(series_of(records)).rows[0][2]
+    fastest = targets_table(series_of(records)).rows[0][2]
     assert fastest == "one, h=0.01: 1200 ms (not told apart by its samples: two)"
 
 
-def test_equal_findings_share_a_sentence_with_the_order_lost_at_the_start(page: Document) -> None:
+def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
+    page: Document,
+) -> None:
     assert (
         "good[rho_inf=0.8], good[rho_inf=0.5]: after the start transient, second order in "
         "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over all times of the error in "
@@ -145,20 +152,20 @@ def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: s
 )
 def test_the_order_is_named_after_the_slope(power: float, said: str) -> None:
     records = [planted("spring_mass", "m", {"q": (1.0, power)}, h=h) for h in STEPS]
-    (finding,) = findings(series_of(records))
-    assert said in finding.text
+    (observation,) = observations(series_of(records))
+    assert said in observation.text
 
 
-def test_two_steps_make_no_finding_about_order() -> None:
+def test_two_steps_make_no_observation_about_order() -> None:
     records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS[:2]]
-    assert findings(series_of(records)) == []
-    assert summary(series_of(records)).rows[0][2] == "not determined"
+    assert observations(series_of(records)) == []
+    assert summary_table(series_of(records)).rows[0][2] == "not determined"
 
 
 def test_a_step_pattern_is_a_line_of_its_own() -> None:
     even = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
     uneven = [planted("spring_mass", "m", {"q": (1.0, 1)}, h=h, pattern=(0.3, 0.7)) for h in STEPS]
-    text = {f.subjects: f.text for f in findings(series_of(even + uneven))}
+    text = {f.integrators: f.text for f in observations(series_of(even + uneven))}
     assert "second order" in text[("m",)]
     assert "first order" in text[("m x 0.3/0.7",)]
 
@@ -224,11 +231,11 @@ def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) 
 
 def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> None:
     plant(tmp_path, some())
-    figures = tmp_path / markdown.FIGURES
+    figures = tmp_path / FIGURES
     figures.mkdir()
     for name in ("scene-9-1-convergence-end.svg", "mine.txt"):
         (figures / name).write_text("old", encoding="utf-8")
-    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     shown = {Path(name).name for name in re.findall(r"\]\(([^)]+\.svg)\)", text)}
     assert shown
     assert {file.name for file in figures.iterdir()} == shown | {"mine.txt"}
@@ -239,7 +246,7 @@ def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
     with Store(tmp_path, create=True) as store:
         scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
         store.save_scene(msgspec.structs.replace(scene, t_end=2.0))
-    page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
+    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
     assert page.words.count("A second paragraph.") == 2
     assert "The same scene as spring_mass, t_end=1 s, over another interval." in page.words
     assert sum(name.endswith("-scene") for name in page.charts) == 2
@@ -247,13 +254,19 @@ def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
 
 def test_the_drawing_code_is_bundled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
-    monkeypatch.setattr(html.vl_convert, "javascript_bundle", lambda: made.append(1) or "a</script")
-    monkeypatch.setattr(html.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name))
-    assert [html._library() for _ in range(2)] == ["a<\\/script"] * 2
+    monkeypatch.setattr(
+        html_report.vl_convert, "javascript_bundle", lambda: made.append(1) or "a</script"
+    )
+    monkeypatch.setattr(
+        html_report.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name)
+    )
+    assert [html_report.javascript_library() for _ in range(2)] == ["a<\\/script"] * 2
     assert made == [1]
     (tmp_path / "file").touch()
-    monkeypatch.setattr(html.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "file"))
-    assert html._library() == "a<\\/script"
+    monkeypatch.setattr(
+        html_report.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "file")
+    )
+    assert html_report.javascript_library() == "a<\\/script"
 
 
 def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
@@ -299,7 +312,7 @@ def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
         for record in records[:4]:
             store.add_sample(record.key, 1, 1.0)
         store.add_sample(records[5].key, 1, 1e-6 * records[5].work["residuals"])
-    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     assert "The machine was noisy" in text
     assert "4 of 5 timed runs spread by more than 50%" in text
 
@@ -328,9 +341,9 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
 ) -> None:
     planted_records = records() if callable(records) else records
     plant(tmp_path, planted_records, **how)
-    page = Document(html.write(tmp_path).read_text(encoding="utf-8"))
+    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
     assert said in page.words
-    assert said.split(":")[0] in markdown.write(tmp_path).read_text(encoding="utf-8")
+    assert said.split(":")[0] in write_markdown_report(tmp_path).read_text(encoding="utf-8")
     shown = [row["message"] for row in page.rows("Runs that did not reach the end")] if any(
         r.status != "ok" for r in planted_records
     ) else []  # fmt: skip
@@ -343,12 +356,11 @@ def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
     plant(tmp_path, some())
     with Store(tmp_path, create=True) as store:
         plan = store.plan()
-        plan.studies[0].cells += ["later 1", "later 2"]
-        plan.studies.append(
-            Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
-        )
-        store.save_plan(plan)
-    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+        first, *others = plan.studies
+        more = msgspec.structs.replace(first, cells=[*first.cells, "later 1", "later 2"])
+        new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
+        store.save_plan(msgspec.structs.replace(plan, studies=[more, *others, new]))
+    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     assert "3 of 10 planned runs are not measured yet." in text
     assert "2 of 7 runs are not measured yet." in text
     assert "The scene arm (t\\_end=2 s) has no description" in text
@@ -361,13 +373,13 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
     plant(tmp_path, [wild])
     with Store(tmp_path, create=True) as store:
         store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
-    text = markdown.write(tmp_path).read_text(encoding="utf-8")
+    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     assert "Some errors of runs that reached the end are not finite" in text
 
 
 def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
     code = (
-        "import sys, reports.pages.html, reports.pages.markdown; "
+        "import sys, reports.pages.html_report, reports.pages.markdown_report; "
         "print([m for m in ('jax', 'integrators', 'problems', 'altair') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

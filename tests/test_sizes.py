@@ -16,8 +16,8 @@ from bench.running.measure import MOST_COMPONENTS, rows_of
 from bench.running.scene_records import scene_record
 from problems.reference import Reference
 from problems.scenes.chain import Chain
-from reports.charts import cost_by_size
-from reports.series import looks_of
+from reports.charts.cost_by_size import size_charts
+from reports.charts.line_styles import line_styles
 
 
 def scene(problem, t_end, nq, nl):
@@ -41,8 +41,8 @@ SCENES = {
 
 
 def drawn(records, scenes=SCENES):
-    looks = looks_of((r.integrator, r.family) for r in records)
-    return cost_by_size.charts(records, scenes, looks)
+    styles = line_styles((r.integrator, r.family) for r in records)
+    return size_charts(records, scenes, styles)
 
 
 def test_the_run_with_the_most_steps_is_drawn_at_its_number_of_unknowns():

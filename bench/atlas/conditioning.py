@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench.running.worker import Worker
 from problems.formulations import constraint_force
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
@@ -33,3 +34,8 @@ def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
     columns = columns * (large if scaling == "both" else 1.0)
     nothing = np.zeros((len(z.lam), len(z.lam)))
     return float(np.linalg.cond(np.block([[mass * large, columns], [rows, nothing]])))
+
+
+def conditions(worker: Worker, problem: str, steps: tuple[float, ...], scaling: str) -> list[float]:
+    """Do a job of a worker: the condition number at the start of a scene, for each step in s."""
+    return [condition(worker.problem(problem), h, scaling) for h in steps]

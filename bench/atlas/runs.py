@@ -11,13 +11,18 @@ from typing import Any
 
 import msgspec
 
+from bench.atlas.conditioning import conditions
 from bench.atlas.experiments import Case, Experiment, Part, Sweep, merged, sweep_of
 from bench.atlas.measures import history, number_of, quantity, value_of, within
-from bench.atlas.results import CaseResult, ExperimentResult, PartResult
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
+from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.store import Store
-from bench.running.runner import Lost, Runner, Task
-from bench.running.session import Progress, row_of
+from bench.running.processes import NoAnswer
+from bench.running.runner import Runner, Task, measure_task
+from bench.running.session import Progress, result_of
+from bench.running.worker import Worker
+from bench.stability.damping import linear_response
 from integrators.contract import Integrator
 from problems.spec import SpecError
 
@@ -37,10 +42,10 @@ class _Trial:
             return []
         s, x = self.sweep.settings, self.sweep.x
         if s.measure == "condition":
-            return [Task("condition", (s.problem, x, s.name))]
+            return [Task(conditions, (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
-            return [Task("linear", (self.integrator.spec, x, s.pattern or (1.0,)))]
-        return [Task("measure", (cell, s.measure == "error")) for cell in self.sweep.cells]
+            return [Task(linear_response, (self.integrator.spec, x, s.pattern or (1.0,)))]
+        return [measure_task(cell, s.measure == "error") for cell in self.sweep.cells]
 
 
 def run_experiments(
@@ -172,16 +177,16 @@ def _case(
     messages, shown = [trial.message], None
     for task in trial.tasks():
         answer = answers[task]
-        if task.kind == "measure":
-            record, rows = row_of(task.arguments[0], answer, registry)
+        if task.job is Worker.measure:
+            record, rows = result_of(task.arguments[0], answer, registry)
             y.append(value_of(sweep.settings, record, rows))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
             shown = shown or history(sweep.settings.show or "", rows)
-        elif isinstance(answer, Lost):
+        elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
         else:
-            y = answer[sweep.settings.name or ""] if task.kind == "linear" else answer
+            y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
     x = list(sweep.x) if sweep else []
     y += [None] * (len(x) - len(y))
     own = sweep.settings.take if sweep else None

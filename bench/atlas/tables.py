@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from bench.atlas.experiments import Experiment
-from bench.atlas.results import CaseResult, ExperimentResult, bounds
+from bench.results.experiments import CaseResult, ExperimentResult, bounds
 
 
 def listing(experiments: Sequence[Experiment]) -> Table:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,12 +12,17 @@ from bench.commands import atlas, maps, options, plugins, results, scenes, stabi
 from bench.commands.results import DEFAULT_OUT
 from bench.plugins.registry import Registry, explain
 from bench.results import summary
-from bench.results.records import Record, Rows, flatten
+from bench.results.csv_text import csv_text
+from bench.results.records import flatten
 from bench.results.store import Store
 from bench.running import plan as plans
-from bench.running.plan import Cell, check_end, make_suite, read_profile
+from bench.running.plan import Cell, check_end, make_suite
+from bench.running.profiles import read_profile
 from integrators.contract import Steps
 from problems.spec import SpecError
+
+if TYPE_CHECKING:
+    from bench.running.worker import CellResult
 
 
 @click.group(
@@ -268,7 +272,8 @@ def run(
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress
-    from bench.running.session import run_suite
+    from bench.running.session import measure_suite, runner_for, time_suite
+    from bench.stability import damping
 
     registry = Registry(plugins)
     registry.require_files()
@@ -276,13 +281,17 @@ def run(
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
-        outcome = run_suite(suite, store, registry, jobs, progress, cluster)
+        with runner_for(suite, registry, jobs, cluster) as runner:
+            measured = measure_suite(suite, store, registry, runner, progress)
+            damping.complete(suite, store, registry, runner, progress)
+            time_suite(suite, store, runner, progress)
+        stored = store.records()
         atlas = complete(experiments, [], store, registry, jobs, progress)
-    records = [outcome.records[key] for key in suite.cells]
+    records = [stored[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
     click.echo(
         f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
-        f"{outcome.measured} measured now, {outcome.kept} kept from before."
+        f"{measured} measured now, {len(records) - measured} kept from before."
     )
     if atlas:
         held = sum(found.as_predicted for found in atlas)
@@ -314,15 +323,7 @@ def export(folder: Path, form: str, out: Path | None) -> None:
     """
     with Store(folder) as store:
         rows = [flatten(record) for record in store.records().values()]
-    if form == "json":
-        text = json.dumps(rows, indent=1)
-    else:
-        buffer = io.StringIO()
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        writer = csv.DictWriter(buffer, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        text = buffer.getvalue()
+    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
     if out:
         out.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} records in {out}")
@@ -339,9 +340,7 @@ for command in (
 
 
 # ---- helpers ---------------------------------------------------------------------------
-def _solve(
-    cells: list[Cell], registry: Registry, samples: int, budget: float
-) -> list[tuple[Record, Rows]]:
+def _solve(cells: list[Cell], registry: Registry, samples: int, budget: float) -> list[CellResult]:
     from bench.running.session import solve_cells
 
     return solve_cells(cells, registry, samples, budget)

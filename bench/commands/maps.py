@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections.abc import Callable, Iterable
@@ -15,6 +13,7 @@ import click
 from bench.commands import options
 from bench.commands.scenes import view
 from bench.plugins.registry import Registry
+from bench.results.csv_text import csv_text
 from bench.running.plan import check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
@@ -293,11 +292,7 @@ def solve_ensemble(
 def _text(rows: list[dict[str, Any]], suffix: str) -> str:
     if suffix == ".json":
         return json.dumps(rows, indent=1, allow_nan=False)
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue()
+    return csv_text(rows)
 
 
 def _table(found: Ensemble) -> Any:

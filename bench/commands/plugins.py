@@ -43,7 +43,7 @@ def check(
       stepbench check --all --json
     """
     from bench.commands.terminal import finding_line, say
-    from bench.plugins.conformance.checker import FAILED, Checker, chosen, is_file
+    from bench.conformance.checker import FAILED, Checker, chosen, is_file
 
     registry = Registry([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)

@@ -19,9 +19,10 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from bench.plugins.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Finding
 from bench.plugins.registry import Plugin
-from bench.results.records import NORMS, Record, Rows, median
+from bench.results.quantities import NORMS
+from bench.results.records import Record, Rows, median
 
 #: Without a terminal a line is printed this often instead of a moving bar.
 _QUIET_SECONDS = 5.0

@@ -1,22 +1,21 @@
-"""The typed rows that a run leaves behind; all that a report ever sees."""
+"""Records: the typed results of runs that are stored, and all that reports read."""
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from problems.system import GROUPS
+from bench.results.quantities import GROUPS, LEVELS, NORMS
 
-#: Version of the rows below. A store of another version is refused with a hint.
+#: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 1
 
-#: A run that is long is timed less often, it averages the machine's noise itself: no more samples
-#: are taken once they have lasted this long, in s.
+#: No more timing samples of a run are taken once they have lasted this long, in s: a long run
+#: averages the machine's noise itself.
 TIMING_SECONDS = 1.0
-
-NORMS = ("end", "max", "rms", "settled")
-LEVELS = ("position", "velocity", "acceleration")
 
 
 class Environment(msgspec.Struct, kw_only=True):
@@ -70,7 +69,7 @@ class Record(msgspec.Struct, kw_only=True):
 
     @property
     def resolution(self) -> str:
-        """The resolution in words."""
+        """The step and its pattern, or the tolerances, in words."""
         if self.controls == "tolerance":
             return f"rtol={self.rtol:g}, atol={self.atol:g}"
         parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
@@ -116,7 +115,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
         return fastest * self.nominal_step if fastest and self.nominal_step else None
 
 
-class Study(msgspec.Struct, kw_only=True):
+class Study(msgspec.Struct, kw_only=True, frozen=True):
     """A part of a plan: some cells of one scene that belong on one chart."""
 
     title: str
@@ -129,11 +128,11 @@ class Study(msgspec.Struct, kw_only=True):
     components: list[str] = []
 
 
-class Damping(msgspec.Struct, kw_only=True):
-    """What a method at constant steps makes of the undamped oscillator at values of ``omega_h``.
+class Damping(msgspec.Struct, kw_only=True, frozen=True):
+    """Response of a method at constant steps to the undamped oscillator, at values of ``omega_h``.
 
     Spectral radius, numerical damping ratio and relative period error, None where there is none;
-    ``message`` says why nothing is known.
+    ``message`` is the reason if nothing is known. ``fingerprint`` is that of the method.
     """
 
     omega_h: list[float]
@@ -144,20 +143,18 @@ class Damping(msgspec.Struct, kw_only=True):
     fingerprint: str = ""
 
 
-class IntegratorFacts(msgspec.Struct, kw_only=True):
-    """What an integrator says of itself: title, claimed order per group, formulation, source; and
-    its own damping at the frequencies of the scenes, where its steps are constant."""
+class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
+    """An integrator's own statements: title, claimed order per group, formulation, source."""
 
     title: str
     orders: dict[str, int] = {}
     formulation: str = ""
     source: str = ""
-    damping: Damping | None = None
 
 
-class Plan(msgspec.Struct, kw_only=True):
-    """What a store is about: its title, its studies, how often each run is timed, and the
-    integrators by printed name."""
+class Plan(msgspec.Struct, kw_only=True, frozen=True):
+    """The task of a run folder: its title, its studies, how often each run is timed, the time
+    budget of a cell in s, and the integrators by printed name. It holds no results."""
 
     name: str
     title: str
@@ -168,7 +165,7 @@ class Plan(msgspec.Struct, kw_only=True):
 
 
 def flatten(record: Record) -> dict[str, Any]:
-    """One flat row for pandas: ``error_q_end``, ``work_residuals``, ``run_s_median``, ..."""
+    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ..."""
     row = msgspec.to_builtins(record)
     for group in GROUPS:
         for norm in NORMS:
@@ -190,10 +187,6 @@ def flatten(record: Record) -> dict[str, Any]:
     return row
 
 
-def median(values: list[float]) -> float | None:
-    """Median, or None of nothing."""
-    ordered = sorted(values)
-    if not ordered:
-        return None
-    middle = len(ordered) // 2
-    return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+def median(values: Sequence[float]) -> float | None:
+    """Return the median, or None if there are no values."""
+    return statistics.median(values) if values else None

@@ -1,4 +1,4 @@
-"""Cost against size: what a method takes on one kind of scene as it grows."""
+"""Cost against the size of a scene."""
 
 from __future__ import annotations
 
@@ -7,20 +7,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bench.results.records import Record, SceneRecord
-from reports.charts.vega import (
-    Data,
-    Spec,
-    View,
-    arrange,
-    by_series,
-    log_axis,
-    log_scale,
-    quantity,
-    short,
-)
-from reports.series import Look, label_of, seconds_of
+from reports.charts import vega_lite as vl
+from reports.charts.line_styles import LineStyle
+from reports.series import label_of, seconds_of
 
-#: Fewer sizes of a kind of scene make no line.
+#: A kind of scene is drawn from this many sizes on.
 _LEAST = 3
 #: Fields and titles of the panels.
 _PANELS = (
@@ -30,16 +21,16 @@ _PANELS = (
 )
 
 
-def charts(
+def size_charts(
     records: Iterable[Record],
     scenes: Mapping[tuple[str, float], SceneRecord],
-    looks: Mapping[str, Look],
-) -> dict[str, Spec]:
-    """A chart for every kind of scene that was run in several sizes, by the name of the kind."""
+    styles: Mapping[str, LineStyle],
+) -> dict[str, vl.Spec]:
+    """A chart for every kind of scene with runs in several sizes, by the name of the kind."""
     made = {}
     for kind, rows in _rows(records, scenes).items():
         if len({row["unknowns"] for row in rows}) >= _LEAST:
-            chart = _chart(kind, rows, looks)
+            chart = _chart(kind, rows, styles)
             if chart:
                 made[kind] = chart
     return made
@@ -48,7 +39,7 @@ def charts(
 def _rows(
     records: Iterable[Record], scenes: Mapping[tuple[str, float], SceneRecord]
 ) -> dict[str, list[dict[str, Any]]]:
-    """Of every method and size the run with the most steps, by kind of scene."""
+    """The run with the most steps of every method and size, by kind of scene."""
     best: dict[tuple[str, int, str], Record] = {}
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
@@ -63,40 +54,39 @@ def _rows(
             {
                 "series": label,
                 "unknowns": unknowns,
-                "per_second": short(seconds / (record.t_end - record.t0)),
-                "per_step": short(seconds / steps),
-                "per_unknown": short(seconds / steps / unknowns),
+                "per_second": vl.short(seconds / (record.t_end - record.t0)),
+                "per_step": vl.short(seconds / steps),
+                "per_unknown": vl.short(seconds / steps / unknowns),
             }
         )
     return rows
 
 
-def _chart(kind: str, rows: list[dict[str, Any]], looks: Mapping[str, Look]) -> Spec | None:
+def _chart(
+    kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]
+) -> vl.Spec | None:
     shown = {row["series"] for row in rows}
-    view = View({label: look for label, look in looks.items() if label in shown})
-    data = Data(f"sizes-{kind}", rows)
-    x_axis = log_axis([row["unknowns"] for row in rows], "~s")
+    options = vl.ChartOptions({label: style for label, style in styles.items() if label in shown})
+    data = vl.Dataset(f"sizes-{kind}", rows)
+    x_axis = vl.log_axis([row["unknowns"] for row in rows], "~s")
     panels = [
         {
             "data": data.source,
             "mark": {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}},
             "encoding": {
-                "x": quantity("unknowns", scale=log_scale(), axis=x_axis),
-                "y": quantity(
-                    field,
-                    title=title,
-                    scale=log_scale(),
-                    axis=log_axis([row[field] for row in rows], ".0e"),
+                "x": vl.log_quantity("unknowns", axis=x_axis),
+                "y": vl.log_quantity(
+                    field, title=title, axis=vl.log_axis([row[field] for row in rows], ".0e")
                 ),
-                "color": by_series(view.colors, view),
-                "strokeDash": by_series(view.dashes, view),
+                "color": options.colors(),
+                "strokeDash": options.dashes(),
                 "tooltip": [
-                    {"field": "series", "type": "nominal"},
-                    quantity("unknowns"),
-                    quantity(field, title=title, format=".3g"),
+                    vl.category("series"),
+                    vl.quantity("unknowns"),
+                    vl.quantity(field, title=title, format=".3g"),
                 ],
             },
         }
         for field, title in _PANELS
     ]
-    return arrange(panels, [data], 3)
+    return vl.arrange(panels, [data], 3)

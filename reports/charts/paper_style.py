@@ -1,28 +1,20 @@
-"""The look of a single figure on paper, and the formats in which it is written."""
+"""Single figures for print: size, fonts, line widths, and the formats of the files."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import vl_convert
 
-from reports.charts.vega import Data, Spec
-from reports.series import Look, Series
+from reports.charts.vega_lite import Dataset, Spec, datasets
 
 #: Width of a column in points (88 mm), and height of the panel without its legend.
 _WIDTH, _HEIGHT = 250, 165
 _PNG_PER_INCH = 300
 _SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"
-# Dark enough for print, told apart without colour by shape and dashes.
-_COLORS = ("#000000", "#0072b2", "#b34700", "#00735a", "#9c4f7d", "#5c5c5c", "#2a5078", "#8a6d00")
-_SHAPES = (
-    *("circle", "square", "triangle-up", "diamond", "cross"),
-    *("triangle-down", "triangle-right", "triangle-left"),
-)
-_DASHES = ((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2), (9, 3), (1, 1), (4, 1, 1, 1, 1, 1))
 _THIN: dict[str, Spec] = {
     "line": {"strokeWidth": 0.9},
     "point": {"size": 24},
@@ -31,19 +23,19 @@ _THIN: dict[str, Spec] = {
 }
 
 
-def on_paper(panel: Spec, data: Sequence[Data]) -> Spec:
-    """A panel with its data as a chart for a column; the panel's own marks are made thinner."""
+def on_paper(panel: Spec, data: Sequence[Dataset]) -> Spec:
+    """A chart as wide as a column from one panel; the panel's lines and points get thinner."""
     panel.get("encoding", {}).get("y", {}).get("axis", {}).pop("minExtent", None)
     for layer in panel["layer"]:
         mark = layer["mark"]
-        # What is drawn broad, behind the others, stays broader.
+        # A broad line behind the others stays broader.
         mark |= {"strokeWidth": 3} if mark.get("strokeWidth", 0) > 3 else _THIN[mark["type"]]
         for channel in ("color", "strokeDash"):
             if (layer["encoding"].get(channel, {}).get("legend") or {}).get("symbolSize"):
                 layer["encoding"][channel]["legend"]["symbolSize"] = 160
     return panel | {
         "$schema": _SCHEMA,
-        "datasets": {table.name: table.text for table in data},
+        "datasets": datasets(data),
         "width": _WIDTH,
         "height": _HEIGHT,
         "autosize": {"type": "fit-x", "contains": "padding"},
@@ -52,43 +44,19 @@ def on_paper(panel: Spec, data: Sequence[Data]) -> Spec:
     }
 
 
-def looks_on_paper(series: Iterable[Series]) -> dict[str, Look]:
-    """A colour, dashes and a shape per line; shape and dashes alone tell them apart."""
-    return {
-        s.label: Look(*(kinds[i % len(kinds)] for kinds in (_COLORS, _DASHES, _SHAPES)))
-        for i, s in enumerate(series)
-    }
-
-
 def _config() -> Spec:
     """Black on white, thin axes without a grid, 8 points of text."""
     text = {"labelFontSize": 8, "titleFontSize": 8, "titleFontWeight": "normal"}
+    colors = {"tickColor": "black", "labelColor": "black", "titleColor": "black"}
+    sizes = {"tickWidth": 0.5, "tickSize": 3, "titlePadding": 4}
+    place = {"orient": "bottom", "direction": "vertical", "columns": 1, "offset": 6}
+    symbols = {"rowPadding": 1, "symbolSize": 30, "symbolStrokeWidth": 0.9}
     return {
         "background": "white",
         "font": "Helvetica, Arial, Liberation Sans, sans-serif",
         "view": {"stroke": "black", "strokeWidth": 0.5},
-        "axis": text
-        | {
-            "grid": False,
-            "domain": False,
-            "tickColor": "black",
-            "tickWidth": 0.5,
-            "tickSize": 3,
-            "labelColor": "black",
-            "titleColor": "black",
-            "titlePadding": 4,
-        },
-        "legend": text
-        | {
-            "orient": "bottom",
-            "direction": "vertical",
-            "columns": 1,
-            "offset": 6,
-            "rowPadding": 1,
-            "symbolSize": 30,
-            "symbolStrokeWidth": 0.9,
-            "labelLimit": _WIDTH - 30,
-        },
+        "axis": text | colors | sizes | {"grid": False, "domain": False},
+        "legend": text | place | symbols | {"labelLimit": _WIDTH - 30},
     }
 
 

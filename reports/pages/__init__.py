@@ -1,1 +1,1 @@
-"""Pages (HTML and Markdown), made from a store alone."""
+"""Pages in HTML and Markdown, made of charts and texts."""

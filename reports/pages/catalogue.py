@@ -1,4 +1,4 @@
-"""Pictures of scenes: a still with ghosts, an animation in one file, and the catalogue of all."""
+"""Pictures of scenes: a picture at several times, an animation, and the catalogue of all."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ from typing import Any
 import vl_convert
 
 from bench.results.records import SceneRecord
-from reports.charts import studies
-from reports.charts.vega import short
-from reports.pages.markdown import render
-from reports.pages.scene_chapter import facts, parameters
-from reports.pages.templating import template
-from reports.series import number
+from reports.charts.mechanism import mechanism
+from reports.charts.vega_lite import short
+from reports.formatting import number, paragraphs
+from reports.pages.templating import html, markdown
+from reports.text.scene_tables import parameters_table, scene_facts
 
 PICTURES = "catalogue_figures"
 
 
 class NoPicture(ValueError):
-    """There is nothing to draw, or no such format."""
+    """The scene has nothing to draw, or the format is not known."""
 
 
-def still(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
+def write_picture(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
     """Write a picture of a scene at several times; the suffix says SVG or PNG.
 
     Raises
     ------
     NoPicture
-        If the scene draws nothing, or the suffix is another.
+        If the scene draws nothing, or the suffix is not one of these.
     """
-    chart = studies.drawing(drawings)
+    chart = mechanism(drawings)
     if chart is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
     if path.suffix == ".svg":
@@ -44,8 +43,8 @@ def still(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
     return path
 
 
-def animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
-    """Write a page that plays a scene, with all it needs in it.
+def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
+    """Write a page that plays a scene; the file needs no other.
 
     Raises
     ------
@@ -65,9 +64,10 @@ def animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Pat
     ]
     wide, high = (max(b - a, extent / 3) + 0.1 * extent for a, b in ((x0, x1), (y0, y1)))
     corner = ((x0 + x1 - wide) / 2, -(y0 + y1 + high) / 2)
-    text = template("animation.html.j2").render(
+    text = html(
+        "animation.html.j2",
         title=title,
-        view=" ".join(f"{number:.6g}" for number in (*corner, wide, high)),
+        view=" ".join(f"{x:.6g}" for x in (*corner, wide, high)),
         stroke=f"{extent / 150:.4g}",
         frames=json.dumps(frames, separators=(",", ":")),
     )
@@ -75,18 +75,18 @@ def animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Pat
     return path
 
 
-def catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
+def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
     """Write catalogue.html and catalogue.md with a picture of every scene into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     entries = []
     for scene in scenes:
-        chart = studies.drawing(scene.drawings)
+        chart = mechanism(scene.drawings)
         entries.append(
             {
                 "scene": scene,
-                "about": [" ".join(p.split()) for p in scene.description.split("\n\n") if p],
-                "facts": [*_more(scene), *facts(scene)],
-                "parameters": parameters(scene),
+                "about": paragraphs(scene.description),
+                "facts": [*_catalogue_facts(scene), *scene_facts(scene)],
+                "parameters": parameters_table(scene),
                 "svg": vl_convert.vegalite_to_svg(chart) if chart else "",
             }
         )
@@ -97,15 +97,17 @@ def catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
             file = pictures / f"{entry['scene'].problem}.svg"
             file.write_text(entry["svg"], encoding="utf-8")
     pages = [folder / "catalogue.html", folder / "catalogue.md"]
-    html = template("catalogue.html.j2").render(entries=entries)
-    markdown = render("catalogue.md.j2", entries=entries, pictures=PICTURES)
-    for page, text in zip(pages, (html, markdown), strict=True):
+    texts = (
+        html("catalogue.html.j2", entries=entries),
+        markdown("catalogue.md.j2", entries=entries, pictures=PICTURES),
+    )
+    for page, text in zip(pages, texts, strict=True):
         page.write_text(text, encoding="utf-8")
     return pages
 
 
-def _more(scene: SceneRecord) -> list[tuple[str, str]]:
-    """What the catalogue tells beyond the facts of a report."""
+def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:
+    """Pairs (name, text) that only the catalogue shows."""
     found = [("Equations", "; ".join(scene.equations))]
     if scene.rates:
         r = {name: number(value) for name, value in scene.rates.items()}

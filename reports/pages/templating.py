@@ -1,17 +1,63 @@
-"""Templates of the HTML pages."""
+"""Templates filled in as HTML or as Markdown."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 import jinja2
 
+from reports.text.table import Table
 
-def template(name: str) -> jinja2.Template:
-    """A page's template, which escapes what it is given."""
-    environment = jinja2.Environment(
+
+def html(name: str, **values: object) -> str:
+    """Fill in a template of HTML; all values are escaped."""
+    return _environment(autoescape=True).get_template(name).render(**values)
+
+
+def markdown(name: str, **values: object) -> str:
+    """Fill in a template of Markdown; several blank lines become one."""
+    environment = _environment(autoescape=False)
+    environment.filters |= {"md": escape, "code": code, "table": markdown_table}
+    text = environment.get_template(name).render(**values)
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
+
+
+def _environment(autoescape: bool) -> jinja2.Environment:
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("reports.pages"),
-        autoescape=True,
+        autoescape=autoescape,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template(name)
+
+
+def escape(text: object) -> str:
+    """Text on one line in which no character is Markdown."""
+    flat = " ".join(str(text).split())
+    flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", flat)
+
+
+def code(text: object) -> str:
+    """Text set as code, fit for a table's cell."""
+    flat = " ".join(str(text).split()).replace("`", "'")
+    return f"`{flat}`".replace("|", "\\|") if flat else ""
+
+
+def markdown_table(table: Table | None) -> str:
+    """A table in GitHub's Markdown, with its caption and note; nothing for None."""
+    if table is None:
+        return ""
+    lines = [_row(escape(head) for head in table.head), _row("---" for _ in table.head)]
+    for i, cells in enumerate(table.rows):
+        shown = [code(c) if j in table.code else escape(c) for j, c in enumerate(cells)]
+        lines.append(_row(f"**{c}**" if (i, j) in table.best else c for j, c in enumerate(shown)))
+    # With a colon: a line that is all bold would pass for a heading.
+    parts = [f"**{escape(table.caption)}**:", "\n".join(lines)]
+    return "\n\n".join([*parts, escape(table.note)] if table.note else parts)
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,134 @@
+"""The conformance kit: runs the checks that every scene and integrator has to pass.
+
+A check is a function of a registry and a plugin. It returns a sentence on its finding, or raises
+``Failed`` with a sentence on the fault. It runs in a process of its own, so that a plugin that
+hangs or crashes fails its check and no other.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.conformance import integrators, scenes
+from bench.conformance.verdicts import (
+    FAILED,
+    NOT_APPLICABLE,
+    PASSED,
+    DoesNotApply,
+    Failed,
+    Finding,
+    shortly,
+)
+from bench.plugins.registry import Plugin, Registry
+from bench.running.processes import GuardedProcess, NoAnswer, Notify
+from problems import spec
+from problems.spec import SpecError
+
+#: The checks by kind of plugin and name, in the order in which they are told.
+CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
+    "problems": scenes.CHECKS,
+    "integrators": integrators.CHECKS,
+}
+
+
+def examine(registry: Registry, kind: str, text: str, check: str) -> Finding:
+    """Run one check on the plugin written as ``text``, in this process."""
+    try:
+        make = registry.problem if kind == "problems" else registry.integrator
+        return Finding(check, PASSED, CHECKS[kind][check](registry, make(text)))
+    except DoesNotApply as reason:
+        return Finding(check, NOT_APPLICABLE, str(reason))
+    except (Failed, SpecError) as fault:
+        return Finding(check, FAILED, str(fault))
+    except (Exception, SystemExit) as error:  # a plugin may do anything
+        return Finding(check, FAILED, f"It raised {shortly(error)}")
+
+
+def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:
+    """The plugins to check as (kind, name with options), for names, files, or all.
+
+    Raises
+    ------
+    SpecError
+        If nothing is named, or a name is not known.
+    """
+    plugins = [(kind, plugin) for kind in CHECKS for plugin in getattr(registry, kind).values()]
+    if everything:
+        return [(kind, plugin.name) for kind, plugin in plugins]
+    found: list[tuple[str, str]] = []
+    for text in names:
+        if is_file(text):
+            path = Path(text).resolve()
+            found += [(k, p.name) for k, p in plugins if path in (o := Path(p.origin), o.parent)]
+            continue
+        name, _ = spec.split_spec(text)
+        kinds = [kind for kind in CHECKS if name in getattr(registry, kind)]
+        if not kinds:
+            hint = spec.suggest(name, [p.name for _, p in plugins if p.cls])
+            raise SpecError(f"There is no scene or integrator {name!r}; {hint}.")
+        found += [(kind, text) for kind in kinds]
+    if not found:
+        raise SpecError("Nothing is named; give names or Python files, or --all.")
+    return list(dict.fromkeys(found))
+
+
+def is_file(text: str) -> bool:
+    """Whether what is to be checked is written as a file or folder instead of a name."""
+    return text.endswith(".py") or os.sep in text
+
+
+class Checker:
+    """Runs checks in a process of its own; use as a context manager.
+
+    Parameters
+    ----------
+    registry
+        Where the plugins are found; the process makes its own from the same files.
+    budget_s
+        Seconds that one check may take.
+    """
+
+    def __init__(self, registry: Registry, budget_s: float) -> None:
+        self._registry, self._budget_s = registry, budget_s
+        self._process: GuardedProcess | None = None
+
+    def __enter__(self) -> Checker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process:
+            self._process.end()
+
+    def check(self, kind: str, text: str) -> Iterator[Finding]:
+        """Yield the finding of each check of this kind on the plugin written as ``text``."""
+        plugin = self._plugin(kind, text)
+        if plugin.cls is None:
+            yield Finding("loads", FAILED, f"It is unavailable: {plugin.reason}")
+            return
+        for name in CHECKS[kind]:
+            if self._process is None or not self._process.alive:
+                paths = (self._registry.paths,)
+                self._process = GuardedProcess(_make_registry, paths, self._budget_s)
+            answer = self._process.ask(examine, kind, text, name)
+            if isinstance(answer, NoAnswer):
+                fault = "The process died; look for a crash in compiled code or for an exit."
+                if answer.status == "budget_exceeded":
+                    fault = (
+                        f"It did not end within {self._budget_s:g} s; end such a run with the "
+                        f"status budget_exceeded or step_too_small, or raise --budget."
+                    )
+                answer = Finding(name, FAILED, fault)
+            yield answer
+
+    def _plugin(self, kind: str, text: str) -> Plugin:
+        plugins = getattr(self._registry, kind)
+        # A name that cannot be used is listed with its origin, which is no name with options.
+        return plugins.get(text) or plugins[spec.split_spec(text)[0]]
+
+
+def _make_registry(notify: Notify, paths: list[str]) -> Registry:
+    """Make the state of the process of the checks."""
+    return Registry(paths)

@@ -1,0 +1,289 @@
+"""The checks that every integrator has to pass."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from bench.conformance.orders import check_order, check_tolerance
+from bench.conformance.trials import (
+    GROUPS,
+    TRIAL_RTOL,
+    FiniteTimeBlowUp,
+    measured,
+    moved,
+    names_of,
+    prepared,
+    resolution,
+    size_of,
+    spoilt,
+    step_count,
+    trial_end,
+    trials,
+    words,
+)
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
+from bench.plugins.registry import Registry
+from integrators.contract import STATUSES, Integrator, Trajectory
+from problems.initial_values import consistent_start
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+#: A power of two: adding it to a time loses as few digits as possible.
+_SHIFT = 64.0
+#: How deep numbers are looked for in what execute() returns.
+_DEEPEST = 4
+
+
+def check_scenes(registry: Registry, method: Integrator) -> str:
+    """It takes at least one scene, and says in a sentence why it refuses another."""
+    taken, refused = [], []
+    for name, plugin in registry.problems.items():
+        if plugin.cls is None:
+            continue
+        reason = method.supports(registry.problem(name))
+        if reason is None:
+            taken.append(name)
+        elif isinstance(reason, str) and reason.strip() and "\n" not in reason:
+            refused.append(f"refuses {name}: {reason.strip()}")
+        else:
+            raise Failed(
+                f"supports() answers {reason!r} on {name}; return None or the reason in a sentence."
+            )
+    if not taken:
+        raise Failed("; ".join(["It takes no scene", *refused]))
+    return "; ".join([f"It takes {', '.join(taken)}", *refused]).rstrip(".") + "."
+
+
+def check_options(registry: Registry, method: Integrator) -> str:
+    """Options are read as they are printed."""
+    return round_trip(registry.integrator, method)
+
+
+def check_rows(registry: Registry, method: Integrator) -> str:
+    """Rows have the right shapes, start and end exactly, and lie on the grid of steps."""
+    scenes = trials(registry, method)
+    for scene in scenes:
+        run, (t0, t_end) = measured(method, scene), (scene.interval[0], trial_end(scene))
+        k, t = len(run.t), np.asarray(run.t)
+        for group in GROUPS:
+            shape, wanted = np.shape(getattr(run, group)), (k, size_of(scene, group))
+            if shape != wanted:
+                raise Failed(f"Rows of {group} on {scene.spec} have shape {shape}, not {wanted}.")
+        if k < 2 or t[0] != t0 or t[-1] != t_end:
+            raise Failed(
+                f"Rows on {scene.spec} go from {t[:1]} to {t[-1:]} s; the first has to be at "
+                f"{t0!r} and the last at {t_end!r}, to the last digit."
+            )
+        if not (np.diff(t) > 0).all():
+            at = t[np.argmin(np.diff(t))]
+            raise Failed(f"The times of the rows on {scene.spec} do not increase after t={at:g} s.")
+        start = consistent_start(scene).z
+        for group in ("q", "v", "x", "a"):
+            mine, wanted = getattr(run, group)[0], getattr(start, group)
+            if not np.allclose(mine, wanted, rtol=1e-12, atol=1e-12):
+                raise Failed(
+                    f"The first row of {group} on {scene.spec} is {mine}, the scene starts with "
+                    f"{wanted}; keep the start as the first row."
+                )
+        if method.controls == "step":
+            _on_the_grid(scene, t, step_count(scene))
+    return f"Rows are complete and exact in time on {names_of(scenes)}."
+
+
+def _on_the_grid(scene: MechatronicSystem, t: np.ndarray, count: int) -> None:
+    length = t[-1] - t[0]
+    steps = (t - t[0]) / length * count
+    off = np.abs(steps - np.round(steps))
+    if off.max() > 1e-6:
+        raise Failed(
+            f"The row at t={t[off.argmax()]:.9g} s on {scene.spec} is no multiple of the step "
+            f"{length / count:.9g} s; report rows at the ends of steps only."
+        )
+
+
+def check_repeats(registry: Registry, method: Integrator) -> str:
+    """Two prepared runs give the same bits and the same work."""
+    scenes = trials(registry, method)
+    for scene in scenes:
+        _same_run(measured(method, scene), measured(method, scene), f"Two runs on {scene.spec}")
+    return f"Two runs are equal to the last bit on {names_of(scenes)}."
+
+
+def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
+    for name in ("t", *GROUPS):
+        if not np.array_equal(getattr(one, name), getattr(two, name)):
+            raise Failed(f"{what} differ in {name}; seed random numbers and keep no state.")
+    if one.work != two.work:
+        raise Failed(f"{what} differ in the work counted, {one.work} and {two.work}.")
+
+
+def check_execute(registry: Registry, method: Integrator) -> str:
+    """What is timed is what is measured, however often."""
+    scenes, silent = trials(registry, method), []
+    for scene in scenes:
+        run = prepared(method, scene)
+        before = run.measure()
+        results = [run.execute(), run.execute()]
+        _same_run(before, run.measure(), f"measure() before and after execute() on {scene.spec}")
+        for result in results:
+            numbers = np.concatenate([np.zeros(0), *_numbers(result)])
+            if not numbers.size:
+                silent = [scene]
+                continue
+            for value in np.concatenate([before.q[-1], before.v[-1]]):
+                if np.abs(numbers - value).min() > 1e-6 * max(1.0, abs(value)):
+                    raise Failed(
+                        f"measure() on {scene.spec} ends with {value:.9g}, which is not in what "
+                        f"execute() returns; what is timed has to be the same solve."
+                    )
+    seen = "execute() returns no numbers to compare" if silent else "execute() ends alike"
+    return f"measure() is unchanged by execute(), and {seen}, on {names_of(scenes)}."
+
+
+def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
+    """All numbers in what a run returned, which may be anything."""
+    if hasattr(value, "__array__") or isinstance(value, int | float):
+        array = np.asarray(value)
+        if array.dtype.kind in "fiu":
+            yield array.ravel().astype(float)
+        return
+    if isinstance(value, dict) or hasattr(value, "__dict__"):
+        value = list((value if isinstance(value, dict) else vars(value)).values())
+    if isinstance(value, list | tuple) and depth < _DEEPEST:
+        for part in value:
+            yield from _numbers(part, depth + 1)
+
+
+def check_work(registry: Registry, method: Integrator) -> str:
+    """Work is counted, and grows with the number of steps."""
+    scenes, pair = (
+        trials(registry, method),
+        (1.0, 2.0) if method.controls == "step" else (0.01, 1.0),
+    )
+    for scene in scenes:
+        coarse, fine = (measured(method, scene, factor).work for factor in pair)
+        for name, value in (vars(coarse) | vars(fine)).items():
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if value is not None and not (whole and value >= 0):
+                raise Failed(f"The count of {name} on {scene.spec} is {value!r}, not a number.")
+        for name in ("steps", "residuals"):
+            few, many = getattr(coarse, name), getattr(fine, name)
+            if few is None or many is None or not 0 < few < many:
+                raise Failed(
+                    f"{name} on {scene.spec}: {few} at {words(method, scene, pair[0])}, "
+                    f"{many} at {words(method, scene, pair[1])}; count {name} where they happen."
+                )
+        if method.controls == "step" and coarse.steps != step_count(scene):
+            raise Failed(
+                f"{coarse.steps} steps are counted on {scene.spec}, {step_count(scene)} were "
+                f"asked for; count each step once."
+            )
+    return f"Work is counted and grows with the steps on {names_of(scenes)}."
+
+
+def check_start_time(registry: Registry, method: Integrator) -> str:
+    """A scene that starts later gives the same motion, later."""
+    scenes = trials(registry, method)
+    allowed = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL
+    for scene in scenes:
+        here, there = measured(method, scene), measured(method, moved(scene, _SHIFT))
+        for group in ("q", "v"):
+            one, two = getattr(here, group)[-1], getattr(there, group)[-1]
+            difference = np.abs(one - two).max() / max(1.0, np.abs(one).max())
+            if not difference <= allowed:
+                raise Failed(
+                    f"On {scene.spec} moved by {_SHIFT:g} s {group} ends {difference:.2g} away; "
+                    f"begin at scene.interval[0] and give the scene its own time."
+                )
+    return f"The start may lie at any time on {names_of(scenes)}."
+
+
+def check_empty_interval(registry: Registry, method: Integrator) -> str:
+    """No time to go is one row or a clear refusal."""
+    scene = trials(registry, method)[0]
+    t0 = scene.interval[0]
+    try:
+        run = method.prepare(scene, t0, resolution(method, scene)).measure()
+    except SpecError as refusal:
+        return f"An interval of length zero is refused: {refusal}"
+    except Exception as error:
+        raise Failed(
+            f"An interval of length zero raises {shortly(error)} Return the start as the only "
+            f"row, or raise SpecError with a sentence."
+        ) from error
+    if run.status != "ok" or len(run.t) != 1 or run.t[0] != t0:
+        raise Failed(
+            f"An interval of length zero gives the status {run.status} and {len(run.t)} rows; "
+            f"return the start as the only row."
+        )
+    return "An interval of length zero gives the start alone."
+
+
+def check_nan(registry: Registry, method: Integrator) -> str:
+    """A force that is no longer a number ends the run with a status."""
+    scene = trials(registry, method)[0]
+    at = 0.5 * (scene.interval[0] + trial_end(scene))
+    return _ends_badly(method, spoilt(scene, at), f"A force that is NaN after t={at:g} s")
+
+
+def check_blow_up(registry: Registry, method: Integrator) -> str:
+    """A solution that ends in finite time ends the run with a status."""
+    scene = FiniteTimeBlowUp()
+    reason = method.supports(scene)
+    if reason:
+        raise DoesNotApply(f"It does not take a scene whose solution blows up: {reason}")
+    return _ends_badly(method, scene, "A solution that is infinite at t=1 s")
+
+
+def _ends_badly(method: Integrator, scene: MechatronicSystem, what: str) -> str:
+    try:
+        end = scene.interval[1]  # behind the blow-up, however many steps that takes
+        run = method.prepare(scene, end, resolution(method, scene)).measure()
+    except Exception as error:
+        raise Failed(
+            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
+            f"diverged, and a message that names the time."
+        ) from error
+    if run.status == "ok" or run.status not in STATUSES:
+        raise Failed(
+            f"{what} ends with the status {run.status!r}; look at the values of every step and "
+            f"end with one of {', '.join(STATUSES[1:5])}."
+        )
+    time = re.search(r"\bt ?= ?([-+.\deE]*\d)", run.message)
+    if not time or not math.isfinite(float(time[1])):
+        raise Failed(
+            f"{what} ends with {run.status} and the message {run.message!r}; name the time, as "
+            f"in 'diverged at t=0.5 s'."
+        )
+    return f"{what} ends with {run.status} at t={time[1]} s."
+
+
+def _order(registry: Registry, method: Integrator) -> str:
+    scenes = trials(registry, method)
+    return check_order(method, [(scene, trial_end(scene)) for scene in scenes])
+
+
+def _tolerance(registry: Registry, method: Integrator) -> str:
+    scenes = trials(registry, method)
+    return check_tolerance(method, [(scene, trial_end(scene)) for scene in scenes])
+
+
+CHECKS = {
+    "scenes": check_scenes,
+    "options": check_options,
+    "rows": check_rows,
+    "repeats": check_repeats,
+    "execute": check_execute,
+    "work": check_work,
+    "start time": check_start_time,
+    "empty interval": check_empty_interval,
+    "nan": check_nan,
+    "blow-up": check_blow_up,
+    "order": _order,
+    "tolerance": _tolerance,
+}

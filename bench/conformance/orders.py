@@ -1,0 +1,190 @@
+"""The checks of accuracy: the claimed order at constant steps, and what a tolerance promises."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+from bench.conformance.trials import reference, size_of
+from bench.conformance.verdicts import DoesNotApply, Failed
+from bench.results.orders import Fit, fit_order
+from bench.results.quantities import TRUST
+from bench.running.measure import relative_errors
+from integrators.contract import Integrator, Steps, Tolerances
+from problems.system import MechatronicSystem
+
+#: A measured order may differ from the claimed one by this, or by this part of it.
+_SPREAD, _PART = 0.2, 0.06
+#: Errors of higher orders fall to round-off within three halvings, too few for the rule of
+#: `bench.results.orders`: their last steps count alone, if these slopes agree.
+_LOW, _LAST_POINTS, _AGREEMENT = 4, 4, 0.75
+_NORM = "settled"
+_FEWEST, _MOST = 8, 4096
+#: Below this an error shows the asymptotic order, and no coarser step has to be asked.
+_SMALL = 1e-4
+#: Relative errors below the first are round-off and need no smaller steps; above the second they
+#: still show a high order.
+_ROUND_OFF, _ROUNDING = 1e-12, 2e-13
+_RTOLS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+#: A method of low order may use up its own budget of steps, but not before this many of them.
+_FEWEST_RTOLS = 3
+#: An error falls at least like the tolerance to this power, by 100 from the first to the last:
+#: that of a first-order method falls just so, but for a few percent.
+_FALL, _ALMOST = 0.5, 0.9
+
+Trial = tuple[MechatronicSystem, float]
+#: Steps with their errors, coarse to fine.
+Levels = list[tuple[float, float]]
+
+
+def check_order(method: Integrator, trials: list[Trial]) -> str:
+    """The order in every group is what ``claims`` says, after the start transient.
+
+    Raises
+    ------
+    Failed
+        With every group and scene whose order is another.
+    DoesNotApply
+        If nothing is claimed, or steps cannot be constant.
+    """
+    steady = method.at_constant_steps()
+    if steady is None:
+        raise DoesNotApply("It cannot take constant steps, so that no order can be measured.")
+    found, faults = [], []
+    for scene, t_end in trials:
+        if steady.supports(scene):
+            continue
+        claims = {g: p for g, p in steady.claims(scene).items() if size_of(scene, g)}
+        if not claims:
+            continue
+        levels, floors = _refine(steady, scene, t_end, claims)
+        seen = {}
+        for group, claimed in claims.items():
+            fit = _fit(levels[group], floors[group], claimed)
+            if fit.order is None and _at_round_off(levels[group], floors[group]):
+                continue  # exact, or too good to be told
+            if fit.order is None or abs(fit.order - claimed) > _allowed(claimed):
+                told = _told(fit, levels[group])
+                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {told}")
+            seen[group] = claimed
+        if seen:
+            found.append(f"{_words(seen)} on {scene.spec}")
+    if faults:
+        raise Failed(f"It {'; '.join(faults)}; correct `orders` or the method.")
+    if not found:
+        raise DoesNotApply("No order is claimed, or errors are round-off; see `orders`.")
+    return f"Measured as claimed: order {'; '.join(found)}."
+
+
+def _words(claims: dict[str, int]) -> str:
+    groups: dict[int, list[str]] = {}
+    for group, order in claims.items():
+        groups.setdefault(order, []).append(group)
+    return ", ".join(f"{order} in {' '.join(names)}" for order, names in groups.items())
+
+
+def _refine(
+    method: Integrator, scene: MechatronicSystem, t_end: float, claims: dict[str, int]
+) -> tuple[dict[str, Levels], dict[str, float]]:
+    """Errors at ever smaller steps until every order shows or errors are round-off; floors, too."""
+    ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
+    length, known = t_end - scene.interval[0], reference(scene, t_end)
+    levels: dict[str, Levels] = {group: [] for group in claims}
+    floors, count, trouble = dict.fromkeys(claims, 0.0), float(_FEWEST), ""
+    while count <= _MOST:
+        steps = round(count)
+        count *= ratio
+        run = method.prepare(scene, t_end, Steps(length / steps)).measure()
+        trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
+        if trouble:  # coarse steps may be too coarse
+            continue
+        errors, own = relative_errors(run, known)
+        for group in claims:
+            error = errors[group][_NORM]
+            floors[group] = max(floors[group], own[group][_NORM])
+            levels[group].append((length / steps, math.inf if error is None else error))
+        if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+            break
+    if trouble:
+        raise Failed(f"On {scene.spec} at h={length / steps:.2g} s it ends with {trouble}")
+    return levels, floors
+
+
+def _at_round_off(levels: Levels, floor: float) -> bool:
+    return levels[-1][1] <= max(TRUST * floor, _ROUND_OFF)
+
+
+def _shown(levels: Levels, floor: float, claimed: int) -> bool:
+    """Whether smaller steps would tell nothing new."""
+    if _at_round_off(levels, floor):
+        return True
+    order = _fit(levels, floor, claimed).order
+    small = claimed <= _LOW and levels[-1][1] < _SMALL
+    return small and order is not None and abs(order - claimed) <= _SPREAD
+
+
+def _allowed(claimed: int) -> float:
+    return _SPREAD if claimed <= _LOW else _PART * claimed
+
+
+def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
+    """The order by the rule of the bench; a high order from the last steps above round-off."""
+    if claimed <= _LOW:
+        return fit_order(*zip(*levels, strict=True), floor)
+    last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
+    slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
+    if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
+        return Fit(None, None, 0, "not determined")
+    window = last[0][0], last[-1][0]
+    return Fit(sum(slopes) / len(slopes), window, len(last), "converges")
+
+
+def _told(fit: Fit, levels: Levels) -> str:
+    if fit.order is not None and fit.window:
+        coarse, fine = fit.window
+        return f"is {fit.order:.2f} (h = {coarse:.2g} to {fine:.2g} s)"
+    shown = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in levels[-4:])
+    return f"shows none (errors {shown})"
+
+
+def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
+    """Errors in q and v fall with the tolerance, by a factor of 100 from 1e-4 to 1e-8.
+
+    Where a method's own budget ends before 1e-8, they fall by as much less.
+
+    Raises
+    ------
+    Failed
+        With the first scene and group in which they do not.
+    DoesNotApply
+        If the method has fixed steps.
+    """
+    if method.controls != "tolerance":
+        raise DoesNotApply("It has fixed steps.")
+    for scene, t_end in trials:
+        errors: dict[str, list[float]] = {"q": [], "v": []}
+        done: list[float] = []
+        for rtol in _RTOLS:
+            run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
+            if run.status == "budget_exceeded" and len(done) >= _FEWEST_RTOLS:
+                break
+            if run.status != "ok":
+                raise Failed(
+                    f"On {scene.spec} at rtol={rtol:g} it ends with {run.status}: {run.message}"
+                )
+            measured, _ = relative_errors(run, reference(scene, t_end))
+            done.append(rtol)
+            for group, values in errors.items():
+                values.append(measured[group]["max"] or 0.0)
+        wanted = (done[0] / done[-1]) ** _FALL
+        for group, values in errors.items():
+            shown = ", ".join(f"{e:.1e}" for e in values)
+            if values[0] < _ALMOST * wanted * values[-1] or any(
+                b > 2 * a for a, b in pairwise(values)
+            ):
+                raise Failed(
+                    f"Errors in {group} on {scene.spec} are {shown} at rtol = {done[0]:g} to "
+                    f"{done[-1]:g}; they have to fall steadily, by {wanted:.0f} at least: let "
+                    f"rtol and atol control the error of q and v."
+                )
+    return f"Errors fall with the tolerance on {', '.join(scene.spec for scene, _ in trials)}."

@@ -1,0 +1,255 @@
+"""The checks that every scene has to pass; those of its blocks' derivatives stand apart."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from bench.conformance.blocks import check_blocks, check_parameters
+from bench.conformance.trials import reference
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
+from bench.plugins.registry import Registry
+from bench.results.quantities import LEVELS
+from bench.running.measure import relative_reference_error
+from problems import jax, jnp
+from problems.compiled import compiled
+from problems.initial_values import consistent_start
+from problems.system import MechatronicSystem
+
+#: Largest estimated error of a reference in q and v, relative to their largest values.
+_REFERENCE_ERROR = 1e-8
+#: Largest residual of a constraint level along the reference, relative to the size of q, v or a.
+_CONSTRAINT_ERROR = 1e-8
+#: Largest d/dt E along the reference, relative to the powers that it is the sum of.
+_POWER_ERROR = 1e-6
+#: A closed form fits the equations of motion and its own slopes to this.
+_SLOPE_ERROR = 1e-6
+#: Its difference quotients are tried with these parts of the nominal step, which may be longer
+#: than the fastest oscillation.
+_SLOPE_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
+_TIMES = 40
+
+
+def check_description(registry: Registry, scene: MechatronicSystem) -> str:
+    """Docstring, interval, step, coordinates and units can be shown."""
+    if not inspect.getdoc(type(scene)):
+        raise Failed("It has no docstring; say what the scene tests and what it leaves out.")
+    (t0, t_end), step = scene.interval, scene.nominal_step
+    if not (math.isfinite(t0) and math.isfinite(t_end) and t0 < t_end):
+        raise Failed(f"The interval {scene.interval} is empty or endless; its start comes first.")
+    if not 0 < step <= (t_end - t0) / 4:
+        raise Failed(
+            f"The nominal step {step:g} s does not fit the interval of {t_end - t0:g} s; take "
+            f"the largest step that resolves the motion."
+        )
+    names, nq = scene.coordinates, scene.sizes.nq
+    if names and len(names) != nq:
+        raise Failed(f"{len(names)} coordinates are named, q has {nq} entries.")
+    parameters = scene.describe()["parameters"]
+    for item in parameters:
+        if isinstance(item["value"], float) and not item["unit"].strip():
+            raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")
+        if not item["doc"].strip():
+            raise Failed(f"The parameter {item['name']} has no description; say what it is.")
+    return f"Described, {nq} coordinates, {len(parameters)} parameters with units."
+
+
+def check_name(registry: Registry, scene: MechatronicSystem) -> str:
+    """Parameters are read as they are printed."""
+    return round_trip(registry.problem, scene)
+
+
+def check_start(registry: Registry, scene: MechatronicSystem) -> str:
+    """The start satisfies the constraints, and a, lam and y exist there."""
+    try:
+        z = consistent_start(scene).z
+    except ValueError as error:
+        raise Failed(str(error)) from error
+    sizes = scene.sizes
+    for group, size in (("q", sizes.nq), ("v", sizes.nq), ("x", sizes.nx)):
+        if np.shape(getattr(z, group)) != (size,):
+            raise Failed(f"{group} has shape {np.shape(getattr(z, group))} at the start.")
+    if scene.has("state_rate") != bool(sizes.nx):
+        raise Failed(f"It has {sizes.nx} controller states; state state_rate and x together.")
+    if scene.has("output") != scene.has("actuation"):
+        raise Failed("It states only one of output and actuation; they belong together.")
+    for block, size in (("state_rate", sizes.nx), ("output", sizes.ny)):
+        shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
+        if shape != (size,):
+            raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
+    return f"Consistent at t={scene.interval[0]:g} s: {_size_words(scene)}."
+
+
+def _size_words(scene: MechatronicSystem) -> str:
+    return ", ".join(f"{name}={size}" for name, size in scene.sizes._asdict().items() if size)
+
+
+def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
+    """M is symmetric, and the augmented matrix is regular at the start."""
+    q = jnp.asarray(scene.initial_state().q, dtype=float)
+    mass = np.asarray(scene.mass(q))
+    size = np.abs(mass).max()
+    skew = np.abs(mass - mass.T)
+    if not skew.max() <= 1e-12 * size:
+        i, j = np.unravel_index(skew.argmax(), skew.shape)
+        raise Failed(
+            f"mass is not symmetric at the start: M[{i},{j}]={mass[i, j]:.9g}, "
+            f"M[{j},{i}]={mass[j, i]:.9g}; it has to be, as a second derivative of the energy."
+        )
+    nl = scene.sizes.nl
+    augmented = mass / size
+    if nl:
+        jacobian = np.asarray(jax.jacfwd(scene.constraint)(q, scene.interval[0]))
+        # Rows of any unit: each is scaled to its own size, and a row of zeros stays one.
+        rows = np.abs(jacobian).max(axis=1, keepdims=True)
+        jacobian = jacobian / np.where(rows > 0, rows, 1.0)
+        augmented = np.block([[augmented, jacobian.T], [jacobian, np.zeros((nl, nl))]])
+    singular = np.linalg.svd(augmented, compute_uv=False)
+    if not singular[-1] > 1e-12 * singular[0]:
+        raise Failed(
+            "The matrix [[M, Phi_q^T], [Phi_q, 0]] is singular at the start; remove dependent "
+            "constraints, or give every coordinate a mass or a constraint."
+        )
+    if scene.has("mass_product"):
+        a = jnp.asarray(np.random.default_rng(1).normal(size=len(q)))
+        difference = np.abs(np.asarray(scene.mass_product(q, a)) - mass @ np.asarray(a)).max()
+        if not difference <= 1e-12 * size * len(q):
+            raise Failed(f"mass_product differs from mass times a vector by {difference:.2g}.")
+    return "M is symmetric and the augmented matrix is regular at the start."
+
+
+def check_energy(registry: Registry, scene: MechatronicSystem) -> str:
+    """The energy does not change along the motion: E_q v + E_v a = 0."""
+    if not scene.has("energy"):
+        raise DoesNotApply("It states no energy.")
+    t, values = _along(scene)
+    powers = []
+    for q, v, a in zip(*(jnp.asarray(values[g]) for g in ("q", "v", "a")), strict=True):
+        by_q, by_v = jax.grad(scene.energy, argnums=(0, 1))(q, v)
+        powers.append(np.concatenate([by_q * v, by_v * a]))
+    net, parts = np.abs(np.sum(powers, axis=1)), np.abs(powers).sum(axis=1)
+    if not net.max() <= _POWER_ERROR * max(parts.max(), np.finfo(float).tiny):
+        raise Failed(
+            f"d/dt energy is {net.max():.2g} W at t={t[net.argmax()]:.4g} s, of parts of "
+            f"{parts.max():.2g} W; let the energy fit the forces, or leave it out where it is "
+            f"not conserved."
+        )
+    return f"d/dt energy stays below {net.max():.1e} W, of parts of {parts.max():.2g} W."
+
+
+def check_constraints(registry: Registry, scene: MechatronicSystem) -> str:
+    """Phi and its first two time derivatives vanish along the reference."""
+    if not scene.has("constraint"):
+        raise DoesNotApply("It has no constraint.")
+    t, values = _along(scene)
+    rows = [values[group] for group in ("q", "v", "a")]
+    levels = compiled(scene).levels(scene.parameters(), *rows, t)
+    for name, residual, row in zip(LEVELS, levels, rows, strict=True):
+        worst, size = np.abs(residual).max(), max(1.0, np.abs(row).max())
+        if not worst <= _CONSTRAINT_ERROR * size:
+            at = t[np.abs(residual).max(axis=1).argmax()]
+            raise Failed(
+                f"The reference violates the constraints at {name} level by {worst:.2g} at "
+                f"t={at:.4g} s; correct `exact` or `constraint`."
+            )
+    return f"Phi and two derivatives vanish along the reference on [{t[0]:g}, {t[-1]:g}] s."
+
+
+def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
+    """The reference is accurate, and a closed form solves the equations of motion."""
+    known = reference(scene, scene.interval[1])
+    if scene.has("exact"):
+        _check_closed_form(scene)
+    own = relative_reference_error(known)
+    for group in ("q", "v"):
+        if not own[group] < _REFERENCE_ERROR:
+            raise Failed(
+                f"The reference ({known.method}) knows {group} to {own[group]:.1e} only; "
+                f"shorten the interval: it must not last until neighbours have parted."
+            )
+    return f"{known.method}; relative error {max(own['q'], own['v']):.1e} in q and v."
+
+
+def _check_closed_form(scene: MechatronicSystem) -> None:
+    """It starts where the scene starts, q' = v, v' = a, and the forces agree."""
+    t, values = _along(scene)
+    needed = [g for g, n in (("lam", scene.sizes.nl), ("x", scene.sizes.nx)) if n]
+    closed = scene.exact(t)
+    missing = [g for g in ("q", "v", "a", *needed) if g not in closed]
+    if missing:
+        raise Failed(f"`exact` leaves out {', '.join(missing)}; give every group of the scene.")
+    start = consistent_start(scene).z
+    for group in ("q", "v"):
+        first = np.asarray(closed[group])[0]
+        if not np.allclose(first, getattr(start, group), rtol=1e-9, atol=1e-9):
+            raise Failed(
+                f"`exact` starts with {group}={first}, initial_state with {getattr(start, group)}."
+            )
+    solved, _ = compiled(scene).complete(
+        scene.parameters(), values["q"], values["v"], values["x"], t
+    )
+    for group in ("a", "lam"):
+        _agree(f"{group} of the equations of motion", group, values, t, getattr(solved, group))
+    for low, high in pairwise(("q", "v", "a")):
+        slopes = [_slope(scene, t, low, part) for part in _SLOPE_STEPS]
+        best = min(slopes, key=lambda slope, high=high: np.abs(slope - values[high]).max())
+        _agree(f"the slope of its {low}", high, values, t, best)
+
+
+def _slope(scene: MechatronicSystem, t: np.ndarray, group: str, part: float) -> np.ndarray:
+    """Difference quotient of fourth order."""
+    h = part * scene.nominal_step
+    at = {k: np.asarray(scene.exact(t + k * h)[group]) for k in (-2, -1, 1, 2)}
+    return (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * h)
+
+
+def _agree(
+    what: str, group: str, values: dict[str, np.ndarray], t: np.ndarray, other: np.ndarray
+) -> None:
+    if not np.size(other):
+        return
+    difference = np.abs(values[group] - other).max(axis=1)
+    size = np.abs(other).max() or 1.0
+    if not difference.max() <= _SLOPE_ERROR * size:
+        raise Failed(
+            f"`exact` is no solution: its {group} differs from {what} by {difference.max():.2g} "
+            f"(of {size:.2g}) at t={t[difference.argmax()]:.4g} s; correct `exact` or the blocks."
+        )
+
+
+def check_drawing(registry: Registry, scene: MechatronicSystem) -> str:
+    """The picture consists of lines of finite points."""
+    if not scene.has("draw"):
+        raise DoesNotApply("It draws nothing; state `draw` to show the motion in reports.")
+    _, values = _along(scene)
+    for q in values["q"]:
+        lines = [np.asarray(line) for line in scene.draw(q)]
+        for number, line in enumerate(lines):
+            if line.ndim != 2 or line.shape[1] != 2 or not len(line):
+                raise Failed(f"Line {number} of draw has shape {line.shape}, not (points, 2).")
+            if not np.isfinite(line.astype(float)).all():
+                raise Failed(f"Line {number} of draw is not finite at q={q}.")
+    return f"{len(lines)} lines are drawn at all times."
+
+
+def _along(scene: MechatronicSystem) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times spread over the interval, and the reference there."""
+    t = np.linspace(*scene.interval, _TIMES)
+    return t, reference(scene, scene.interval[1])(t)
+
+
+CHECKS = {
+    "description": check_description,
+    "parameters": check_name,
+    "start": check_start,
+    "mass": check_mass,
+    "blocks": check_blocks,
+    "traced": check_parameters,
+    "reference": check_reference,
+    "constraints": check_constraints,
+    "energy": check_energy,
+    "drawing": check_drawing,
+}

@@ -1,0 +1,189 @@
+"""What integrators are tried on: scenes of the kit's own, those of the registry, and runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.conformance.verdicts import DoesNotApply, Failed
+from bench.plugins.registry import Registry
+from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
+from problems import MechatronicSystem, State, jnp
+from problems.reference import Reference
+
+#: Scenes of the registry on which integrators are tried, beside the kit's own: a controller that
+#: feeds accelerations back, and a constraint. One that is not there is left out.
+TRIALS = ("spring_mass", "pendulum")
+#: A trial run takes this many nominal steps of its scene.
+TRIAL_STEPS = 50
+TRIAL_RTOL = 1e-6
+#: The groups of a trajectory, with the size of each.
+GROUPS = {"q": "nq", "v": "nq", "a": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+
+
+# ---- trial scenes ----------------------------------------------------------------------
+@dataclass(frozen=True)
+class ForcedOscillator(MechatronicSystem):
+    """A mass on a hard spring under a harmonic force: smooth, nonlinear, driven by time.
+
+    A method that evaluates forces at the wrong time loses its order here.
+    """
+
+    interval = (0.0, 5.0)
+    nominal_step = 0.1
+
+    def mass(self, q: Any) -> Any:
+        return jnp.eye(1)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return jnp.cos(1.5 * t) - q - 0.3 * q**3
+
+    def initial_state(self) -> State:
+        return State(q=np.array([1.0]), v=np.array([0.5]))
+
+
+@dataclass(frozen=True)
+class FiniteTimeBlowUp(MechatronicSystem):
+    """A force that grows exponentially with the position: q = log(2) - 2 log(1 - t), up to 1 s.
+
+    Near the end the equations of an implicit step have no solution, so that no method can step
+    over it. (A power of q would leave them one, on the far side.)
+    """
+
+    interval = (0.0, 1.5)
+    nominal_step = 0.01
+
+    def mass(self, q: Any) -> Any:
+        return jnp.eye(1)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return jnp.exp(q)
+
+    def initial_state(self) -> State:
+        return State(q=np.array([np.log(2.0)]), v=np.array([2.0]))
+
+
+def moved(scene: MechatronicSystem, by: float) -> MechatronicSystem:
+    """The same motion, ``by`` seconds later."""
+    return _as(_moved_class(type(scene), by), scene)
+
+
+def spoilt(scene: MechatronicSystem, at: float) -> MechatronicSystem:
+    """The same scene, whose force is NaN after the time ``at``."""
+    return _as(_spoilt_class(type(scene), at), scene)
+
+
+@cache
+def _moved_class(cls: type, by: float) -> type:
+    blocks = {
+        "force": lambda self, q, v, t: cls.force(self, q, v, t - by),
+        "constraint": lambda self, q, t: cls.constraint(self, q, t - by),
+        "state_rate": lambda self, z: cls.state_rate(self, z._replace(t=z.t - by)),
+        "output": lambda self, z: cls.output(self, z._replace(t=z.t - by)),
+        # It may ask for the interval, which has moved.
+        "initial_state": lambda self: _as(cls, self).initial_state(),
+        "exact": lambda self, t: _as(cls, self).exact(np.asarray(t) - by),
+    }
+    own = {name: block for name, block in blocks.items() if cls.has(name)}
+    return type(f"Moved{cls.__name__}", (cls,), own | {"interval": np.add(cls.interval, by)})
+
+
+@cache
+def _spoilt_class(cls: type, at: float) -> type:
+    def force(self: Any, q: Any, v: Any, t: Any) -> Any:
+        return cls.force(self, q, v, t) + jnp.where(t > at, jnp.nan, 0.0)
+
+    return type(f"Spoilt{cls.__name__}", (cls,), {"force": force})
+
+
+def _as(cls: type, scene: MechatronicSystem) -> MechatronicSystem:
+    """An instance of another class with the scene's parameters."""
+    return MechatronicSystem.with_parameters(object.__new__(cls), vars(scene))
+
+
+@cache
+def reference(scene: MechatronicSystem, t_end: float) -> Reference:
+    """The reference of a scene, made once for all checks."""
+    return Reference(scene, t_end)
+
+
+# ---- trial runs -----------------------------------------------------------------------
+def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
+    """The trial scenes that a method takes; the first other scene that it takes if there is none.
+
+    Raises
+    ------
+    DoesNotApply
+        If it takes no scene at all.
+    """
+    names = [name for name, plugin in registry.problems.items() if plugin.cls]
+    known = [registry.problem(name) for name in TRIALS if name in names]
+    taken = [s for s in (ForcedOscillator(), *known) if method.supports(s) is None]
+    others = (registry.problem(name) for name in names)
+    taken = taken or [s for s in others if method.supports(s) is None][:1]
+    if not taken:
+        raise DoesNotApply("It takes no scene.")
+    return taken
+
+
+def trial_end(scene: MechatronicSystem) -> float:
+    """Where a trial run ends."""
+    t0, t_end = scene.interval
+    return min(t_end, t0 + TRIAL_STEPS * scene.nominal_step)
+
+
+def resolution(
+    method: Integrator, scene: MechatronicSystem, finer: float = 1.0
+) -> Steps | Tolerances:
+    """What a trial run is given, or something finer by a factor."""
+    if method.controls == "step":
+        return Steps(scene.nominal_step / finer)
+    return Tolerances(TRIAL_RTOL / finer)
+
+
+def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> PreparedRun:
+    """A trial run, ready to go."""
+    return method.prepare(scene, trial_end(scene), resolution(method, scene, finer))
+
+
+def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> Trajectory:
+    """Measure a trial run that has to succeed.
+
+    Raises
+    ------
+    Failed
+        If it does not.
+    """
+    run = prepared(method, scene, finer).measure()
+    if run.status != "ok":
+        raise Failed(
+            f"On {scene.spec} at {words(method, scene, finer)} it ends with {run.status}: "
+            f"{run.message}; a smooth scene at this resolution has to go well."
+        )
+    return run
+
+
+def words(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> str:
+    """The resolution of a trial run in words."""
+    refined = resolution(method, scene, finer)
+    if isinstance(refined, Steps):
+        return f"h={refined.h:g} s"
+    return f"rtol={refined.rtol:g}"
+
+
+def names_of(scenes: list[MechatronicSystem]) -> str:
+    """Scenes by name, for a sentence."""
+    return ", ".join(scene.spec for scene in scenes)
+
+
+def step_count(scene: MechatronicSystem) -> int:
+    """Steps of a trial run at fixed steps."""
+    return Steps(scene.nominal_step).count(scene.interval[0], trial_end(scene))
+
+
+def size_of(scene: MechatronicSystem, group: str) -> int:
+    """Entries of a group of a trajectory on this scene."""
+    return getattr(scene.sizes, GROUPS[group])

@@ -1,0 +1,65 @@
+"""Results of the experiments of the failure atlas, as typed rows that are stored and shown."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class CaseResult(msgspec.Struct, kw_only=True):
+    """One case: its sweep (``x``, ``y``; None where there is no value), the number made of it, and
+    whether that lies in the predicted interval (None: nothing was predicted, a method was added).
+
+    ``predicted`` bounds that are open are None. ``history`` holds t and the shown component.
+    """
+
+    label: str
+    integrator: str
+    family: str
+    axis: str
+    x: list[float]
+    y: list[float | None]
+    number: float | None
+    predicted: tuple[float | None, float | None] | None
+    as_predicted: bool | None
+    healthy: bool
+    message: str = ""
+    history: tuple[list[float], list[float]] | None = None
+
+
+class PartResult(msgspec.Struct, kw_only=True):
+    """One number for several cases; ``quantity`` names the values of the sweeps."""
+
+    text: str
+    quantity: str
+    take: str
+    healthy: tuple[float | None, float | None]
+    show: str = ""
+    cases: list[CaseResult] = []
+
+
+class ExperimentResult(msgspec.Struct, kw_only=True):
+    """An experiment with the results of its parts."""
+
+    name: str
+    number: int
+    title: str
+    claim: str
+    remedy: str
+    source: str
+    parts: list[PartResult]
+    digest: str = ""
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether every predicted number was found."""
+        return all(case.as_predicted is not False for part in self.parts for case in part.cases)
+
+
+def bounds(interval: tuple[float | None, float | None]) -> str:
+    """An interval in words."""
+    low, high = interval
+    if low is None or high is None:
+        return (
+            "any" if low is high else f"at least {low:g}" if high is None else f"at most {high:g}"
+        )
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -1,0 +1,112 @@
+"""Profiles: TOML files that describe suites, built-in ones and others."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from problems import spec
+from problems.spec import SpecError
+
+#: Figures and tables that a study can show; "runs" is a table of every run.
+FIGURES = ("trajectory", "convergence", "work_precision")
+TABLES = ("runs",)
+
+
+class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A ``[[study]]`` of a profile.
+
+    ``vary`` maps option names to values: every integrator is taken with every combination of
+    them. ``norm`` is the norm whose orders are tabled first, ``components`` what is drawn over
+    time, such as "q4" or "x1"; the first few of every group if there are none.
+    """
+
+    problems: list[str]
+    integrators: list[str]
+    vary: dict[str, list[str]] = {}
+    title: str = ""
+    note: str = ""
+    t_end: float | None = None
+    steps: list[float] | None = None
+    pattern: tuple[float, ...] = (1.0,)
+    rtol: list[float] | None = None
+    atol: float | None = None
+    figures: tuple[str, ...] = FIGURES
+    norm: str = "settled"
+    components: list[str] = []
+
+
+class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; and the
+    experiments of the failure ``atlas`` that belong to it (true: all)."""
+
+    study: list[StudyFile]
+    title: str = ""
+    samples: int = 5
+    budget_s: float = 60.0
+    memory_gib: float = 4.0
+    atlas: bool | list[str] = False
+
+
+def built_in_profiles() -> dict[str, Path]:
+    """Return the files of the profiles that ship with the tool, by name."""
+    folder = Path(str(resources.files("bench"))) / "profiles"
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def read_profile(name: str) -> tuple[str, ProfileFile]:
+    """Read a built-in profile by name or any TOML file by path; return its name and contents.
+
+    Raises
+    ------
+    SpecError
+        If it is not there, is not TOML, or has an unknown key or a value of the wrong type.
+    """
+    known = built_in_profiles()
+    path = known.get(name, Path(name))
+    if path.suffix != ".toml":
+        raise SpecError(
+            f"There is no profile {name!r}; {spec.suggest(name, known)}, or give a .toml file."
+        )
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SpecError(f"The profile {path} cannot be read: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
+    _check_keys(data, ProfileFile, f"The profile {path}")
+    studies = data.get("study")
+    for study in studies if isinstance(studies, list) else []:
+        if isinstance(study, dict):
+            _check_keys(study, StudyFile, f"A [[study]] of {path}")
+    try:
+        profile = msgspec.convert(data, ProfileFile)
+    except msgspec.ValidationError as error:
+        raise SpecError(f"The profile {path} is not as expected: {error}.") from None
+    return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
+
+
+def _varied(study: StudyFile) -> StudyFile:
+    """Return the study with every combination of the options that it varies written out."""
+    combinations = [
+        dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
+    ]
+    integrators = []
+    for text in study.integrators:
+        name, options = spec.split_spec(text)
+        for more in combinations:
+            every = ",".join(f"{key}={value}" for key, value in (options | more).items())
+            integrators.append(f"{name}[{every}]" if every else name)
+    return msgspec.structs.replace(study, integrators=integrators, vary={})
+
+
+def _check_keys(data: dict[str, Any], struct: type, where: str) -> None:
+    known = [field.name for field in msgspec.structs.fields(struct)]
+    for key in data:
+        if key not in known:
+            raise SpecError(f"{where} has the unknown key {key!r}; {spec.suggest(key, known)}.")

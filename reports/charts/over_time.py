@@ -1,0 +1,158 @@
+"""Values over time: components of the variables, and notes such as step sizes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bench.results.records import Rows
+from reports.charts import vega_lite as vl
+from reports.charts.line_styles import LineStyle
+from reports.formatting import component_name
+
+#: Components of a group that are drawn if no others are chosen.
+MOST_COMPONENTS = 3
+#: Notes of a run by name: title of the axis, and whether it is logarithmic.
+HISTORIES = {
+    "h": ("step size h in s", True),
+    "gamma": ("weight gamma", False),
+    "position": ("constraint residual, position", True),
+    "velocity": ("constraint residual, velocity", True),
+    "energy": ("relative change of the energy", True),
+}
+
+
+def trajectory(
+    runs: Sequence[tuple[str, Rows]],
+    reference: Rows | None,
+    groups: Sequence[str],
+    styles: Mapping[str, LineStyle],
+    coordinates: Sequence[str] = (),
+    interactive: bool = False,
+    components: Sequence[tuple[str, int]] = (),
+) -> vl.Spec | None:
+    """Components of the groups over time, the reference as a broad grey line behind.
+
+    Parameters
+    ----------
+    runs
+        Label and sampled values of each run.
+    coordinates
+        Names of the entries of q, which also name those of v and a.
+    components
+        Pairs (group, number from 0) that are drawn; the first few of every group if empty.
+    """
+    components = components or first_components(groups)
+    labels = [label for label, _ in runs]
+    # One wide table serves all panels; labels are numbers in it, so that the page stays small.
+    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, components, i)]
+    drawn = vl.Dataset("runs", rows)
+    behind = vl.Dataset("reference", wide_rows(reference, components, -1) if reference else [])
+    options = vl.ChartOptions(styles, interactive=interactive)
+    panels: list[vl.Spec] = []
+    for group, i in components:
+        name, title = f"{group}{i}", component_name(group, i, coordinates)
+        layers = []
+        if name in behind.columns:
+            layers.append(reference_line(behind, name, title))
+        if name in drawn.columns:
+            layers.append(run_lines(drawn, name, title, labels, options, first=not panels))
+        panels += [{"layer": layers}] if layers else []
+    return vl.arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
+
+
+def histories(
+    runs: Sequence[tuple[str, Rows]], styles: Mapping[str, LineStyle], interactive: bool = False
+) -> vl.Spec | None:
+    """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
+    labels = list(dict.fromkeys(label for label, _ in runs))
+    options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    rows = [
+        {"s": labels.index(label), "t": vl.short(t)}
+        | {n: vl.short(run.notes[n][k]) for n in HISTORIES if run.notes.get(n)}
+        for label, run in runs
+        for k, t in enumerate(run.t)
+    ]
+    data, panels = vl.Dataset("histories", rows), []
+    for name, (title, logarithmic) in HISTORIES.items():
+        noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
+        if not any(_varies(values) for values in noted):
+            continue
+        values = [abs(v) for values in noted for v in values if v or not logarithmic]
+        layer = run_lines(data, name, title, labels, options, first=not panels)
+        if logarithmic:
+            layer["transform"].append({"filter": f"datum.{name} > 0"})
+            axis = vl.log_axis(values, ".0e")
+            layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
+        panels.append({"layer": [layer]})
+    return vl.arrange(panels, [data], min(3, len(panels)), height=170)
+
+
+def _varies(values: Sequence[float]) -> bool:
+    return bool(values) and max(values) - min(values) > 1e-9 * max(map(abs, values))
+
+
+# ---- panels ------------------------------------------------------------------------------
+def run_lines(
+    data: vl.Dataset,
+    field: str,
+    title: str,
+    labels: Sequence[str],
+    options: vl.ChartOptions,
+    first: bool,
+) -> vl.Spec:
+    """One component over time, a line per run."""
+    legend = {"symbolType": "stroke", "symbolSize": 400}
+    layer: vl.Spec = {
+        "data": data.source,
+        "transform": [{"calculate": f"{json.dumps(list(labels))}[datum.s]", "as": "series"}],
+        "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
+        "encoding": {
+            **_over_time(field, title),
+            "color": options.colors(**legend),
+            "strokeDash": options.dashes(**legend),
+            "opacity": options.opacity(),
+        },
+    }
+    if options.interactive:
+        layer["params"] = [vl.zoom(f"zoom_{field}"), *([vl.pick()] if first else [])]
+    return layer
+
+
+def reference_line(data: vl.Dataset, field: str, title: str) -> vl.Spec:
+    """One component of the reference over time, broad and grey."""
+    mark = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
+    return {"data": data.source, "mark": mark, "encoding": _over_time(field, title)}
+
+
+def _over_time(field: str, title: str) -> vl.Spec:
+    return {
+        "x": vl.quantity("t", title="time in s", scale={"nice": False, "zero": False}),
+        "y": vl.quantity(field, title=title, scale={"zero": False}),
+    }
+
+
+def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
+    """The first components of every group: (q, v, a) of each coordinate, then the others."""
+    motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
+    return motion + [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
+
+
+def wide_rows(
+    rows: Rows, components: Sequence[tuple[str, int]], number: int
+) -> list[dict[str, Any]]:
+    """A row per time with these components, as far as the run has them; ``s`` is its number."""
+    table = []
+    for k, t in enumerate(rows.t):
+        row: dict[str, Any] = {"t": vl.short(t), "s": number}
+        for group, i in components:
+            values = rows.values.get(group) or []
+            if (
+                k < len(values)
+                and i < len(values[k])
+                and (shown := vl.short(values[k][i])) is not None
+            ):
+                row[f"{group}{i}"] = shown
+        table.append(row)
+    return table

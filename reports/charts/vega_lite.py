@@ -1,0 +1,226 @@
+"""Building blocks of charts: data sets, channels, axes, interaction, panels.
+
+A block is plain Vega-Lite, a dictionary: the same for a page and for an SVG file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from bench.results.csv_text import csv_text
+from bench.results.quantities import NORM_NAMES, NORMS
+from reports.charts.line_styles import LineStyle
+
+#: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.
+Spec = dict[str, Any]
+
+GREY = "#808080"
+_TEXT_COLUMNS = {
+    *("series", "style", "norm", "run", "line", "scene", "group", "target", "cost", "text")
+}
+#: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
+_DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
+
+
+@dataclass(frozen=True)
+class ChartOptions:
+    """The line styles by label, the norm shown, and whether the chart is interactive."""
+
+    styles: Mapping[str, LineStyle]
+    norm: str = "end"
+    interactive: bool = False
+    #: Text of the legend after a label, for each norm: notes[norm][label].
+    notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    @property
+    def norms(self) -> tuple[str, ...]:
+        """The norms that the chart holds."""
+        return NORMS if self.interactive else (self.norm,)
+
+    @property
+    def norm_buttons(self) -> list[Spec]:
+        """Buttons above the chart that choose the norm of all its panels."""
+        if not self.interactive:
+            return []
+        labels = [NORM_NAMES[n] for n in NORMS]
+        buttons = {"input": "radio", "options": list(NORMS), "labels": labels, "name": "Error "}
+        return [{"name": "norm", "value": self.norm, "bind": buttons}]
+
+    def colors(self, **legend: Any) -> Spec:
+        """A channel: a colour per label."""
+        return self._by_series([style.color for style in self.styles.values()], legend)
+
+    def dashes(self, **legend: Any) -> Spec:
+        """A channel: dashes per label."""
+        return self._by_series([list(style.dash) for style in self.styles.values()], legend)
+
+    def shapes(self) -> Spec:
+        """A channel: a point shape per label."""
+        return self._by_series([style.shape for style in self.styles.values()], {})
+
+    def numbered_dashes(self) -> Spec:
+        """A channel: dashes by the number of the line, without a legend.
+
+        In the legend they would be drawn around the points, too.
+        """
+        numbers = [str(i) for i in range(len(self.styles))]
+        scale = {"domain": numbers, "range": [list(s.dash) for s in self.styles.values()]}
+        return category("style", scale=scale, legend=None)
+
+    def opacity(self, full: float = 1.0) -> Spec:
+        """A channel: in an interactive chart the lines that are not picked fade."""
+        if not self.interactive:
+            return {"value": full}
+        return {"condition": {"param": "pick", "value": full}, "value": 0.07}
+
+    def _by_series(self, values: list[Any], legend: Spec) -> Spec:
+        """A channel by series; all panels have one domain, so they share a legend."""
+        if self.notes:
+            norm = "norm" if self.interactive else json.dumps(self.norm)
+            note = f"{json.dumps(self.notes)}[{norm}][datum.value]"
+            # One column, as the lines are long; not cut at the usual width.
+            legend |= {"labelExpr": f"datum.value + {note}", "labelLimit": 0, "columns": 1}
+        scale = {"domain": list(self.styles), "range": values}
+        return category("series", scale=scale, legend={"title": None, **legend})
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Rows under a name, from which any number of panels draw."""
+
+    name: str
+    rows: Sequence[Mapping[str, Any]]
+
+    @cached_property
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+        return list(dict.fromkeys(key for row in self.rows for key in row))
+
+    @property
+    def source(self) -> Spec:
+        """The reference to the rows in a panel, with the type of each column."""
+        parse = {key: "string" if key in _TEXT_COLUMNS else "number" for key in self.columns}
+        return {"name": self.name, "format": {"type": "csv", "parse": parse}}
+
+
+def datasets(tables: Sequence[Dataset]) -> dict[str, str]:
+    """The rows of a chart as CSV by name; CSV names each column only once."""
+    return {table.name: csv_text(table.rows, table.columns) for table in tables}
+
+
+# ---- channels and axes -------------------------------------------------------------------
+def quantity(field: str, **more: Any) -> Spec:
+    """A channel that shows numbers."""
+    return {"field": field, "type": "quantitative", **more}
+
+
+def log_scale() -> Spec:
+    """A logarithmic scale with some room at the ends."""
+    return {"type": "log", "nice": False, "padding": 12}
+
+
+def log_quantity(field: str, **more: Any) -> Spec:
+    """A channel that shows numbers on a logarithmic scale."""
+    return quantity(field, scale=log_scale(), **more)
+
+
+def category(field: str, **more: Any) -> Spec:
+    """A channel that shows names."""
+    return {"field": field, "type": "nominal", **more}
+
+
+def run_tooltip(*more: Spec) -> list[Spec]:
+    """Texts at a point: integrator, resolution, and ``more``."""
+    names = (("series", "integrator"), ("run", "resolution"))
+    return [*(category(field, title=title) for field, title in names), *more]
+
+
+def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: Any) -> Spec:
+    """A logarithmic axis with strong grid lines at decades and labels at few digits.
+
+    ``zoomed`` is a Vega expression; where it holds, all digits have labels.
+    """
+    ratio = max(values) / min(values)
+    digits = next(list(digits) for limit, digits in _DIGITS if ratio < limit)
+    exponent = "log(datum.value) / LN10"
+    decade = f"abs({exponent} - round({exponent})) < 1e-6"
+    digit = f"round(datum.value / pow(10, floor({exponent} + 1e-6)))"
+    named = f"indexof({digits}, {digit}) >= 0" + (f" || {zoomed}" if zoomed else "")
+    return {
+        "tickCount": 6,
+        # The label that comes with a tick is empty at some digits; this one never is.
+        "labelExpr": f"{named} ? format(datum.value, '{numbers}') : ''",
+        "labelOverlap": "greedy",
+        "labelSeparation": 6,
+        "gridOpacity": {"condition": {"test": decade, "value": 1.0}, "value": 0.25},
+        **more,
+    }
+
+
+# ---- interaction -------------------------------------------------------------------------
+def pick() -> Spec:
+    """A click on the legend isolates a method; with Shift, several."""
+    return {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
+
+
+def menu(name: str, value: str, choices: Mapping[str, str], title: str) -> Spec:
+    """A menu over the keys of ``choices``, which shows their values."""
+    options, labels = list(choices), list(choices.values())
+    bind = {"input": "select", "options": options, "labels": labels, "name": title}
+    return {"name": name, "value": value, "bind": bind}
+
+
+def zoom(name: str) -> Spec:
+    """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
+    drag = "[pointerdown[event.pointerType === 'mouse'], window:pointerup] > window:pointermove!"
+    select = {"type": "interval", "zoom": "wheel![event.ctrlKey]", "translate": drag}
+    return {"name": name, "select": select, "bind": "scales"}
+
+
+# ---- charts ------------------------------------------------------------------------------
+def arrange(
+    panels: Sequence[Spec],
+    data: Sequence[Dataset],
+    columns: int,
+    height: int = 250,
+    params: Sequence[Spec] = (),
+) -> Spec | None:
+    """Panels in a grid with their data; None if there are no panels."""
+    if not panels:
+        return None
+    size = {"width": {1: 620, 2: 410}.get(columns, 270), "height": height}
+    return {
+        "datasets": datasets(data),
+        "params": list(params),
+        "concat": [panel | size for panel in panels],
+        "columns": columns,
+        "spacing": 24,
+        "config": config(),
+    }
+
+
+def config() -> Spec:
+    """No background, greys that read on light and dark pages, legends below."""
+    text = {"labelColor": GREY, "titleColor": GREY}
+    lines = {"gridColor": GREY, "gridOpacity": 0.3, "domainColor": GREY, "tickColor": GREY}
+    titles = {"titleFontWeight": "normal", "titleFontSize": 12, "labelFontSize": 11}
+    place = {"orient": "bottom", "direction": "vertical", "columns": 2, "columnPadding": 40}
+    return {
+        "background": "transparent",
+        "font": "Arial, Liberation Sans, Helvetica, sans-serif",
+        "view": {"stroke": GREY, "strokeOpacity": 0.35},
+        "axis": text | lines | titles,
+        "legend": text | place | {"labelFontSize": 12, "labelLimit": 440, "symbolSize": 90},
+    }
+
+
+def short(value: float | None) -> float | None:
+    """A number rounded to five digits, enough for a chart; None if it is not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.5g}")

@@ -1,0 +1,58 @@
+"""Numbers, lists and names as a reader sees them in charts, tables and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+#: The sign for "no value".
+NO_VALUE = "–"  # noqa: RUF001
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, plain where that is short; a dash for no value."""
+    if value is None or not math.isfinite(value):
+        return NO_VALUE
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        rounded = float(f"{value:.3g}")
+        return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
+    return f"{value:.3g}"
+
+
+def number_range(values: Iterable[float | None]) -> str:
+    """Smallest to largest value; one number if both read alike."""
+    known = sorted(v for v in values if v is not None)
+    return text_range(map(number, known)) if known else NO_VALUE
+
+
+def text_range(texts: Iterable[str]) -> str:
+    """'first to last' of texts in order; one of them if both are the same."""
+    first, *others = texts
+    return " to ".join(dict.fromkeys((first, (others or [first])[-1])))
+
+
+def order_text(order: float) -> str:
+    """Two decimals; a zero has no sign."""
+    return f"{round(order, 2) + 0.0:.2f}"
+
+
+def milliseconds(seconds: float | None) -> str:
+    """Seconds shown in ms."""
+    return number(None if seconds is None else seconds * 1e3)
+
+
+def words(items: Iterable[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    *head, last = items
+    return f"{', '.join(head)} and {last}" if head else last
+
+
+def paragraphs(text: str) -> list[str]:
+    """The paragraphs of a docstring, each on one line."""
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def component_name(group: str, i: int, coordinates: Sequence[str]) -> str:
+    """A component by coordinate or number: q[X], lam[1]; ``i`` counts from 0."""
+    name = coordinates[i] if group in "qva" and i < len(coordinates) else str(i + 1)
+    return f"{group}[{name}]"

@@ -1,0 +1,22 @@
+"""Charts with a caption, the figures of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from reports.charts.vega_lite import Spec
+
+
+@dataclass
+class CaptionedCharts:
+    """Charts by name (an anchor, a file name) that share a caption."""
+
+    caption: str
+    charts: dict[str, Spec]
+
+
+def captioned(caption: str, charts: Mapping[str, Spec | None]) -> CaptionedCharts | None:
+    """The charts that hold something, with a caption; None if none does."""
+    drawn = {name: chart for name, chart in charts.items() if chart is not None}
+    return CaptionedCharts(caption, drawn) if drawn else None

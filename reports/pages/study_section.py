@@ -1,0 +1,247 @@
+"""One study of a scene in the report: observations, figures and tables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from bench.results.quantities import NORM_NAMES
+from bench.results.records import Record, Rows, SceneRecord, Study
+from bench.results.store import StoreError
+from reports.charts.errors import acceleration_accuracy, convergence, work_precision
+from reports.charts.line_styles import LineStyle, line_styles
+from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
+from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.formatting import number, words
+from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.sampling import before_divergence, groups_with_values, thinned
+from reports.series import (
+    Series,
+    error_of,
+    groups_of,
+    label_of,
+    ok_runs,
+    reference_error,
+    run_name,
+    series_of,
+)
+from reports.text.observations import Observation, observations
+from reports.text.run_tables import orders_table, runs_table
+from reports.text.table import Table
+
+#: Most runs of a study that are all drawn over time; of a larger one the finest of each.
+ALL_RUNS = 6
+#: Most lines that a reader can tell apart over time, and in a still chart of errors.
+MOST_LINES, MOST_STILL = 12, 24
+ALL_FIGURES = ("trajectory", "convergence", "work_precision")
+
+
+@dataclass
+class StudySection:
+    """One study: observations, figures, tables; ``links`` are anchors of runs by integrator."""
+
+    title: str
+    note: str
+    state: str
+    observations: list[Observation]
+    figures: list[CaptionedCharts]
+    tables: list[Table]
+    folded_tables: list[Table]
+    runs: Table | None = None
+    links: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class StudySections:
+    """Makes the sections of one scene's studies.
+
+    ``read_rows`` reads the sampled values of a record by key, ``ids`` are the anchors of records
+    by key, ``styles`` the line styles by label.
+    """
+
+    name: str
+    scene: SceneRecord | None
+    records: Sequence[Record]
+    styles: Mapping[str, LineStyle]
+    read_rows: Callable[[str], Rows]
+    ids: Mapping[str, str]
+    interactive: bool
+
+    def make(self, study: Study, anchor: str) -> StudySection:
+        """The section of one study; the names of its charts begin with ``anchor``."""
+        by_key = {r.key: r for r in self.records}
+        records = [by_key[key] for key in study.cells if key in by_key]
+        series = series_of(records)
+        makers = {
+            "trajectory": partial(self._trajectory, components=_components(study)),
+            "convergence": self._convergence,
+            "work_precision": self._work_precision,
+        }
+        figures = [figure for figure in study.figures if figure in makers]
+        made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
+        if "work_precision" in figures:
+            made.append(self._accuracy(series, f"{anchor}-accuracy"))
+        if "trajectory" in figures:
+            made.append(self._histories(series, f"{anchor}-histories"))
+        first, every = orders_table(series, (study.norm,)), orders_table(series)
+        fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
+        return StudySection(
+            # A study without a title has the scene's name, which is the heading above it.
+            title="Accuracy and cost" if study.title in ("", self.name) else study.title,
+            note=study.note,
+            state=_study_state(study, records),
+            observations=observations(series),
+            figures=[figure for figure in made if figure],
+            tables=[first] if first and fitted else [],
+            folded_tables=[every] if every and fitted else [],
+            runs=runs_table(series) if "runs" in study.figures else None,
+            links={s.label: self.ids[s.records[0].key] for s in series},
+        )
+
+    @property
+    def _most_lines(self) -> int:
+        """Most integrators in a chart of errors; all if a click can isolate one."""
+        return len(self.styles) if self.interactive else MOST_STILL
+
+    def _convergence(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+        groups = groups_of(ok_runs(series))
+        # An interactive chart offers every norm; of pictures there is one for each that matters.
+        held = any(r.constraint for r in self.records)
+        norms = ["end", "max"] if held and not self.interactive else ["end"]
+        shown = _most_accurate(series, self._most_lines)
+        made = {
+            f"{name}-{norm}": convergence(shown, groups, self.styles, norm, self.interactive)
+            for norm in norms
+        }
+        caption = (
+            f"Error {self._norms_text(norms)} against step size; thin grey lines have the slope of "
+            f"a whole order. {self._reference_error(groups)}{_left_out(series, self._most_lines)}"
+        )
+        return captioned(caption, made)
+
+    def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+        groups = groups_of(ok_runs(series))
+        if self.interactive:
+            chart = work_precision_with_menus(series, groups, self.styles)
+        else:
+            few = [g for g in groups if g in "qa"]
+            chart = work_precision(_most_accurate(series, self._most_lines), few, self.styles)
+        where = "" if self.interactive else f" {self._norms_text(['end'])}"
+        caption = (
+            f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
+            "or counted work. A line joins the resolutions of one integrator. "
+            f"{self._reference_error(groups)}{_left_out(series, self._most_lines)}"
+        )
+        return captioned(caption, {name: chart})
+
+    def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+        shown = _most_accurate(series, self._most_lines)
+        chart = acceleration_accuracy(shown, self.styles, "max", self.interactive)
+        caption = (
+            f"Acceleration beside position {self._norms_text(['max'])}: good in q is not always "
+            "good in a. On the dashed line both have the same relative error."
+            f"{_left_out(series, self._most_lines)}"
+        )
+        return captioned(caption, {name: chart})
+
+    def _histories(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+        shown = [
+            (s.label, rows)
+            for s in _most_accurate(series, MOST_LINES)
+            if (rows := self._rows(s.finest)) and rows.notes
+        ]
+        chart = histories(shown, self.styles, self.interactive)
+        caption = (
+            "Over time, for the finest run of each: step size, weights of the recurrence, how far "
+            "the constraints are violated, and how far the energy has changed."
+            f"{_left_out(series, MOST_LINES)}"
+        )
+        return captioned(caption, {name: chart})
+
+    def _norms_text(self, norms: Sequence[str]) -> str:
+        if self.interactive:
+            return "(choose the norm above the chart)"
+        return words(NORM_NAMES[norm] for norm in norms)
+
+    def _reference_error(self, groups: Iterable[str]) -> str:
+        errors = {g: reference_error(self.records, g, "max") for g in groups}
+        shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
+        if not shown:
+            return ""
+        return f"The reference's own error (dashed where near), relative to the peaks: {shown}."
+
+    def _trajectory(
+        self, series: Sequence[Series], name: str, components: Sequence[tuple[str, int]]
+    ) -> CaptionedCharts | None:
+        runs = [r for s in series for r in s.records]
+        if len(runs) > ALL_RUNS:
+            runs = [s.finest for s in _most_accurate(series, MOST_LINES)]
+        shown = [(r, run_name(r), rows) for r in runs if (rows := self._rows(r))]
+        reference = self.scene.reference if self.scene else None
+        if reference and not self.interactive:
+            reference = thinned(reference)
+        if not shown and reference is None:
+            return None
+        if len({label_of(r) for r, _, _ in shown}) == len(shown):
+            styles = {label: self.styles[label_of(r)] for r, label, _ in shown}
+        else:
+            styles = line_styles((label, r.family) for r, label, _ in shown)
+        lines = [(label, rows) for _, label, rows in shown]
+        groups = groups_with_values(
+            [rows for _, rows in lines] or [reference or Rows(t=[], values={})]
+        )
+        names = self.scene.coordinates if self.scene else []
+        chart = trajectory(lines, reference, groups, styles, names, self.interactive, components)
+        caption = "Values over time"
+        caption += "; the reference is the broad grey line." if reference else "."
+        caption += _left_out(series, MOST_LINES)
+        sizes = self.scene.sizes if self.scene else {}
+        if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
+            caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
+        return captioned(caption, {name: chart})
+
+    def _rows(self, record: Record) -> Rows | None:
+        """The rows of a run that can be drawn; None of a run without any."""
+        try:
+            rows = self.read_rows(record.key)
+        except (KeyError, StoreError):
+            return None
+        if not self.interactive:
+            rows = thinned(rows)
+        if record.status == "ok" or not self.scene:
+            return rows if rows.t else None
+        return before_divergence(rows, self.scene.reference)
+
+
+def _components(study: Study) -> list[tuple[str, int]]:
+    """The components that a study draws over time: "x5" is the fifth controller state."""
+    found = [re.fullmatch(r"([a-z]+)(\d+)", text) for text in study.components]
+    return [(match[1], int(match[2]) - 1) for match in found if match]
+
+
+def _most_accurate(series: Sequence[Series], most: int) -> Sequence[Series]:
+    """At most so many series, those with the smallest errors in q, in their order."""
+    if len(series) <= most:
+        return series
+    ranked = sorted(series, key=lambda s: error_of(s.finest, "q", "max") or math.inf)
+    chosen = {s.label for s in ranked[:most]}
+    return [s for s in series if s.label in chosen]
+
+
+def _left_out(series: Sequence[Series], most: int) -> str:
+    if len(series) <= most:
+        return ""
+    return f" Of {len(series)} integrators those {most} are shown that err least in q."
+
+
+def _study_state(study: Study, records: Sequence[Record]) -> str:
+    parts, planned = [], len(set(study.cells))
+    if len(records) < planned:
+        parts.append(f"{planned - len(records)} of {planned} runs are not measured yet.")
+    failed = sum(r.status != "ok" for r in records)
+    if failed:
+        parts.append(f"{failed} of {len(records)} runs did not reach the end.")
+    return " ".join(parts)

@@ -1,0 +1,109 @@
+"""Sentences about the measurement: its state, missing data, noise of the machine, method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord
+from reports.formatting import number
+from reports.series import error_of, timing_spread
+
+#: Timing samples that spread further than this, relative to their median, are noisy.
+NOISY = 0.5
+#: A machine is called noisy from this part of noisy runs on.
+NOISY_PART = 0.25
+
+
+def state_sentence(plan: Plan | None, records: Sequence[Record]) -> str:
+    """Counts of runs: planned, measured, ended well."""
+    ok = sum(r.status == "ok" for r in records)
+    planned = _planned_keys(plan)
+    of_plan = f" of {len(planned | {r.key for r in records})} planned" if planned else ""
+    return f"{len(records)}{of_plan} runs measured: {ok} ok, {len(records) - ok} with a reason."
+
+
+def missing_data(
+    plan: Plan | None,
+    scenes: Mapping[tuple[str, float], SceneRecord],
+    records: Mapping[str, Record],
+    keys: Sequence[tuple[str, float]],
+    environments: Mapping[int, Environment],
+) -> list[str]:
+    """Sentences about missing plans, runs, scenes, errors and times."""
+    sentences = []
+    if plan is None:
+        sentences.append("The store holds no plan: all runs of a scene are shown together.")
+    planned = _planned_keys(plan)
+    waiting = len(planned - set(records))
+    if waiting:
+        sentences.append(f"{waiting} of {len(planned)} planned runs are not measured yet.")
+    if not records:
+        sentences.append("The store holds no finished run.")
+    for problem, t_end in keys:
+        if (problem, t_end) not in scenes:
+            sentences.append(
+                f"The scene {problem} (t_end={number(t_end)} s) has no description, picture "
+                "and reference curve."
+            )
+    ok = [r for r in records.values() if r.status == "ok"]
+    if records and not ok:
+        sentences.append("No run reached the end: there are no errors, orders and times to show.")
+    untimed = sum(not r.run_s for r in ok)
+    if untimed:
+        sentences.append(
+            f"{untimed} of {len(ok)} runs that reached the end have no timing samples."
+        )
+    # Long runs are timed less often on purpose.
+    samples = plan.samples if plan else 0
+    short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
+    if short:
+        sentences.append(f"{short} runs have fewer than the {samples} timing samples planned.")
+    if any(error_of(r, g, n) is None for r in ok for g in r.errors for n in r.errors[g]):
+        sentences.append(
+            "Some errors of runs that reached the end are not finite; they are not drawn."
+        )
+    used = {r.environment: environments.get(r.environment) for r in ok if r.run_s}
+    machines = {(e.cpu, e.cores, tuple(e.versions.items())) for e in used.values() if e}
+    if len(machines) > 1:
+        numbers = ", ".join(map(str, sorted(used)))
+        sentences.append(
+            f"The times come from different machines or versions (environments {numbers}): "
+            "do not compare them."
+        )
+    return sentences
+
+
+def noise_sentence(records: Iterable[Record]) -> str:
+    """Whether the machine was quiet enough to compare times."""
+    spreads = [x for r in records if (x := timing_spread(r)) is not None]
+    if not spreads:
+        return "No run has two timing samples: the noise of the machine is not known."
+    noisy = sum(x > NOISY for x in spreads)
+    verdict = (
+        "The machine was noisy: judge by counts, or time again on a quiet one"
+        if noisy > NOISY_PART * len(spreads)
+        else "The machine was quiet enough to tell larger differences"
+    )
+    return (
+        f"{verdict} ({noisy} of {len(spreads)} timed runs spread by more than {NOISY:.0%} of "
+        f"their median)."
+    )
+
+
+def method_of_measurement(plan: Plan | None) -> list[str]:
+    """Sentences about times, counts, errors and orders."""
+    samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
+    return [
+        "Timed is the bare solve from start to end, on one thread and warmed up. Tracing, "
+        "compiling and consistent initial values are done before and listed apart.",
+        f"{samples}; they are taken in turns over all runs, so that a slow minute of the machine "
+        "hits all alike. Shown is the median, as bars the fastest and the slowest sample.",
+        "Work is counted where it happens. What a library does not let us count is 'not counted'.",
+        "Errors are relative, per group of variables and per norm; 'after the start transient' "
+        "is the last part of the interval. Orders are fitted by rule in the finest window where "
+        "the slope holds; fewer than three points give 'not determined'.",
+    ]
+
+
+def _planned_keys(plan: Plan | None) -> set[str]:
+    return {key for study in (plan.studies if plan else ()) for key in study.cells}

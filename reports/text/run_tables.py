@@ -1,0 +1,196 @@
+"""Tables of runs: errors and orders, all runs, drift, failures, timing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from bench.results.orders import Fit
+from bench.results.quantities import LEVELS, NORM_NAMES, NORMS, TRUST
+from bench.results.records import Record, median
+from reports.formatting import NO_VALUE, milliseconds, number, order_text, text_range
+from reports.series import (
+    Series,
+    error_of,
+    groups_of,
+    ok_runs,
+    seconds_of,
+    timing_spread,
+    trusted_error,
+    with_values,
+)
+from reports.text.table import Table
+
+
+def summary_table(series: Sequence[Series]) -> Table:
+    """One row per integrator: best errors, orders, work of its most accurate run, endings."""
+    groups = groups_of(ok_runs(series))
+    rows, best_errors, doubtful = [], {}, False
+    for i, s in enumerate(series):
+        errors = {}
+        for j, group in enumerate(groups):
+            found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
+            errors[name := f"error in {group}"] = number(min(found, default=None))
+            if found:
+                if min(found) <= trusted_error(s.ok, group, "end"):
+                    errors[name] += " *"
+                    doubtful = True
+                else:
+                    best_errors.setdefault(j, []).append((min(found), i))
+        run = _most_accurate(s)
+        rows.append(
+            {
+                "integrator": s.label,
+                **errors,
+                "orders": _orders(s, groups),
+                "time in ms": milliseconds(seconds_of(run) if run else None),
+                "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
+                "runs": s.statuses,
+                "most accurate run": run.resolution if run else NO_VALUE,
+                "resolutions": s.resolutions,
+                "formulation": s.formulations,
+            }
+        )
+    best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
+    note = (
+        "Smallest relative error at the end over the runs. Orders: fitted in the largest error "
+        "after the start transient. Time and counts are those of the run that is most accurate "
+        "in q."
+    )
+    if doubtful:
+        note += f" * within {TRUST:g} times the reference's own error: says nothing more."
+    return Table.from_dicts("All integrators", rows, best=best, note=note)
+
+
+def _most_accurate(s: Series) -> Record | None:
+    runs = with_values(s.ok, lambda r: error_of(r, "q", "end"))
+    return min(runs, key=lambda pair: pair[0])[1] if runs else None
+
+
+def _orders(s: Series, groups: Sequence[str]) -> str:
+    if s.controls != "step":
+        return "by tolerance"
+    fits = [(group, s.fit(group, "settled")) for group in groups]
+    if all(fit.verdict == "not determined" for _, fit in fits):
+        return "not determined"
+    short = {"does not converge": "none", "not determined": "?"}
+    return ", ".join(
+        f"{g} {order_text(fit.order)}"
+        if fit.verdict == "converges" and fit.order is not None
+        else f"{g} {short[fit.verdict]}"
+        for g, fit in fits
+    )
+
+
+def orders_table(series: Sequence[Series], norms: Sequence[str] = NORMS) -> Table | None:
+    """Fitted orders with window and number of points, a row per integrator and norm."""
+    constant_steps = [s for s in series if s.controls == "step" and s.ok]
+    groups = groups_of(ok_runs(constant_steps))
+    if not constant_steps or not groups:
+        return None
+    rows = [
+        [s.label, NORM_NAMES[norm], *(_fit(s.fit(group, norm)) for group in groups)]
+        for s in constant_steps
+        for norm in norms
+    ]
+    caption, head = "Fitted orders", ["integrator", "error", *groups]
+    if len(norms) == 1:
+        caption += f" of the error {NORM_NAMES[norms[0]]}"
+        head.pop(1)
+        rows = [[label, *cells] for label, _, *cells in rows]
+    note = "Order (window of step sizes in s, number of points)."
+    return Table(caption, head, rows, note=note)
+
+
+def _fit(fit: Fit) -> str:
+    if fit.order is None or fit.window is None:
+        return fit.verdict
+    largest, smallest = fit.window
+    window = f"{number(largest)} to {number(smallest)}, {fit.points}"
+    prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
+    return f"{prefix}{order_text(fit.order)} ({window})"
+
+
+def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -> Table | None:
+    """Every run with its errors, work and ending; ``ids`` are the anchors of the rows by key."""
+    records = [(s, r) for s in series for r in s.records]
+    groups = groups_of(r for _, r in records)
+    if not records:
+        return None
+    rows = [
+        {
+            "integrator": s.label,
+            "run": r.resolution,
+            "ending": r.status,
+            **{f"error in {group}": number(error_of(r, group, "max")) for group in groups},
+            "steps": _count(r.work.get("steps")),
+            "rejected": _count(r.work.get("rejected")),
+            "residual evaluations": _count(r.work.get("residuals")),
+            "time in ms": milliseconds(seconds_of(r)),
+        }
+        for s, r in records
+    ]
+    note = "Relative errors, the largest over all times. The reasons of failed runs are below."
+    return Table.from_dicts(
+        "All runs", rows, note=note, ids=[ids[r.key] for _, r in records] if ids else []
+    )
+
+
+def drift_table(series: Sequence[Series]) -> Table | None:
+    """Constraint residuals and energy drift of each integrator's finest run."""
+    runs = [(s, s.finest) for s in series if s.ok]
+    levels = [x for x in LEVELS if any(r.constraint.get(x) is not None for _, r in runs)]
+    energy = any(r.energy_drift is not None for _, r in runs)
+    if not levels and not energy:
+        return None
+    rows = []
+    for s, run in runs:
+        cells = [number(run.constraint.get(level)) for level in levels]
+        rows.append([s.label, run.formulation, run.resolution, *cells])
+        if energy:
+            rows[-1].append(number(run.energy_drift))
+    heads = [f"{level} level" for level in levels] + (["energy drift"] if energy else [])
+    return Table(
+        "Constraint residuals and energy drift",
+        ["integrator", "formulation", "finest run", *heads],
+        rows,
+        note="Largest over all times; energy relative to its scale.",
+    )
+
+
+def failures_table(records: Sequence[Record]) -> Table | None:
+    """Every run that did not reach the end, with its reason."""
+    rows = [
+        [r.integrator, r.problem, r.resolution, r.status, r.message or "no message"]
+        for r in records
+        if r.status != "ok"
+    ]
+    head = ["integrator", "scene", "resolution", "status", "message"]
+    return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None
+
+
+def timing_table(series: Sequence[Series]) -> Table | None:
+    """Number and spread of the timing samples, and the untimed seconds of preparation."""
+    rows = []
+    for s in series:
+        timed = [r for r in s.ok if r.run_s]
+        if not timed:
+            continue
+        spreads = [x for r in timed if (x := timing_spread(r)) is not None]
+        compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
+        rows.append(
+            {
+                "integrator": s.label,
+                "runs timed": str(len(timed)),
+                "samples per run": text_range(map(str, sorted(len(r.run_s) for r in timed))),
+                "spread, median": number(median(spreads)),
+                "spread, worst": number(max(spreads, default=None)),
+                "prepared in s, longest (compiles)": number(max(compiled, default=None)),
+                "median": number(median(compiled)),
+            }
+        )
+    return Table.from_dicts("Timing", rows) if rows else None
+
+
+def _count(value: int | None) -> str:
+    """A whole number, or 'not counted'."""
+    return "not counted" if value is None else str(value)

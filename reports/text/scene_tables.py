@@ -1,0 +1,55 @@
+"""Facts, parameters and sizes of a scene."""
+
+from __future__ import annotations
+
+from bench.results.quantities import GROUPS
+from bench.results.records import SceneRecord
+from reports.formatting import component_name, number
+from reports.text.table import Table
+
+
+def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
+    """Pairs (name, text): interval, size, reference and its error, source."""
+    names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
+    sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
+    errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
+    found = [
+        ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
+        ("Size", ", ".join(sizes)),
+        ("Reference", scene.reference_method),
+        ("Its own relative error", ", ".join(errors)),
+        ("Source", scene.source),
+    ]
+    return [(name, text) for name, text in found if text]
+
+
+def parameters_table(scene: SceneRecord) -> Table | None:
+    """The parameters with units and meaning; None if there are none."""
+    if not scene.parameters:
+        return None
+    head = list(dict.fromkeys(key for row in scene.parameters for key in row))
+    rows = [[_cell(row.get(key)) for key in head] for row in scene.parameters]
+    return Table("Parameters", ["meaning" if h == "doc" else h for h in head], rows)
+
+
+def motion_table(scene: SceneRecord) -> Table | None:
+    """Largest value and root mean square over time of the reference's components."""
+    rows = []
+    for group in GROUPS:
+        for i, values in enumerate(zip(*scene.reference.values.get(group, []), strict=True)):
+            mean_square = sum(value * value for value in values) / len(values)
+            name = component_name(group, i, scene.coordinates)
+            sizes = [number(f) for f in (max(map(abs, values)), mean_square**0.5)]
+            rows.append([name, *sizes])
+    if not rows:
+        return None
+    note = "Absolute values of the reference at 301 times, in SI units or those of the scene."
+    return Table(
+        "Size of the motion", ["component", "largest", "root mean square"], rows, note=note
+    )
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "" if value is None else str(value)

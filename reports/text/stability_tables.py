@@ -1,0 +1,133 @@
+"""Tables of stability: numbers of each integrator, safe step ratios, multistep formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from reports.formatting import NO_VALUE, number
+from reports.text.table import Table
+
+
+def stability_tables(found: Sequence[dict[str, Any]], omega_h: str) -> list[Table]:
+    """All tables of the page; ``omega_h`` is the name of the dimensionless step."""
+    return [_facts(found, omega_h), _numbers(found, omega_h), *_safe(found), *_theory(found)]
+
+
+def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
+    rows = [
+        {
+            "integrator": f["integrator"],
+            "radius at infinity": number(f["radius_at_infinity"]),
+            "roots there": _roots(f["roots_at_infinity"]),
+            "order": NO_VALUE if f["order"] is None else str(f["order"]),
+            f"grows for {name} in": _ranges(f["growing"]),
+            "bifurcation": number(f["bifurcation"]),
+            "overshoot grows by the power (q, v)": ", ".join(
+                map(str, f["overshoot_orders"] or NO_VALUE)
+            ),
+        }
+        for f in found
+    ]
+    return Table.from_dicts(
+        "What was found",
+        rows,
+        note="Order: that of the principal root. Growth: a radius above 1 by more than 1e-9. "
+        "Bifurcation: where the principal pair turns real. A root with a times sign is multiple; "
+        "on the unit circle it has to be simple.",
+    )
+
+
+def _numbers(found: Sequence[dict[str, Any]], name: str) -> Table:
+    rows = [
+        [f["integrator"], f"{row[0]:.6g}", "inf" if row[1] is None else f"{row[1]:.12f}"]
+        + [number(value) for value in row[2:]]
+        for f in found
+        for row in zip(*f["at"].values(), strict=True)
+    ]
+    head = ["integrator", name, "radius", "damping ratio", "period error", "overshoot q",
+            "overshoot v"]  # fmt: skip
+    return Table(f"Numbers over {name}", head, rows)
+
+
+def _safe(found: Sequence[dict[str, Any]]) -> list[Table]:
+    rows = []
+    for f in found:
+        for kind, safe in f["safe"].items():
+            word = safe["word"]
+            steps = "".join("+" if k > 0 else "-" if k < 0 else "0" for k in word or ())
+            ratio = "above 10" if safe["ratio"] is None else number(safe["ratio"])
+            kinds = {"alternating": "two in turns", "any": "any of up to six steps"}
+            cells = [kinds[kind], ratio, steps, number(safe["omega_h"])]
+            growth = "" if safe["radius"] is None else f"{safe['radius'] - 1:.1e}"
+            rows.append([f["integrator"], *cells, growth])
+    if not rows:
+        return []
+    head = ["integrator", "steps", "largest safe ratio", "first to grow", "at omega H", "growth"]
+    return [
+        Table(
+            "Ratios of neighbouring steps",
+            head,
+            rows,
+            code=(0, 3),
+            note="The largest ratio, of growth and of cut alike, below which no pattern grows. "
+            "Patterns are made of one ratio: + is a step larger by it, - one smaller by it, 0 one "
+            "of equal size. Growth is that over one period just beyond the safe ratio.",
+        )
+    ]
+
+
+def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
+    rows = [
+        {
+            "integrator": f["integrator"],
+            "of": group,
+            "rho": _coefficients(formula["rho"]),
+            "sigma": _coefficients(formula["sigma"]),
+            "order": str(formula["order"]),
+            "roots of rho": _roots_text(formula["zero_roots"], formula["zero_stable"]),
+            "roots of sigma": _roots_text(formula["infinity_roots"], formula["infinity_stable"]),
+        }
+        for f in found
+        if f["theory"]
+        for group, formula in f["theory"]["formulas"].items()
+    ]
+    if not rows:
+        return []
+    smallest = "; ".join(
+        f"{f['integrator']} {number(f['theory']['smallest_ratio'])}" for f in found if f["theory"]
+    )
+    return [
+        Table.from_dicts(
+            "The same methods as linear multistep formulas",
+            rows,
+            note="rho(E) u = h^k sigma(E) d^k u/dt^k with k = 2 for q and 1 for v and x; "
+            "coefficients from the highest power of E. Roots of rho govern small steps, those of "
+            "sigma infinite frequency. Smallest ratio of neighbouring steps that keeps an updated "
+            f"gamma in its interval, alpha_m/(1 - alpha_m): {smallest}.",
+        )
+    ]
+
+
+def _coefficients(values: Sequence[float]) -> str:
+    return ", ".join(f"{round(value, 12) + 0.0:.6g}" for value in values)
+
+
+def _root(re: float, im: float, times: int) -> str:
+    text = f"{round(re, 6) + 0.0:.4g}"
+    text += f"{im:+.4g}i" if abs(im) > 1e-6 else ""
+    return text + (f" (×{times})" if times > 1 else "")  # noqa: RUF001
+
+
+def _roots(roots: Sequence[Any]) -> str:
+    return ", ".join(_root(root["re"], root["im"], times) for root, times in roots) or "infinite"
+
+
+def _roots_text(roots: Sequence[dict[str, Any]], good: bool) -> str:
+    text = ", ".join(_root(r["re"], r["im"], r["times"]) for r in roots)
+    return text + ("" if good else ": not stable")
+
+
+def _ranges(ranges: Sequence[Sequence[float | None]]) -> str:
+    ends = (f"{number(a)} to {'infinity' if b is None else number(b)}" for a, b in ranges)
+    return "; ".join(ends) or "none"

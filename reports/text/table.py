@@ -1,0 +1,30 @@
+"""A table of text, which a page writes as HTML or Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Table:
+    """Cells as plain text; ``best`` are (row, column) to stress, ``code`` columns hold names.
+
+    ``ids`` are the anchors of the rows; ``links`` are the anchors of the records behind the cell
+    (row, column).
+    """
+
+    caption: str
+    head: list[str]
+    rows: list[list[str]]
+    best: set[tuple[int, int]] = field(default_factory=set)
+    code: tuple[int, ...] = (0,)
+    note: str = ""
+    ids: list[str] = field(default_factory=list)
+    links: dict[tuple[int, int], list[str]] = field(default_factory=dict)
+
+    @classmethod
+    def from_dicts(cls, caption: str, rows: Sequence[Mapping[str, str]], **more: Any) -> Table:
+        """A table from rows by column; all have the same columns, there is at least one."""
+        return cls(caption, list(rows[0]), [list(row.values()) for row in rows], **more)

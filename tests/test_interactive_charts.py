@@ -1,0 +1,129 @@
+"""Charts with menus, and what is drawn over time: their numbers are those of the records."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+from planted import curves, everything
+
+from bench.results.quantities import NORMS
+from bench.results.records import Rows
+from reports import sampling
+from reports.charts.errors import acceleration_accuracy
+from reports.charts.line_styles import line_styles
+from reports.charts.over_time import histories, trajectory
+from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.series import series_of
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+@pytest.fixture
+def series():
+    records = [r for r in everything() if r.problem == "pendulum"]
+    for i, record in enumerate(records):
+        record.run_s = [1e-3 * (i + 1), 2e-3 * (i + 1), 4e-3 * (i + 1)]
+    return series_of(records)
+
+
+@pytest.fixture
+def styles(series):
+    return line_styles((s.label, s.family) for s in series)
+
+
+def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles):
+    chart = work_precision_with_menus(series, ["q", "v", "a", "lam"], styles)
+    rows = table(chart["datasets"]["runs"])
+    runs = [(s, r) for s in series for r in s.ok]
+    assert len(rows) == len(runs)
+    label, record = runs[0][0].label, runs[0][1]
+    (mine,) = [row for row in rows if (row["series"], row["run"]) == (label, record.resolution)]
+    for group in ("q", "v", "a", "lam"):
+        for norm in NORMS:
+            wanted = pytest.approx(record.errors[group][norm], rel=1e-4)
+            assert float(mine[f"{group}_{norm}"]) == wanted
+    assert float(mine["seconds"]) == pytest.approx(sorted(record.run_s)[1])
+    assert (float(mine["fastest"]), float(mine["slowest"])) == pytest.approx(
+        (min(record.run_s), max(record.run_s))
+    )
+    assert int(mine["residuals"]) == record.work["residuals"]
+    menus = {p["name"]: p["bind"]["options"] for p in chart["params"]}
+    assert menus["group"] == ["q", "v", "a", "lam"]
+    assert menus["norm"] == list(NORMS)
+    assert {"seconds", "residuals", "steps", "h"} <= set(menus["cost"])
+    assert "jacobians" not in menus["cost"]  # nobody counted them
+
+
+def test_a_reference_that_is_near_is_drawn_as_a_floor(series, styles):
+    chart = work_precision_with_menus(series, ["q"], styles)
+    assert "floors" not in chart["datasets"]  # 1e-15, far below
+    for record in series[0].records:
+        record.reference_error["q"]["max"] = 1e-4
+    chart = work_precision_with_menus(series, ["q"], styles)
+    floors = table(chart["datasets"]["floors"])
+    assert [row for row in floors if row["seen"] == "1"] == [
+        {"group": "q", "norm": "max", "floor": "0.0001", "seen": "1"}
+    ]
+    # Elsewhere an unseen line that widens no axis.
+    assert [row["norm"] for row in floors if row["seen"] == "0"] == ["end", "rms", "settled"]
+    lowest = min(r.errors["q"]["rms"] for s in series for r in s.ok)
+    assert {float(row["floor"]) for row in floors if row["seen"] == "0"} == {float(f"{lowest:.5g}")}
+
+
+def test_acceleration_stands_beside_position(series, styles):
+    chart = acceleration_accuracy(series, styles, "max")
+    points = {(float(r["q"]), float(r["a"])) for r in table(chart["datasets"]["accuracy"])}
+    wanted = {
+        (float(f"{r.errors['q']['max']:.5g}"), float(f"{r.errors['a']['max']:.5g}"))
+        for s in series
+        for r in s.ok
+    }
+    assert points == wanted
+    assert acceleration_accuracy([], styles) is None
+
+
+def test_only_what_varies_is_drawn_over_time(styles):
+    label = next(iter(styles))
+    rows = curves(1.0, {"q": 1})
+    count = len(rows.t)
+    rows.notes = {
+        "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
+        "gamma": [None, *[0.6] * (count - 1)],
+        "position": [0.0, *(1e-12 * k for k in range(1, count))],
+    }
+    chart = histories([(label, rows)], styles)
+    drawn = [panel["layer"][0]["encoding"]["y"]["field"] for panel in chart["concat"]]
+    assert drawn == ["h", "position"]
+    values = [row["h"] for row in table(chart["datasets"]["histories"])]
+    assert values[0] == ""  # no step led to the start
+    assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
+    assert histories([(label, curves(1.0, {"q": 1}))], styles) is None
+
+
+def test_a_study_chooses_what_is_drawn_over_time(styles):
+    label = next(iter(styles))
+    rows = curves(1.0, {"q": 5, "x": 2})
+    chart = trajectory([(label, rows)], None, ["q", "x"], styles, components=[("q", 4), ("x", 0)])
+    fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
+    assert fields == ["q4", "x0"]
+    first = table(chart["datasets"]["runs"])[0]
+    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
+    assert "q0" not in first
+
+
+def test_a_still_picture_shows_few_rows_and_the_last_among_them():
+    count = 3 * sampling.STILL_ROWS + 1
+    t = [float(k) for k in range(count)]
+    long = Rows(t=t, values={"q": [[2 * x] for x in t]}, notes={"h": t})
+    shown = sampling.thinned(long)
+    assert len(shown.t) <= sampling.STILL_ROWS + 1
+    assert (shown.t[0], shown.t[-1]) == (0.0, t[-1])
+    assert shown.values["q"] == [[2 * x] for x in shown.t]
+    assert shown.notes["h"] == shown.t
+    few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
+    assert sampling.thinned(few) == few
+    assert sampling.thinned(Rows(t=[], values={})) == Rows(t=[], values={})

@@ -1,0 +1,129 @@
+"""The Pareto front: exactly the runs that no other beats in error and cost at once."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import random
+
+import altair
+import pytest
+import vl_convert
+from planted import Document, everything, plant, planted
+
+from bench.results.quantities import NORMS
+from bench.results.store import Store
+from reports.charts.line_styles import line_styles
+from reports.charts.pareto_front import pareto_chart
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.pareto_front import pareto_front
+from reports.series import series_of
+from reports.text.ranking_tables import pareto_table
+
+
+def run(name, error, residuals, scene="one", floor=1e-15, **changes):
+    """A run with this error in q, a tenth of it in a, and these costs."""
+    changes = {"run_s": [1e-6 * residuals], "work": {"residuals": residuals}} | changes
+    errors = {"q": dict.fromkeys(NORMS, error), "a": dict.fromkeys(NORMS, error / 10)}
+    reference_error = {group: dict.fromkeys(NORMS, floor) for group in errors}
+    key = f"{scene} | {name} | {error} | {residuals}"
+    known = {"key": key, "errors": errors, "reference_error": reference_error}
+    return planted(scene, name, {}, h=0.1, **(known | changes))
+
+
+def on_front(records, group="a", cost="residuals"):
+    runs = pareto_front(series_of(records), group, cost)
+    return [(r.integrator, r.work["residuals"]) for r in runs]
+
+
+def test_a_run_is_on_the_front_unless_another_is_no_worse_in_both_and_better_in_one():
+    cheap, level, twin = run("a", 1.0, 10), run("b", 1e-2, 100), run("c", 1e-2, 100)
+    beaten_in_cost, beaten_in_error = run("d", 1e-2, 101), run("e", 2e-2, 100)
+    best, failed = run("f", 1e-4, 1000), run("g", 1e-9, 1, status="newton_failed", errors={})
+    records = [best, beaten_in_cost, twin, failed, beaten_in_error, cheap, level]
+    assert on_front(records) == [("a", 10), ("c", 100), ("b", 100), ("f", 1000)]
+
+
+def test_costs_decide_which_front_it_is():
+    quick = run("quick", 1e-2, 100, run_s=[1.0, 3.0, 1.0])
+    lean = run("lean", 1e-2, 10, run_s=[2.0])
+    uncounted = run("uncounted", 1e-9, 1, work={"residuals": None}, run_s=[])
+    assert on_front([quick, lean, uncounted]) == [("lean", 10)]
+    assert on_front([quick, lean, uncounted], cost="seconds") == [("quick", 100)]
+
+
+def test_errors_below_the_trust_in_the_reference_are_equal():
+    coarse, enough = run("a", 1e-2, 1, floor=1e-7), run("b", 9e-5, 10, floor=1e-7)
+    finer = run("c", 1e-8, 100, floor=1e-7)
+    assert on_front([coarse, enough, finer]) == [("a", 1), ("b", 10)]
+    for record in (coarse, enough, finer):
+        record.reference_error["a"]["max"] = 1e-12
+    assert on_front([coarse, enough, finer]) == [("a", 1), ("b", 10), ("c", 100)]
+
+
+def test_the_front_equals_its_definition_on_many_runs():
+    chance = random.Random(5)
+    records = [
+        run(f"m{k}", 10.0 ** -chance.randint(1, 9), 2 ** chance.randint(1, 9), key=str(k))
+        for k in range(150)
+    ]
+
+    def beaten(r):
+        mine = r.work["residuals"], r.errors["q"]["max"]
+        theirs = ((o.work["residuals"], o.errors["q"]["max"]) for o in records)
+        return any(o[0] <= mine[0] and o[1] <= mine[1] and o != mine for o in theirs)
+
+    found = {r.key for r in pareto_front(series_of(records), "q", "residuals")}
+    assert found == {r.key for r in records if not beaten(r)}
+    assert 0 < len(found) < len(records)
+
+
+def styles(records):
+    return line_styles((r.integrator, r.family) for r in records)
+
+
+@pytest.mark.parametrize("interactive", [False, True])
+def test_the_chart_marks_the_runs_on_each_front(interactive):
+    records = [r for r in everything() if r.problem == "pendulum"]
+    for record in records:
+        record.run_s = [1.0 / record.work["residuals"]] if record.status == "ok" else []
+    series = series_of(records)
+    chart = pareto_chart({"pendulum": series}, styles(records), interactive)
+    altair.Chart.from_dict(chart, validate=True)
+    assert "<svg" in vl_convert.vegalite_to_svg(chart)
+    rows = list(csv.DictReader(io.StringIO(chart["datasets"]["pareto_front"])))
+    assert len(rows) == sum(r.status == "ok" for r in records)
+    labels = [s.label for s in series if s.ok]
+    for group, cost in itertools.product(("q", "a", "lam"), ("seconds", "residuals")):
+        marked = {(labels[int(row["s"])], row["run"]) for row in rows if row[f"{group}_{cost}"]}
+        wanted = pareto_front(series, group, cost)
+        assert marked == {(r.integrator, r.resolution) for r in wanted}
+
+
+def test_a_scene_with_one_integrator_has_no_front():
+    alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
+    assert pareto_chart(alone, styles([run("a", 1, 1)]), True) is None
+    assert pareto_table(alone, {}) is None
+
+
+def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
+    plant(tmp_path, everything())
+    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
+    paper = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    rows = page.rows("Not beaten in acceleration and cost at once")
+    assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
+    with Store(tmp_path) as store:
+        series = series_of(r for r in store.records().values() if r.problem == "pendulum")
+    runs = pareto_front(series, "a", "residuals")
+    cell = rows[1]["fewest residual evaluations"]
+    for name in {r.integrator for r in runs}:
+        said = f"{name} ({sum(r.integrator == name for r in runs)})"
+        assert said in cell
+        assert said.replace("[", "\\[").replace("]", "\\]").replace("_", "\\_") in paper
+    assert cell.count("(") == len({r.integrator for r in runs})
+    # One link per run that is on the front.
+    assert cell.count("[1]") == 1
+    assert f"[{len(runs)}]" in cell
+    assert "report_figures/overview-front.svg" in paper
