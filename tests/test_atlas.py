@@ -13,9 +13,9 @@ import pytest
 from bench.atlas.conditioning import condition
 from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
 from bench.atlas.measures import number_of
-from bench.atlas.results import bounds
 from bench.atlas.runs import run_experiments
 from bench.plugins.registry import Registry
+from bench.results.experiments import bounds
 from bench.results.store import Store
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError

@@ -13,8 +13,8 @@ import msgspec
 
 from bench.atlas.experiments import Case, Experiment, Part, Sweep, merged, sweep_of
 from bench.atlas.measures import history, number_of, quantity, value_of, within
-from bench.atlas.results import CaseResult, ExperimentResult, PartResult
 from bench.plugins.registry import Registry, fingerprint
+from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.store import Store
 from bench.running.runner import Lost, Runner, Task
 from bench.running.session import Progress, row_of

@@ -12,7 +12,7 @@ from typing import IO
 
 import msgspec
 
-from bench.atlas.results import ExperimentResult
+from bench.results.experiments import ExperimentResult
 from bench.results.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
 
 try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import vl_convert
 
-from bench.atlas.results import CaseResult, ExperimentResult, PartResult, bounds
+from bench.results.experiments import CaseResult, ExperimentResult, PartResult, bounds
 from reports.charts.vega import (
     Data,
     Spec,

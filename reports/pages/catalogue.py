@@ -10,6 +10,7 @@ from typing import Any
 import vl_convert
 
 from bench.results.records import SceneRecord
+from problems.spec import SpecError
 from reports.charts import studies
 from reports.charts.vega import short
 from reports.pages.markdown import render
@@ -20,7 +21,7 @@ from reports.series import number
 PICTURES = "catalogue_figures"
 
 
-class NoPicture(ValueError):
+class NoPicture(SpecError):
     """There is nothing to draw, or no such format."""
 
 

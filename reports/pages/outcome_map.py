@@ -48,7 +48,7 @@ _LINES, _STRETCHES = 9, 8
 
 
 def write(found: Mapping[str, Any], folder: Path) -> Path:
-    """Write map.html into a folder, from the plain values of a `bench.sweeps.outcome_map.Map`."""
+    """Write map.html into a folder from `bench.sweeps.outcome_map.OutcomeMap.as_dict()`."""
     known = [e for row in found["log10_error"] for e in row if e is not None]
     threshold = math.log10(found["threshold"])
     best = max(min([*known, threshold - 1]), _ROUND_OFF)
