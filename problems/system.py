@@ -98,7 +98,7 @@ class MechatronicSystem:
     ``nominal_step``
         the step size in s from which a convergence study starts
     ``tags``
-        words to search by
+        words to search by; `stepbench check` tries integrators on scenes with "conformance"
     ``difficulties``
         what is hard about it and for whom, a sentence each
     ``coordinates``

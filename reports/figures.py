@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.results.quantities import COSTS, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
 from reports.charts.panels import component as component_name
@@ -25,20 +26,9 @@ from reports.charts.panels import (
     wide_rows,
 )
 from reports.charts.paper_style import FORMATS, looks_on_paper, on_paper
-from reports.charts.selection import Selection, group_and_norm, group_and_place
+from reports.charts.selection import Selection, group_and_place
 from reports.charts.vega import Data, Spec, View
 from reports.series import Series, words
-
-COSTS = {
-    "seconds": "median seconds per run",
-    "residuals": "residual evaluations",
-    "jacobians": "Jacobian evaluations",
-    "newton": "Newton iterations",
-    "factorisations": "factorisations",
-    "solves": "linear solves",
-    "steps": "steps",
-    "rejected": "rejected steps",
-}
 
 
 def work_precision(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bench.results.records import GROUPS, Rows
+from bench.results.quantities import GROUPS
+from bench.results.records import Rows
 
 #: Rows of a run that a still picture shows.
 STILL_ROWS = 110

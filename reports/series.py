@@ -9,27 +9,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from bench.results.orders import Fit, fit_order
-from bench.results.records import GROUPS, Record, median
+from bench.results.quantities import GROUP_NAMES as GROUP_NAMES
+from bench.results.quantities import GROUPS
+from bench.results.quantities import NORM_NAMES as NORM_NAMES
+from bench.results.quantities import TRUST as TRUST
+from bench.results.records import Record, median
 
-#: Names as a reader knows them.
-GROUP_NAMES = {
-    "q": "position q",
-    "v": "velocity v",
-    "a": "acceleration a",
-    "lam": "multiplier lam",
-    "x": "controller state x",
-    "y": "output y",
-}
-NORM_NAMES = {
-    "end": "at the end",
-    "max": "largest over all times",
-    "rms": "root mean square over time",
-    "settled": "largest after the start transient",
-}
 #: A fitted order this close to a whole number is called by it.
 _NEAR = 0.25
-#: Below this many times the reference's own error, an error says nothing.
-TRUST = 100.0
 
 # One hue per family, in degrees; all read on white and on near-black.
 _HUES = (212, 24, 150, 285, 345, 180, 45, 100)

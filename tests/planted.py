@@ -9,7 +9,8 @@ from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
-from bench.results.records import NORMS, Environment, Plan, Record, Rows, SceneRecord, Study
+from bench.results.quantities import NORMS
+from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, Study
 from bench.results.store import Store
 
 STEPS = [0.1 / 2**k for k in range(6)]

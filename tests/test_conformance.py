@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.plugins.conformance.checker import CHECKS, Checker, examine
-from bench.plugins.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
+from bench.conformance.checker import CHECKS, Checker, examine
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.plugins.registry import Registry
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"

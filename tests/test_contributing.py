@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.plugins.conformance.checker import CHECKS, examine
-from bench.plugins.conformance.verdicts import FAILED
+from bench.conformance.checker import CHECKS, examine
+from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
 
 TEXT = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -8,7 +8,8 @@ import io
 import pytest
 from planted import curves, everything
 
-from bench.results.records import NORMS, Rows
+from bench.results.quantities import NORMS
+from bench.results.records import Rows
 from reports import sampling
 from reports.charts import interactive, studies
 from reports.series import looks_of, series_of

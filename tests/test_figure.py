@@ -17,11 +17,12 @@ import altair
 import pytest
 from planted import everything, plant, planted
 
+from bench.results.quantities import COSTS
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
 from reports.charts.paper_style import looks_on_paper
-from reports.figures import COSTS, convergence, trajectory, work_precision
+from reports.figures import convergence, trajectory, work_precision
 from reports.series import series_of
 
 

@@ -12,7 +12,7 @@ import pytest
 import vl_convert
 from planted import Document, everything, plant, planted
 
-from bench.results.records import NORMS
+from bench.results.quantities import NORMS
 from bench.results.store import Store
 from reports.charts import pareto_front
 from reports.pages import html, markdown

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.results.records import GROUPS, Record
+from bench.results.quantities import GROUPS
+from bench.results.records import Record
 from bench.results.store import Store
 from bench.running.measure import histories, rows_of
 from integrators.contract import Trajectory

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bench.commands.plugins import _class_name
-from bench.plugins.conformance.checker import CHECKS, examine
-from bench.plugins.conformance.verdicts import FAILED
+from bench.conformance.checker import CHECKS, examine
+from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
 from problems.spec import snake_case
 

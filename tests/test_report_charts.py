@@ -12,7 +12,7 @@ import pytest
 import vl_convert
 from planted import STEPS, everything, planted
 
-from bench.results.records import NORMS
+from bench.results.quantities import NORMS
 from reports.charts import interactive, studies
 from reports.series import looks_of, series_of
 

@@ -16,7 +16,8 @@ import pytest
 from planted import ATTACK, STEPS, Document, everything, plant, planted
 
 from bench.results.orders import fit_order
-from bench.results.records import NORMS, Record, Rows, Study, median
+from bench.results.quantities import NORMS
+from bench.results.records import Record, Rows, Study, median
 from bench.results.store import Store
 from reports.pages import html, markdown
 from reports.series import milliseconds, number, series_of

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from bench.plugins.registry import Registry
-from bench.results.records import GROUPS, LEVELS, NORMS
+from bench.results.quantities import GROUPS, LEVELS, NORMS
 from bench.running.plan import Cell, check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec

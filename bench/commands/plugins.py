@@ -83,7 +83,7 @@ def check(
     """
     from bench.commands.terminal import say
     from bench.commands.terminal_tables import check_line
-    from bench.plugins.conformance.checker import FAILED, Checker, chosen, is_file
+    from bench.conformance.checker import FAILED, Checker, chosen, is_file
 
     registry = Registry([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)

@@ -11,10 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.commands.terminal import new_table
-from bench.plugins.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.plugins.registry import Plugin
 from bench.results.experiments import CaseResult, ExperimentResult, bounds
-from bench.results.records import NORMS, Record, Rows, median
+from bench.results.quantities import NORMS
+from bench.results.records import Record, Rows, median
 
 if TYPE_CHECKING:
     from bench.atlas.experiments import Experiment

@@ -1,1 +1,1 @@
-"""Finding, writing and checking plugins: scenes and integrators."""
+"""Finding plugins, scenes and integrators alike, and telling when their source changes."""

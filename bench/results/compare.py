@@ -17,14 +17,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from bench.results.comparison import LEAST, Change, Comparison, Ending, Run, factor
-from bench.results.records import GROUPS, NORMS, Environment, Record, median
+from bench.results.quantities import GROUPS, NORMS, TRUST
+from bench.results.records import Environment, Record, median
 from bench.results.store import Store
 from problems.spec import SpecError, suggest
 
 #: The word for cells that NEW lacks, in the limits of a regression.
 VANISHED = "vanished"
-#: Below this many times the reference's own error, an error says nothing.
-TRUST = 100.0
 
 
 def compare(old: Path, new: Path) -> Comparison:

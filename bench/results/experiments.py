@@ -1,4 +1,4 @@
-"""What the atlas found, as typed rows that are stored and shown."""
+"""Results of the experiments of the failure atlas, as typed rows that are stored and shown."""
 
 from __future__ import annotations
 

@@ -18,10 +18,13 @@ the step does "do not converge".
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 from itertools import pairwise
 
 import msgspec
+
+from bench.results.quantities import TRUST
 
 SPREAD = 0.15
 #: A slope below this is no convergence worth the name.
@@ -55,7 +58,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
     """
     worst: dict[float, float] = {}
     for h, e in zip(steps, errors, strict=True):
-        if e is not None and math.isfinite(e) and e > max(100 * floor, 0.0):
+        if e is not None and math.isfinite(e) and e > max(TRUST * floor, 0.0):
             worst[h] = max(e, worst.get(h, 0.0))
     points = sorted((math.log(h), math.log(e)) for h, e in worst.items())
     if len(points) < 3:
@@ -86,6 +89,4 @@ def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _slope(points: list[tuple[float, float]]) -> float:
-    n = len(points)
-    mh, me = sum(h for h, _ in points) / n, sum(e for _, e in points) / n
-    return sum((h - mh) * (e - me) for h, e in points) / sum((h - mh) ** 2 for h, _ in points)
+    return statistics.linear_regression(*zip(*points, strict=True)).slope

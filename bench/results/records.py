@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from problems.system import GROUPS
+from bench.results.quantities import GROUPS, LEVELS, NORMS
 
 #: Version of the rows below. A store of another version is refused with a hint.
 SCHEMA = 1
@@ -14,9 +16,6 @@ SCHEMA = 1
 #: A run that is long is timed less often, it averages the machine's noise itself: no more samples
 #: are taken once they have lasted this long, in s.
 TIMING_SECONDS = 1.0
-
-NORMS = ("end", "max", "rms", "settled")
-LEVELS = ("position", "velocity", "acceleration")
 
 
 class Environment(msgspec.Struct, kw_only=True):
@@ -116,7 +115,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
         return fastest * self.nominal_step if fastest and self.nominal_step else None
 
 
-class Study(msgspec.Struct, kw_only=True):
+class Study(msgspec.Struct, kw_only=True, frozen=True):
     """A part of a plan: some cells of one scene that belong on one chart."""
 
     title: str
@@ -129,11 +128,11 @@ class Study(msgspec.Struct, kw_only=True):
     components: list[str] = []
 
 
-class Damping(msgspec.Struct, kw_only=True):
-    """What a method at constant steps makes of the undamped oscillator at values of ``omega_h``.
+class Damping(msgspec.Struct, kw_only=True, frozen=True):
+    """Response of a method at constant steps to the undamped oscillator, at values of ``omega_h``.
 
     Spectral radius, numerical damping ratio and relative period error, None where there is none;
-    ``message`` says why nothing is known.
+    ``message`` is the reason if nothing is known. ``fingerprint`` is that of the method.
     """
 
     omega_h: list[float]
@@ -144,20 +143,18 @@ class Damping(msgspec.Struct, kw_only=True):
     fingerprint: str = ""
 
 
-class IntegratorFacts(msgspec.Struct, kw_only=True):
-    """What an integrator says of itself: title, claimed order per group, formulation, source; and
-    its own damping at the frequencies of the scenes, where its steps are constant."""
+class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
+    """An integrator's own statements: title, claimed order per group, formulation, source."""
 
     title: str
     orders: dict[str, int] = {}
     formulation: str = ""
     source: str = ""
-    damping: Damping | None = None
 
 
-class Plan(msgspec.Struct, kw_only=True):
-    """What a store is about: its title, its studies, how often each run is timed, and the
-    integrators by printed name."""
+class Plan(msgspec.Struct, kw_only=True, frozen=True):
+    """The task of a run folder: its title, its studies, how often each run is timed, the time
+    budget of a cell in s, and the integrators by printed name. It holds no results."""
 
     name: str
     title: str
@@ -190,10 +187,6 @@ def flatten(record: Record) -> dict[str, Any]:
     return row
 
 
-def median(values: list[float]) -> float | None:
+def median(values: Sequence[float]) -> float | None:
     """Median, or None of nothing."""
-    ordered = sorted(values)
-    if not ordered:
-        return None
-    middle = len(ordered) // 2
-    return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+    return statistics.median(values) if values else None

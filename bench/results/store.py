@@ -6,19 +6,15 @@ killed at any moment has lost nothing but the cell in work.
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 from pathlib import Path
-from typing import IO
 
 import msgspec
+from filelock import FileLock, Timeout
 
 from bench.results.experiments import ExperimentResult
-from bench.results.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
-
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks; two runs in one folder are not kept apart there
-    fcntl = None
+from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
 
 FILE = "stepbench.sqlite"
 #: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
@@ -33,6 +29,7 @@ CREATE TABLE IF NOT EXISTS scenes (
 CREATE TABLE IF NOT EXISTS records (
     key TEXT PRIMARY KEY, problem TEXT NOT NULL, integrator TEXT NOT NULL, status TEXT NOT NULL,
     value BLOB NOT NULL, rows BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS damping (integrator TEXT PRIMARY KEY, value BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS experiments (name TEXT PRIMARY KEY, value BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS samples (
     key TEXT NOT NULL REFERENCES records(key), number INTEGER NOT NULL, seconds REAL NOT NULL,
@@ -74,7 +71,7 @@ class Store:
         self.folder = Path(folder)
         self._path = path = self.folder / FILE
         opened: sqlite3.Connection | None = None
-        self._lock: IO[bytes] | None = None
+        self._lock: FileLock | None = None
         try:
             if create:
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -91,9 +88,10 @@ class Store:
                 )
             _check_schema(opened, path)
         except (OSError, sqlite3.Error, StoreError) as error:
-            for part in (opened, self._lock):
-                if part is not None:
-                    part.close()
+            if opened is not None:
+                opened.close()
+            if self._lock is not None:
+                self._lock.release()
             if isinstance(error, StoreError):
                 raise
             raise StoreError(f"The store {path} cannot be opened ({error}); {_WAY_OUT}.") from error
@@ -103,7 +101,7 @@ class Store:
         """Close the file; the write-ahead log is folded in."""
         self._db.close()
         if self._lock is not None:
-            self._lock.close()
+            self._lock.release()
 
     def __enter__(self) -> Store:
         return self
@@ -113,7 +111,7 @@ class Store:
 
     # ---- writing -----------------------------------------------------------------------
     def save_plan(self, plan: Plan) -> None:
-        """Keep the plan that the report follows."""
+        """Keep the plan of a run; reports follow it."""
         self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", msgspec.json.encode(plan))
 
     def save_environment(self, environment: Environment) -> int:
@@ -131,12 +129,20 @@ class Store:
         )
 
     def save_experiment(self, found: ExperimentResult) -> None:
-        """Keep what came out of an experiment of the atlas."""
+        """Keep the result of an experiment of the atlas."""
         self._write(
             "INSERT OR REPLACE INTO experiments VALUES (?, ?)",
             found.name,
             msgspec.json.encode(found),
         )
+
+    def save_damping(self, integrator: str, damping: Damping | None) -> None:
+        """Keep the damping of a method by its printed name; None forgets it."""
+        if damping is None:
+            self._write("DELETE FROM damping WHERE integrator = ?", integrator)
+        else:
+            value = msgspec.json.encode(damping)
+            self._write("INSERT OR REPLACE INTO damping VALUES (?, ?)", integrator, value)
 
     def save(self, record: Record, rows: Rows) -> None:
         """Keep a finished cell with its rows, in one transaction; forgets older samples."""
@@ -174,12 +180,17 @@ class Store:
         return {(scene.problem, scene.t_end): scene for (scene,) in found}
 
     def experiments(self) -> dict[str, ExperimentResult]:
-        """What came out of the atlas, by name and in the order of its numbers."""
-        there = self._read("SELECT 1 FROM sqlite_master WHERE name = 'experiments'")
-        if not there:  # written before there was an atlas
+        """Results of the experiments of the atlas by name, in the order of their numbers."""
+        if not self._has_table("experiments"):
             return {}
         found = self._read("SELECT name, value FROM experiments", kind=ExperimentResult)
         return dict(sorted(found, key=lambda row: row[1].number))
+
+    def damping(self) -> dict[str, Damping]:
+        """Damping of methods by their printed names."""
+        if not self._has_table("damping"):
+            return {}
+        return dict(self._read("SELECT integrator, value FROM damping", kind=Damping))
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.
@@ -215,7 +226,11 @@ class Store:
             raise KeyError(key)
         return found[0][0]
 
-    # ---- plumbing ----------------------------------------------------------------------
+    # ---- parts -------------------------------------------------------------------------
+    def _has_table(self, name: str) -> bool:
+        """Whether there is a table; a store that an earlier version wrote may lack some."""
+        return bool(self._read("SELECT 1 FROM sqlite_master WHERE name = ?", name))
+
     def _read(self, sql: str, *parameters: object, kind: type | None = None) -> list[tuple]:
         """All rows of a query; their last column is decoded if its ``kind`` is given."""
         try:
@@ -245,21 +260,19 @@ class Store:
         )
 
 
-def _locked(folder: Path) -> IO[bytes] | None:
-    """A file that is locked until it is closed."""
-    if fcntl is None:
-        return None
-    lock = (folder / _LOCK).open("ab")
+def _locked(folder: Path) -> FileLock | None:
+    """The lock of a folder, taken; None where the file system has no locks."""
+    lock = FileLock(folder / _LOCK)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
+        lock.acquire(timeout=0)
+    except Timeout:
         raise StoreError(
             f"Another run is writing into {folder}; wait for its end, or give another --out."
         ) from None
-    except OSError:  # a file system that knows no locks
-        lock.close()
-        return None
+    except OSError as error:
+        if error.errno in (errno.ENOLCK, errno.EOPNOTSUPP):
+            return None
+        raise
     return lock
 
 

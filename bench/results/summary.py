@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from bench.results.orders import fit_order
-from bench.results.records import GROUPS, NORMS, Record, Rows, median
+from bench.results.quantities import GROUPS, NORMS
+from bench.results.records import Record, Rows, median
 
 
 def solution(record: Record, rows: Rows) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.records import GROUPS, LEVELS, Rows
+from bench.results.quantities import GROUPS, LEVELS
+from bench.results.records import Rows
 from integrators.contract import Trajectory
 from problems.formulations import compiled
 from problems.reference import Reference

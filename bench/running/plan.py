@@ -15,7 +15,8 @@ from typing import Any
 import msgspec
 
 from bench.plugins.registry import Registry, fingerprint
-from bench.results.records import NORMS, IntegratorFacts, Plan, Record, Study
+from bench.results.quantities import checked_norm
+from bench.results.records import IntegratorFacts, Plan, Record, Study
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
@@ -215,8 +216,7 @@ def make_suite(
         for figure in file.figures:
             if figure not in (known := FIGURES + TABLES):
                 raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
-        if file.norm not in NORMS:
-            raise SpecError(f"There is no norm {file.norm!r}; {spec.suggest(file.norm, NORMS)}.")
+        checked_norm(file.norm)
         for problem in file.problems:
             own = [registry.integrator(text) for text in file.integrators]
             chosen = _select_integrators(own, registry, integrators) if integrators else own

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.results.records import GROUPS, NORMS
+from bench.results.quantities import GROUPS, group_and_norm
 from bench.running import measure
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, Block, Run, refuse
@@ -17,7 +17,7 @@ from bench.sweeps.ensemble import within_budget
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.reference import Reference
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
@@ -106,17 +106,10 @@ def read_error(text: str, scene: MechatronicSystem) -> tuple[str, str]:
     SpecError
         If the scene has no such group, or there is no such norm.
     """
-    group, _, norm = text.partition(":")
-    norm = norm or "end"
     sizes = scene.sizes
     there = {"q": sizes.nq, "v": sizes.nq, "a": sizes.nq, "lam": sizes.nl, "x": sizes.nx,
              "y": sizes.ny}  # fmt: skip
-    groups = [name for name in GROUPS if there[name]]
-    if group not in groups:
-        raise SpecError(f"{scene.spec} has no group {group!r}; {suggest(group, groups)}.")
-    if norm not in NORMS:
-        raise SpecError(f"There is no norm {norm!r}; {suggest(norm, NORMS)}.")
-    return group, norm
+    return group_and_norm(text, [name for name in GROUPS if there[name]])
 
 
 def outcome_map(

@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.results.records import NORMS
+from bench.results import quantities
+from bench.results.quantities import NORMS
 from reports.charts.panels import floor_layer, floor_row
 from reports.charts.vega import (
     GREY,
@@ -37,13 +38,8 @@ from reports.series import (
 )
 
 #: What an error can be set against, by the column that holds it.
-COSTS = {
-    "seconds": "median seconds per run",
-    "residuals": "residual evaluations",
-    "jacobians": "Jacobian evaluations",
-    "factorisations": "factorisations",
-    "newton": "Newton iterations",
-    "steps": "steps",
+_COUNTS = ("jacobians", "factorisations", "newton", "steps")
+COSTS = {cost: quantities.COSTS[cost] for cost in ("seconds", "residuals", *_COUNTS)} | {
     "h": "step size h in s",
     "rtol": "relative tolerance",
 }

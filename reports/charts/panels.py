@@ -6,7 +6,8 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bench.results.records import NORMS, Rows
+from bench.results.quantities import NORMS
+from bench.results.records import Rows
 from reports.charts.vega import (
     GREY,
     Data,

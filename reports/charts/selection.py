@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from bench.results.records import NORMS, Record, Rows, SceneRecord
+from bench.results.records import Record, Rows, SceneRecord
 from bench.results.store import Store
 from problems.spec import SpecError, suggest
 from reports.series import Series, label_of, series_of
@@ -55,23 +55,6 @@ class Selection:
         """The sampled values of a run."""
         with Store(self.folder) as store:
             return store.rows(record.key)
-
-
-def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
-    """Read "a:max": one of the groups, and a norm ("end" if there is none).
-
-    Raises
-    ------
-    SpecError
-        If one of them is not known.
-    """
-    group, _, norm = (part.strip() for part in text.partition(":"))
-    norm = norm or "end"
-    if group not in groups:
-        raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
-    if norm not in NORMS:
-        raise SpecError(f"There is no norm {norm!r}; {suggest(norm, NORMS)}.")
-    return group, norm
 
 
 def group_and_place(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from bench.results.quantities import COSTS
 from bench.results.records import Rows
 from reports.charts.panels import (
     component,
@@ -82,7 +83,7 @@ def work_precision(
     series = [s for s in series if s.ok]
     view = View({s.label: looks[s.label] for s in series}, norm)
     data, panels, columns = [error_data(series, group, view) for group in groups], [], 1
-    for across in (("seconds", "median seconds per run"), ("residuals", "residual evaluations")):
+    for across in [(cost, COSTS[cost]) for cost in ("seconds", "residuals")]:
         before = len(panels)
         for table in data:
             panel = error_panel(table, across, view, not panels, floor_rule(series, table, view))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from bench.results.records import NORMS
+from bench.results.quantities import NORMS
 from reports.series import NORM_NAMES, Look
 
 #: A chart or a part of one, as Vega-Lite spells it.

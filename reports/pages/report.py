@@ -87,6 +87,9 @@ def read_page(folder: Path, interactive: bool) -> Page:
             )
             parts.append(part.read([s for s in _studies(plan) if (s.problem, s.t_end) == key]))
         environments, experiments = store.environments(), list(store.experiments().values())
+        known = {
+            name: d for name, d in store.damping().items() if plan and name in plan.integrators
+        }
     everything, found = list(records.values()), standings(series)
     return Page(
         title=(plan.title or plan.name) if plan else "Results",
@@ -101,9 +104,7 @@ def read_page(folder: Path, interactive: bool) -> Page:
         front=pareto_front.table(series, ids),
         scenes=parts,
         integrators=tables.integrators(series, found, plan.integrators if plan else {}),
-        damping=damping.table(
-            plan.integrators if plan else {}, [(names[k], scenes[k]) for k in keys if k in scenes]
-        ),
+        damping=damping.table(known, [(names[k], scenes[k]) for k in keys if k in scenes]),
         failures=tables.failures(everything),
         timing=tables.timing(series_of(everything)),
         noise=_noise(everything),

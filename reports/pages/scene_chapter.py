@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from bench.results.records import GROUPS, Record, Rows, SceneRecord, Study
+from bench.results.quantities import GROUPS
+from bench.results.records import Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from reports.charts import interactive, studies
 from reports.charts.panels import MOST_COMPONENTS, component

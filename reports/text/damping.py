@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.records import Damping, IntegratorFacts, SceneRecord
+from bench.results.records import Damping, SceneRecord
 from reports.series import number
 from reports.text.tables import Table
 
@@ -13,13 +13,12 @@ _GROWTH, _ROUNDING = 1e-9, 1e-12
 
 
 def table(
-    known: Mapping[str, IntegratorFacts], scenes: Sequence[tuple[str, SceneRecord]]
+    methods: Mapping[str, Damping], scenes: Sequence[tuple[str, SceneRecord]]
 ) -> Table | None:
     """Numerical damping ratio and period error of each method at each scene's frequency.
 
     Scenes or methods go down the table, whichever are more. None if nothing was analysed.
     """
-    methods = {name: facts.damping for name, facts in known.items() if facts.damping}
     places = [(name, at) for name, scene in scenes if (at := scene.omega_h)]
     cells = [[_cell(damping, at) for damping in methods.values()] for _, at in places]
     if not any(any(row) for row in cells):

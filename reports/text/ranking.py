@@ -10,13 +10,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from bench.results import quantities
 from bench.results.records import Record
 from reports.series import TRUST, Series, error_of, floor_of, milliseconds, seconds_of, words
 
 #: Groups, relative errors (largest over all times) and costs that are judged.
 JUDGED = ("q", "a", "lam")
 TARGETS = (1e-2, 1e-4, 1e-6)
-COSTS = {"seconds": "median seconds", "residuals": "residual evaluations"}
+COSTS = {cost: quantities.COSTS[cost] for cost in ("seconds", "residuals")}
 LEAST = {"seconds": "least time", "residuals": "fewest residual evaluations"}
 
 

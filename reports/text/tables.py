@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from bench.results.orders import Fit
-from bench.results.records import LEVELS, NORMS, IntegratorFacts, Record, median
+from bench.results.quantities import LEVELS, NORMS
+from bench.results.records import IntegratorFacts, Record, median
 from reports.series import (
     NORM_NAMES,
     TRUST,

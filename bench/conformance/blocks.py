@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed, shortly
+from bench.conformance.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
 from problems import jax, jnp, spec
 from problems.system import MechatronicSystem, Variables

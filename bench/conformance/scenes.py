@@ -1,4 +1,4 @@
-"""The checks that every scene has to pass; those of its blocks' derivatives stand apart."""
+"""The checks that every scene has to pass; `blocks` has those of derivatives."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.plugins.conformance.blocks import check_blocks, check_parameters
-from bench.plugins.conformance.trials import reference
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed, round_trip
+from bench.conformance.blocks import check_blocks, check_parameters
+from bench.conformance.trials import reference
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
-from bench.results.records import LEVELS
+from bench.results.quantities import LEVELS
 from bench.running.measure import relative_reference_error
 from problems import jax, jnp
 from problems.formulations import compiled, consistent_start
@@ -224,6 +224,7 @@ def check_drawing(registry: Registry, scene: MechatronicSystem) -> str:
     if not scene.has("draw"):
         raise DoesNotApply("It draws nothing; state `draw` to show the motion in reports.")
     _, values = _along(scene)
+    lines: list[np.ndarray] = []
     for q in values["q"]:
         lines = [np.asarray(line) for line in scene.draw(q)]
         for number, line in enumerate(lines):

@@ -19,14 +19,14 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from bench.plugins.conformance import integrators, scenes
-from bench.plugins.conformance.verdicts import (
+from bench.conformance import integrators, scenes
+from bench.conformance.verdicts import (
     FAILED,
     NOT_APPLICABLE,
     PASSED,
+    CheckResult,
     DoesNotApply,
     Failed,
-    Finding,
     shortly,
 )
 from bench.plugins.registry import Plugin, Registry
@@ -40,17 +40,17 @@ CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
 }
 
 
-def examine(registry: Registry, kind: str, text: str, check: str) -> Finding:
+def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult:
     """Run one check on the plugin written as ``text``, in this process."""
     try:
         make = registry.problem if kind == "problems" else registry.integrator
-        return Finding(check, PASSED, CHECKS[kind][check](registry, make(text)))
+        return CheckResult(check, PASSED, CHECKS[kind][check](registry, make(text)))
     except DoesNotApply as reason:
-        return Finding(check, NOT_APPLICABLE, str(reason))
+        return CheckResult(check, NOT_APPLICABLE, str(reason))
     except (Failed, SpecError) as fault:
-        return Finding(check, FAILED, str(fault))
+        return CheckResult(check, FAILED, str(fault))
     except (Exception, SystemExit) as error:  # a plugin may do anything
-        return Finding(check, FAILED, f"It raised {shortly(error)}")
+        return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 
 
 def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:
@@ -108,11 +108,11 @@ class Checker:
         if self._pool:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def check(self, kind: str, text: str) -> Iterator[Finding]:
+    def check(self, kind: str, text: str) -> Iterator[CheckResult]:
         """Yield what each check of this kind finds on the plugin written as ``text``."""
         plugin = self._plugin(kind, text)
         if plugin.cls is None:
-            yield Finding("loads", FAILED, f"It is unavailable: {plugin.reason}")
+            yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
         for name in CHECKS[kind]:
             self._pool = self._pool or ProcessPoolExecutor(
@@ -130,7 +130,7 @@ class Checker:
                         f"It did not end within {self._budget:g} s; end such a run with the "
                         f"status budget_exceeded or step_too_small, or raise --budget."
                     )
-                yield Finding(name, FAILED, fault)
+                yield CheckResult(name, FAILED, fault)
 
     def _plugin(self, kind: str, text: str) -> Plugin:
         plugins = getattr(self._registry, kind)
@@ -156,7 +156,9 @@ def _registry(paths: tuple[str, ...]) -> Registry:
     return Registry(paths)
 
 
-def _answer(paths: tuple[str, ...], budget_s: float, kind: str, text: str, check: str) -> Finding:
+def _answer(
+    paths: tuple[str, ...], budget_s: float, kind: str, text: str, check: str
+) -> CheckResult:
     registry = _registry(paths)
     with open(os.devnull, "w") as nowhere:
         # Ends the process even from inside compiled code that never comes back.

@@ -1,13 +1,14 @@
-"""The checks of accuracy: the claimed order at constant steps, and what a tolerance promises."""
+"""The checks of accuracy: the claimed order at constant steps, and errors under a tolerance."""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
 
-from bench.plugins.conformance.trials import reference, size_of
-from bench.plugins.conformance.verdicts import DoesNotApply, Failed
+from bench.conformance.trials import reference
+from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
+from bench.results.quantities import TRUST
 from bench.running.measure import relative_errors
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
@@ -37,7 +38,7 @@ Levels = list[tuple[float, float]]
 
 
 def check_order(method: Integrator, trials: list[Trial]) -> str:
-    """The order in every group is what ``claims`` says, after the start transient.
+    """The order in every group is the claimed one, after the start transient.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     for scene, t_end in trials:
         if steady.supports(scene):
             continue
-        claims = {g: p for g, p in steady.claims(scene).items() if size_of(scene, g)}
+        claims = {g: p for g, p in steady.claims(scene).items() if scene.sizes.of(g)}
         if not claims:
             continue
         levels, floors = _refine(steady, scene, t_end, claims)
@@ -85,24 +86,25 @@ def _words(claims: dict[str, int]) -> str:
 def _refine(
     method: Integrator, scene: MechatronicSystem, t_end: float, claims: dict[str, int]
 ) -> tuple[dict[str, Levels], dict[str, float]]:
-    """Errors at ever smaller steps until every order shows or errors are round-off; floors, too."""
+    """Return errors and floors of round-off at ever smaller steps, until every order shows."""
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length, known = t_end - scene.interval[0], reference(scene, t_end)
     levels: dict[str, Levels] = {group: [] for group in claims}
-    floors, count, trouble = dict.fromkeys(claims, 0.0), float(_FEWEST), ""
-    while count <= _MOST:
+    floors, count = dict.fromkeys(claims, 0.0), float(_FEWEST)
+    while True:
         steps = round(count)
         count *= ratio
         run = method.prepare(scene, t_end, Steps(length / steps)).measure()
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
-        if trouble:  # coarse steps may be too coarse
-            continue
-        errors, own = relative_errors(run, known)
-        for group in claims:
-            error = errors[group][_NORM]
-            floors[group] = max(floors[group], own[group][_NORM])
-            levels[group].append((length / steps, math.inf if error is None else error))
-        if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+        if not trouble:  # coarse steps may be too coarse
+            errors, own = relative_errors(run, known)
+            for group in claims:
+                error = errors[group][_NORM]
+                floors[group] = max(floors[group], own[group][_NORM])
+                levels[group].append((length / steps, math.inf if error is None else error))
+            if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+                return levels, floors
+        if count > _MOST:
             break
     if trouble:
         raise Failed(f"On {scene.spec} at h={length / steps:.2g} s it ends with {trouble}")
@@ -110,11 +112,11 @@ def _refine(
 
 
 def _at_round_off(levels: Levels, floor: float) -> bool:
-    return levels[-1][1] <= max(100 * floor, _ROUND_OFF)
+    return levels[-1][1] <= max(TRUST * floor, _ROUND_OFF)
 
 
 def _shown(levels: Levels, floor: float, claimed: int) -> bool:
-    """Whether smaller steps would tell nothing new."""
+    """Whether the order shows, or errors are round-off."""
     if _at_round_off(levels, floor):
         return True
     order = _fit(levels, floor, claimed).order
@@ -127,9 +129,9 @@ def _allowed(claimed: int) -> float:
 
 
 def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
-    """The order by the rule of the bench; a high order from the last steps above round-off."""
+    """Fit a low order by the rule of the bench, a high one to the last errors above round-off."""
     if claimed <= _LOW:
-        return fit_order(*zip(*levels, strict=True), floor)
+        return fit_order([h for h, _ in levels], [error for _, error in levels], floor)
     last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
     slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
     if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:

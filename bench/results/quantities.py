@@ -1,0 +1,89 @@
+"""What is measured of a run, in one table each: groups, norms of errors, costs; and their names.
+
+Every list of choices, every title and every parser of such names is made from these tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from problems.spec import SpecError, suggest
+from problems.system import GROUPS
+
+__all__ = [
+    "COSTS",
+    "GROUPS",
+    "GROUP_NAMES",
+    "LEVELS",
+    "NORMS",
+    "NORM_NAMES",
+    "TRUST",
+    "group_and_norm",
+]
+
+#: Titles of the groups of variables in which errors are measured.
+GROUP_NAMES = {
+    "q": "position q",
+    "v": "velocity v",
+    "a": "acceleration a",
+    "lam": "multiplier lam",
+    "x": "controller state x",
+    "y": "output y",
+}
+#: Titles of the norms over time; `bench.running.measure.norms` computes them.
+NORM_NAMES = {
+    "end": "at the end",
+    "max": "largest over all times",
+    "rms": "root mean square over time",
+    "settled": "largest after the start transient",
+}
+NORMS = tuple(NORM_NAMES)
+#: Levels at which a run can violate the constraints: Phi and its two time derivatives.
+LEVELS = ("position", "velocity", "acceleration")
+#: Titles of the costs of a run: the time in s, and counts of `integrators.contract.Work`.
+COSTS = {
+    "seconds": "median seconds per run",
+    "residuals": "residual evaluations",
+    "jacobians": "Jacobian evaluations",
+    "newton": "Newton iterations",
+    "factorisations": "factorisations",
+    "solves": "linear solves",
+    "steps": "steps",
+    "rejected": "rejected steps",
+}
+#: Below this many times the reference's own error, an error says nothing.
+TRUST = 100.0
+
+
+def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
+    """Read an error as a person writes it, such as "a:max".
+
+    Parameters
+    ----------
+    text
+        A group, a colon and a norm; without a norm, the norm is "end".
+    groups
+        The groups that have errors.
+
+    Raises
+    ------
+    SpecError
+        If the group is not among ``groups``, or there is no such norm.
+    """
+    group, _, norm = (part.strip() for part in text.partition(":"))
+    if group not in groups:
+        raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
+    return group, checked_norm(norm or "end")
+
+
+def checked_norm(norm: str) -> str:
+    """Return the name of a norm.
+
+    Raises
+    ------
+    SpecError
+        If there is no such norm.
+    """
+    if norm not in NORMS:
+        raise SpecError(f"There is no norm {norm!r}; {suggest(norm, NORMS)}.")
+    return norm
