@@ -1,4 +1,4 @@
-"""Running experiments: their cells go through the same workers as those of a suite."""
+"""Runs of experiments: their cells go through the same workers as those of a suite."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from problems.spec import SpecError
 
 @dataclass(frozen=True)
 class _Trial:
-    """A case to be run: of the part, or of a method that was added (nothing is predicted)."""
+    """A case to be run; nothing is predicted for a method that was added."""
 
     case: Case
     integrator: Integrator | None
@@ -52,10 +52,28 @@ def run_experiments(
     progress: Progress,
     memory_gib: float = 4.0,
 ) -> Iterator[ExperimentResult]:
-    """Yield what came out of each experiment.
+    """Run experiments and yield the result of each.
 
-    ``added`` are integrators that go through every part beside those that it names: for them
-    nothing is predicted, but whether they are spared is told.
+    Parameters
+    ----------
+    experiments
+        As `bench.atlas.experiments.read_experiments` returns them.
+    added
+        Integrators that go through every part beside its own. Nothing is predicted for them; the
+        result says whether they are spared.
+    registry
+        Makes scenes and integrators; its plugin files are loaded in every worker.
+    jobs
+        Worker processes.
+    budget_s, memory_gib
+        Limits of one run.
+    progress
+        Is told of each experiment.
+
+    Raises
+    ------
+    SpecError
+        If a name or an option is not known, or a case does not fit its integrator.
     """
     progress.phase("failure atlas", len(experiments))
     with Runner(registry.paths, jobs, budget_s, memory_gib) as runner:
@@ -74,9 +92,10 @@ def complete(
     progress: Progress,
     budget_s: float = 60.0,
 ) -> list[ExperimentResult]:
-    """Run the experiments that the store does not have as they are now; returns all of them.
+    """Run the experiments whose current results the store lacks; return the results of all.
 
-    Each result is stored before the next experiment begins.
+    Each result is stored before the next experiment begins. Parameters are those of
+    `run_experiments`.
     """
     stored = store.experiments()
     missing = [
@@ -92,7 +111,7 @@ def complete(
 
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Registry) -> str:
-    """Changes with the experiment and with the source of all scenes and integrators in it."""
+    """Return a digest of the experiment and the source of all scenes and integrators in it."""
     parts = [msgspec.json.encode((experiment, list(added)))]
     for part in experiment.part:
         for case in part.case:

@@ -213,7 +213,7 @@ class Batch:
         names = sorted(self._template.parameters())  # as JAX sorts the keys of a dictionary
         parameters = dict(zip(names, self._parameters[scene].T, strict=True))
         state = (values[name] for name in ("q", "v", "x"))
-        z, xdot = _completion(self._template, self._sizes)(parameters, *state, t)
+        z, xdot = _completion(self._template)(parameters, *state, t)
         found = z._asdict() | {"xdot": xdot}
         return {name: np.asarray(found[name]) for name in ("a", "lam", "y", "xdot")}
 
