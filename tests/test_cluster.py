@@ -12,7 +12,8 @@ import pytest
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell
-from bench.running.runner import Lost, Runner, Task
+from bench.running.processes import NoAnswer
+from bench.running.runner import Runner, measure_task
 from integrators.contract import Steps
 from problems.spec import SpecError
 
@@ -56,7 +57,7 @@ def cells(integrator, *steps):
 
 
 def test_a_cluster_gives_the_answers_of_this_machine(cluster):
-    tasks = [Task("measure", (cell,)) for cell in cells("newmark", 0.1, 0.05)]
+    tasks = [measure_task(cell) for cell in cells("newmark", 0.1, 0.05)]
     with Runner([], 1, 60.0, 4.0) as here:
         expected = dict(here.run([tasks]))
     with ClusterRunner([], cluster.scheduler_address, 60.0, 4.0) as there:
@@ -80,7 +81,7 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    tasks = [Task("measure", (cell,)) for cell in cells("slow", 0.1, 0.05)]
+    tasks = [measure_task(cell) for cell in cells("slow", 0.1, 0.05)]
     with ClusterRunner([str(plugin)], cluster.scheduler_address, 60.0, 4.0) as runner:
         answers = dict(runner.run([tasks]))
     killer.join()
@@ -94,20 +95,20 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 def test_budgets_hold_on_a_cluster(cluster, tmp_path):
     plugin = tmp_path / "slow.py"
     plugin.write_text(PLUGIN.replace("FILE", repr(os.devnull)))
-    tasks = [Task("measure", (cell,)) for cell in cells("slow", 0.1)]
+    tasks = [measure_task(cell) for cell in cells("slow", 0.1)]
     with ClusterRunner([str(plugin)], cluster.scheduler_address, 0.5, 4.0) as runner:
         ((_, answer),) = runner.run([tasks])
-    assert isinstance(answer, Lost)
+    assert isinstance(answer, NoAnswer)
     assert answer.status == "budget_exceeded"
 
 
 def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
-    tasks = [Task("measure", (cell,)) for cell in cells("newmark", 0.1)]
+    tasks = [measure_task(cell) for cell in cells("newmark", 0.1)]
     with ClusterRunner(
         [str(tmp_path / "missing.py")], cluster.scheduler_address, 30.0, 4.0
     ) as runner:
         ((_, answer),) = runner.run([tasks])
-    assert (type(answer), answer.status) == (Lost, "crashed")
+    assert (type(answer), answer.status) == (NoAnswer, "crashed")
     assert "missing.py" in answer.message
 
 
@@ -126,7 +127,7 @@ def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
 def test_a_cluster_that_does_not_answer_costs_one_sentence(
     stepbench, tmp_path, monkeypatch, address
 ):
-    monkeypatch.setattr("bench.running.cluster._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("bench.running.cluster.CONNECT_SECONDS", 0.5)
     (tmp_path / "p.toml").write_text(PROFILE)
     result = stepbench("run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster", address)
     assert result.exit_code != 0

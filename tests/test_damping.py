@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+import shutil
 import subprocess
 import sys
 
-import msgspec
 import pytest
 from planted import Document, everything, plant
 
 from bench.plugins.registry import Registry
-from bench.results.records import Damping, IntegratorFacts, Plan, Rows, SceneRecord
+from bench.results.records import Damping, Rows, SceneRecord
 from bench.results.store import Store
-from bench.running import damping as analysis
 from bench.running.plan import make_suite, read_profile
-from bench.running.runner import Lost, Task
+from bench.running.runner import Runner
+from bench.stability import damping as analysis
 from reports.pages import html, markdown
 from reports.text import damping
 
@@ -58,9 +58,8 @@ def invoke(folder) -> str:
 def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(folder):
     assert "damping" in invoke(folder)
     with Store(folder / "out") as store:
-        plan, scenes = store.plan(), store.scenes()
-        records = store.records()
-    newmark = plan.integrators["newmark[beta=0.25,gamma=0.5]"].damping
+        known, scenes, records = store.damping(), store.scenes(), store.records()
+    newmark = known["newmark[beta=0.25,gamma=0.5]"]
     ended = [r for r in records.values() if r.integrator.startswith("newmark") and r.status == "ok"]
     at = sorted(scenes[r.problem, r.t_end].omega_h for r in ended)
     assert len(at) >= 1
@@ -69,22 +68,22 @@ def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(fold
     assert newmark.ratio == pytest.approx([0.0] * len(at), abs=1e-12)
     stretched = [w / (2 * math.atan(w / 2)) - 1 for w in at]
     assert newmark.period_error == pytest.approx(stretched, rel=1e-7)
-    damped = plan.integrators["generalized_alpha[rho_inf=0.5]"].damping
+    damped = known["generalized_alpha[rho_inf=0.5]"]
     (w,) = damped.omega_h
     assert w == scenes["duffing", 3.0].omega_h
     # |root| = exp(-ratio angle), and the angle is w / (1 + period error).
     angle = w / (1 + damped.period_error[0])
     assert damped.radius[0] == pytest.approx(math.exp(-damped.ratio[0] * angle), rel=1e-12)
     assert 1e-7 < damped.ratio[0] < 1e-4
-    assert plan.integrators["ida[formulation=stabilised_index2]"].damping is None
+    assert len(known) == 2  # not ida, which chooses its steps
     assert "damping" not in invoke(folder)
     with Store(folder / "out") as store:
-        assert store.plan().integrators == plan.integrators
+        assert store.damping() == known
 
 
 def test_the_page_shows_what_the_run_found(folder):
     with Store(folder / "out") as store:
-        found = store.plan().integrators["generalized_alpha[rho_inf=0.5]"].damping
+        found = store.damping()["generalized_alpha[rho_inf=0.5]"]
     page = Document((folder / "out" / "report.html").read_text(encoding="utf-8"))
     rows = page.rows("Damping and period error of the method itself")
     (cell,) = [r["generalized_alpha[rho_inf=0.5]"] for r in rows if "duffing" in r["scene"]]
@@ -97,31 +96,47 @@ def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
     with Store(folder / "out") as store:
         scenes, records = store.scenes(), store.records()
-    names = {task.arguments[0] for task in analysis.tasks(suite, scenes, records, registry)}
+    names = {task.arguments[0] for task in analysis.missing(suite, {}, scenes, records, registry)}
     assert names == {"newmark[beta=0.25,gamma=0.5]", "generalized_alpha[rho_inf=0.5]"}
     for record in records.values():
         if record.integrator.startswith("generalized"):
             record.status = "crashed"
-    (task,) = analysis.tasks(suite, scenes, records, registry)
+    (task,) = analysis.missing(suite, {}, scenes, records, registry)
     assert task.arguments[0] == "newmark[beta=0.25,gamma=0.5]"
 
 
-def test_an_answer_is_kept_until_the_source_of_the_method_changes():
+class Silent:
+    """Progress that nobody watches."""
+
+    def phase(self, name, total): ...
+
+    def working(self, text): ...
+
+    def advance(self): ...
+
+    def note(self, text): ...
+
+
+def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path):
+    shutil.copytree(folder / "out", tmp_path / "out")
     registry, name = Registry([]), "newmark[beta=0.25,gamma=0.5]"
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
 
-    def plan() -> Plan:
-        facts = {name: IntegratorFacts(title="")}
-        return Plan(name="", title="", samples=0, budget_s=1.0, studies=[], integrators=facts)
+    def complete(store, budget_s):
+        with Runner([], 1, budget_s, 4.0) as runner:
+            analysis.complete(suite, store, registry, runner, Silent())
+        return store.damping()
 
-    old = plan()
-    lost = Lost("budget_exceeded", "It took too long.")
-    analysis.note(old, Task("damping", (name, (0.1,))), lost, registry)
-    known = old.integrators[name].damping
-    assert (known.omega_h, known.message) == ([0.1], "It took too long.")
-    assert analysis.kept(plan(), old, registry).integrators[name].damping == known
-    old.integrators[name].damping = msgspec.structs.replace(known, fingerprint="other")
-    assert analysis.kept(plan(), old, registry).integrators[name].damping is None
-    assert analysis.kept(plan(), None, registry).integrators[name].damping is None
+    with Store(tmp_path / "out", create=True) as store:
+        known = store.damping()
+        assert complete(store, 60.0) == known
+        store.save_damping(name, Damping(omega_h=known[name].omega_h, fingerprint="other"))
+        assert complete(store, 60.0) == known
+        store.save_damping(name, None)
+        lost = complete(store, 1e-9)[name]
+        assert lost.omega_h == known[name].omega_h
+        assert "Stopped while running because it took longer" in lost.message
+        assert complete(store, 60.0)[name] == lost
 
 
 def test_every_ending_has_its_words():
@@ -135,9 +150,7 @@ def test_every_ending_has_its_words():
         "lost": Damping(omega_h=[0.1], message="It took too long."),
         "elsewhere": Damping(omega_h=[0.2], radius=[1.0], ratio=[0.0], period_error=[0.0]),
     }
-    known = {name: IntegratorFacts(title="", damping=d) for name, d in found.items()}
-    known["adaptive"] = IntegratorFacts(title="")
-    table = damping.table(known, scenes)
+    table = damping.table(found, scenes)
     assert table.head == ["integrator", "one, omega h = 0.1"]
     assert table.rows == [
         ["damps", "0.0123 (+0.12%)"],
@@ -149,16 +162,16 @@ def test_every_ending_has_its_words():
         ["elsewhere", ""],
     ]
     more = [(f"scene {k}", scene(rates={"oscillation": 2.0})) for k in range(8)]
-    turned = damping.table(known, more)
+    turned = damping.table(found, more)
     assert turned.head == ["scene", *found]
     assert turned.rows[0][1] == "0.0123 (+0.12%)"
 
 
 def test_without_frequencies_or_analysis_there_is_no_table(tmp_path):
-    known = {"a": IntegratorFacts(title="", damping=Damping(omega_h=[0.1], message="m"))}
+    known = {"a": Damping(omega_h=[0.1], message="m")}
     assert damping.table(known, [("one", scene(rates=None))]) is None
     assert damping.table(known, [("one", scene(rates={"oscillation": 0.0}))]) is None
-    assert damping.table({"a": IntegratorFacts(title="")}, []) is None
+    assert damping.table({}, [("one", scene(rates={"oscillation": 2.0}))]) is None
     plant(tmp_path, everything())
     for write in (html.write, markdown.write):
         assert "of the method itself" not in write(tmp_path).read_text(encoding="utf-8")

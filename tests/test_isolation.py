@@ -210,14 +210,14 @@ def test_a_plugin_that_is_no_python_file_is_one_sentence(stepbench, tmp_path):
     assert "is not a Python file" in result.output
 
 
-@pytest.mark.skipif(not worker._mappings(), reason="memory mappings cannot be counted here")
+@pytest.mark.skipif(not worker.memory_mappings(), reason="memory mappings cannot be counted here")
 def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
-    bench = worker._Bench(Registry(), lambda phase: None)
+    bench = worker.Worker(Registry())
     first, second = (Cell("pendulum", "newmark", 1.0, Steps(h)) for h in (0.1, 0.05))
     before = bench.measure(first)
-    assert worker._mappings() > 100
-    monkeypatch.setattr(worker, "_MOST_MAPPINGS", 100)
-    monkeypatch.setattr(worker, "_COUNTED_EVERY", 1)
+    assert worker.memory_mappings() > 100
+    monkeypatch.setattr(worker, "MOST_MAPPINGS", 100)
+    monkeypatch.setattr(worker, "COUNTED_EVERY", 1)
     bench.measure(second)
     assert set(bench.prepared) == {second.key}
     assert bench.time(first) > 0.0

@@ -12,8 +12,8 @@ import pytest
 
 from bench.plugins.registry import Registry
 from bench.running.plan import Cell, make_suite, read_profile
-from bench.running.runner import Runner, Task
-from bench.running.worker import _Bench
+from bench.running.runner import Runner, measure_task
+from bench.running.worker import Worker
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
 from integrators import Steps, Tolerances
@@ -49,22 +49,18 @@ def test_only_a_process_that_takes_times_has_one_thread(own, after):
     assert done.stdout.split() == [own or "None", after]
 
 
-def test_workers_that_are_expected_load_while_it_is_decided_what_they_do(monkeypatch):
-    started = []
-    spawn = Runner._spawn
-    monkeypatch.setattr(Runner, "_spawn", lambda self: started.append(1) or spawn(self))
-    tasks = [
-        Task("measure", (Cell("pendulum", "newmark", 1.0, Steps(h)),)) for h in (0.1, 0.05, 0.025)
-    ]
+def test_workers_that_are_expected_load_while_it_is_decided_what_they_do():
+    tasks = [measure_task(Cell("pendulum", "newmark", 1.0, Steps(h))) for h in (0.1, 0.05, 0.025)]
     with Runner([], jobs=2, budget_s=60.0, memory_gib=4.0) as runner:
         runner.expect(0)
-        assert len(started) == 0
+        assert len(runner.workers) == 0
         runner.expect(3)
+        started = list(runner.workers)
         assert len(started) == 2
         answers = dict(runner.run([[task] for task in tasks]))
-        assert len(started) == 2
+        assert runner.workers == started
         runner.expect(3)
-        assert len(started) == 2
+        assert runner.workers == started
     assert [answers[task].record.status for task in tasks] == ["ok"] * 3
 
 
@@ -80,7 +76,7 @@ def test_workers_that_are_expected_load_while_it_is_decided_what_they_do(monkeyp
 def test_what_one_cell_traced_no_other_traces_again(problem, integrator, first, others):
     """Not even to find out the dimensions of the scene."""
     registry = Registry()
-    bench, spec = _Bench(registry, lambda phase: None), registry.integrator(integrator).spec
+    bench, spec = Worker(registry), registry.integrator(integrator).spec
     cells = [Cell(problem, spec, 1.0, resolution) for resolution in (first, *others)]
     assert bench.measure(cells[0]).record.status == "ok"
     events = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench.running.worker import Worker
 from problems.formulations import consistent_start, constraint_force
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
@@ -46,3 +47,8 @@ def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
     columns = columns * (factor if scaling == "both" else 1.0)
     nothing = np.zeros((len(z.lam), len(z.lam)))
     return float(np.linalg.cond(np.block([[mass * factor, columns], [rows, nothing]])))
+
+
+def conditions(worker: Worker, problem: str, steps: tuple[float, ...], scaling: str) -> list[float]:
+    """Do a job of a worker: the condition number at the start of a scene, for each step in s."""
+    return [condition(worker.problem(problem), h, scaling) for h in steps]

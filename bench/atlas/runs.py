@@ -11,13 +11,17 @@ from typing import Any
 
 import msgspec
 
-from bench.atlas.experiments import Case, Experiment, Part, Sweep, merged, sweep_of
+from bench.atlas.conditioning import conditions
+from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
 from bench.atlas.measures import history, number_of, quantity, value_of, within
 from bench.plugins.registry import Registry, fingerprint
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.store import Store
-from bench.running.runner import Lost, Runner, Task
-from bench.running.session import Progress, row_of
+from bench.running.processes import NoAnswer
+from bench.running.runner import Runner, Task, measure_task
+from bench.running.session import Progress, result_of
+from bench.running.worker import Worker
+from bench.stability.damping import linear_response
 from integrators.contract import Integrator
 from problems.spec import SpecError
 
@@ -28,19 +32,17 @@ class _Trial:
 
     case: Case
     integrator: Integrator | None
-    sweep: Sweep | None
+    sweep: Sweep
     predicted: bool
     message: str = ""
 
     def tasks(self) -> list[Task]:
-        if self.sweep is None:
-            return []
         s, x = self.sweep.settings, self.sweep.x
         if s.measure == "condition":
-            return [Task("condition", (s.problem, x, s.name))]
+            return [Task(conditions, (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
-            return [Task("linear", (self.integrator.spec, x, s.pattern or (1.0,)))]
-        return [Task("measure", (cell, s.measure == "error")) for cell in self.sweep.cells]
+            return [Task(linear_response, (self.integrator.spec, x, s.pattern or (1.0,)))]
+        return [measure_task(cell, s.measure == "error") for cell in self.sweep.cells]
 
 
 def run_experiments(
@@ -133,7 +135,7 @@ def _run(
         for trial in trials:
             for task in trial.tasks():
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[_problem(trial), shared]
+                group = groups[trial.sweep.settings.problem, shared]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -143,10 +145,6 @@ def _run(
         digest=digest(experiment, added, registry),
         parts=[_part(part, trials, answers, registry) for part, trials in plans],
     )
-
-
-def _problem(trial: _Trial) -> str | None:
-    return trial.sweep.settings.problem if trial.sweep else None
 
 
 def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial]:
@@ -160,10 +158,11 @@ def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial
         method = registry.integrator(name)
         if method.spec in there:
             continue
-        case, sweep, message = Case(predicted=(-math.inf, math.inf), integrator=name), None, ""
+        case = Case(predicted=(-math.inf, math.inf), integrator=name)
+        sweep, message = Sweep(Settings(), "", ()), ""
         try:
             sweep = sweep_of(merged(part), method, registry)
-        except SpecError as error:  # it is refined in a way that this part does not have
+        except SpecError as error:  # the part has no resolutions for it
             message = str(error)
         trials.append(_Trial(case, method, sweep, False, message))
     return trials
@@ -191,25 +190,24 @@ def _case(
     messages, shown = [trial.message], None
     for task in trial.tasks():
         answer = answers[task]
-        if task.kind == "measure":
-            record, rows = row_of(task.arguments[0], answer, registry)
+        if task.job is Worker.measure:
+            record, rows = result_of(task.arguments[0], answer, registry)
             y.append(value_of(sweep.settings, record, rows))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
             shown = shown or history(sweep.settings.show or "", rows)
-        elif isinstance(answer, Lost):
+        elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
         else:
-            y = answer[sweep.settings.name or ""] if task.kind == "linear" else answer
-    x = list(sweep.x) if sweep else []
+            y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
+    x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    own = sweep.settings.take if sweep else None
-    number = number_of(own or take, x, y)
+    number = number_of(sweep.settings.take or take, x, y)
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
         family=(method.family or method.name) if method else "",
-        axis=sweep.axis if sweep else "",
+        axis=sweep.axis,
         x=x,
         y=y,
         number=number,

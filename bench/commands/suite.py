@@ -52,20 +52,25 @@ def run(
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress
-    from bench.running.session import run_suite
+    from bench.running.session import measure_suite, runner_for, time_suite
+    from bench.stability import damping
 
     registry = options.usable_registry(plugins)
     suite = make_suite(*read_profile(profile), registry, problems, integrators)
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
-        outcome = run_suite(suite, store, registry, jobs, progress, cluster)
+        with runner_for(suite, registry, jobs, cluster) as runner:
+            measured = measure_suite(suite, store, registry, runner, progress)
+            damping.complete(suite, store, registry, runner, progress)
+            time_suite(suite, store, runner, progress)
+        stored = store.records()
         results = complete(experiments, [], store, registry, jobs, progress)
-    records = [outcome.records[key] for key in suite.cells]
+    records = [stored[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
     click.echo(
         f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
-        f"{outcome.measured} measured now, {outcome.kept} kept from before."
+        f"{measured} measured now, {len(records) - measured} kept from before."
     )
     if results:
         held = sum(result.as_predicted for result in results)

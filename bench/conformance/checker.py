@@ -1,21 +1,14 @@
-"""The conformance kit: what every scene and integrator has to hold to, checked one by one.
+"""The conformance kit: runs the checks that every scene and integrator has to pass.
 
-Each check is a function of a registry and a plugin that returns what it found in a sentence or
-raises ``Failed`` with what is to be mended. It runs in a process of its own, so that a plugin
-that hangs or crashes fails its check and no other.
+A check is a function of a registry and a plugin. It returns a sentence on the result, or raises
+``Failed`` with a sentence on the fault. It runs in a process of its own, so that a plugin that
+hangs or crashes fails its check and no other.
 """
 
 from __future__ import annotations
 
-import faulthandler
 import os
-import threading
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from functools import cache
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +23,7 @@ from bench.conformance.verdicts import (
     shortly,
 )
 from bench.plugins.registry import Plugin, Registry
+from bench.running.processes import GuardedProcess, NoAnswer, Notify
 from problems import spec
 from problems.spec import SpecError
 
@@ -98,39 +92,36 @@ class Checker:
     """
 
     def __init__(self, registry: Registry, budget_s: float) -> None:
-        self._registry, self._budget = registry, budget_s
-        self._pool: ProcessPoolExecutor | None = None
+        self._registry, self._budget_s = registry, budget_s
+        self._process: GuardedProcess | None = None
 
     def __enter__(self) -> Checker:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._pool:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._process:
+            self._process.end()
 
     def check(self, kind: str, text: str) -> Iterator[CheckResult]:
-        """Yield what each check of this kind finds on the plugin written as ``text``."""
+        """Yield the result of each check of this kind on the plugin written as ``text``."""
         plugin = self._plugin(kind, text)
         if plugin.cls is None:
             yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
         for name in CHECKS[kind]:
-            self._pool = self._pool or ProcessPoolExecutor(
-                1, mp_context=get_context("spawn"), initializer=_begin
-            )
-            started = time.monotonic()
-            job = (tuple(self._registry.paths), self._budget, kind, text, name)
-            try:
-                yield self._pool.submit(_answer, *job).result()
-            except BrokenProcessPool:
-                self._pool = None
+            if self._process is None or not self._process.alive:
+                paths = (self._registry.paths,)
+                self._process = GuardedProcess(_make_registry, paths, self._budget_s)
+            answer = self._process.ask(examine, kind, text, name)
+            if isinstance(answer, NoAnswer):
                 fault = "The process died; look for a crash in compiled code or for an exit."
-                if time.monotonic() - started >= self._budget:
+                if answer.status == "budget_exceeded":
                     fault = (
-                        f"It did not end within {self._budget:g} s; end such a run with the "
+                        f"It did not end within {self._budget_s:g} s; end such a run with the "
                         f"status budget_exceeded or step_too_small, or raise --budget."
                     )
-                yield CheckResult(name, FAILED, fault)
+                answer = CheckResult(name, FAILED, fault)
+            yield answer
 
     def _plugin(self, kind: str, text: str) -> Plugin:
         plugins = getattr(self._registry, kind)
@@ -138,32 +129,6 @@ class Checker:
         return plugins.get(text) or plugins[spec.split_spec(text)[0]]
 
 
-# ---- in the process of the checks ------------------------------------------------------
-def _begin() -> None:
-    os.dup2(2, 1)  # what a plugin prints must not mix with an answer in JSON
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent:
-        parent.join()
-        os._exit(1)
-
-
-@cache
-def _registry(paths: tuple[str, ...]) -> Registry:
+def _make_registry(notify: Notify, paths: list[str]) -> Registry:
+    """Make the state of the process of the checks."""
     return Registry(paths)
-
-
-def _answer(
-    paths: tuple[str, ...], budget_s: float, kind: str, text: str, check: str
-) -> CheckResult:
-    registry = _registry(paths)
-    with open(os.devnull, "w") as nowhere:
-        # Ends the process even from inside compiled code that never comes back.
-        faulthandler.dump_traceback_later(budget_s, exit=True, file=nowhere)
-        try:
-            return examine(registry, kind, text, check)
-        finally:
-            faulthandler.cancel_dump_traceback_later()

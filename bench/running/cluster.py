@@ -7,19 +7,19 @@ one worker process, so that times of different machines are never compared.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from bench.plugins.registry import Registry
-from bench.running.plan import Cell
-from bench.running.runner import Lost, Runner, Task
+from bench.running.processes import NoAnswer
+from bench.running.runner import Runner, Task
 from problems.spec import SpecError
 
-_CONNECT_SECONDS = 10
+CONNECT_SECONDS = 10
 
 
-class ClusterRunner:
-    """Like `bench.running.runner.Runner`, with the tasks of ``run`` done by a cluster.
+class ClusterRunner(Runner):
+    """A runner whose tasks of ``run`` are done by a cluster; times are taken on this machine.
 
     A group goes to one worker of the cluster, which guards its budgets by a process of its own. A
     worker that dies costs its group nothing but time: the scheduler gives it to another one.
@@ -31,7 +31,7 @@ class ClusterRunner:
     address
         Of the scheduler, such as tcp://host:8786.
     budget_s, memory_gib
-        What one task may take, as in Runner.
+        The most that one task may take, as in Runner.
 
     Raises
     ------
@@ -49,29 +49,29 @@ class ClusterRunner:
                 "--cluster needs dask.distributed; install it by: pip install 'stepbench[cluster]'."
             ) from None
         try:
-            self._client = Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
+            self._client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise SpecError(
                 f"No dask scheduler answers at {address!r} ({error or 'no answer'}); start one by "
                 f"'dask scheduler' and give its address, such as tcp://host:8786."
             ) from None
-        self._guards = (list(map(str, plugin_paths)), 1, budget_s, memory_gib)
-        self._local = Runner(*self._guards)
+        self._arguments = list(map(str, plugin_paths)), 1, budget_s, memory_gib
+        super().__init__(*self._arguments)
 
     def __enter__(self) -> ClusterRunner:
         return self
 
     def __exit__(self, *details: object) -> None:
         self._client.close()
-        self._local.__exit__(*details)
+        super().__exit__(*details)
 
     def expect(self, groups: int) -> None:
-        """As Runner.expect; the workers of a cluster are there."""
+        """Do nothing: the workers of a cluster are there."""
 
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
     ) -> Iterator[tuple[Task, Any]]:
-        """Yield every task with its answer, or Lost, as the groups are finished."""
+        """Yield every task with its answer, or NoAnswer, as the groups are finished."""
         from distributed import as_completed
 
         sent = {}
@@ -80,30 +80,26 @@ class ClusterRunner:
                 on_start(group[0])
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
-                sent[self._client.submit(_answers, group, self._guards, pure=False)] = group
+                sent[self._client.submit(_run_group, group, self._arguments, pure=False)] = group
         for future in as_completed(sent, loop=self._client.loop):
             yield from self._collect(future, sent[future])
-
-    def time(
-        self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
-    ) -> Iterator[tuple]:
-        """As Runner.time, on this machine."""
-        return self._local.time(cells, samples, have)
 
     @staticmethod
     def _collect(future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:
             return list(zip(group, future.result(), strict=True))
         except Exception as error:
-            lost = Lost("crashed", f"The cluster could not run it: {type(error).__name__}: {error}")
+            lost = NoAnswer(
+                "crashed", f"The cluster could not run it: {type(error).__name__}: {error}"
+            )
             return [(task, lost) for task in group]
 
 
-def _answers(group: list[Task], guards: tuple) -> list[Any]:
-    """Done by a worker of the cluster: the answers to a group of tasks, in order."""
+def _run_group(group: list[Task], arguments: tuple[list[str], int, float, float]) -> list[Any]:
+    """Answer a group of tasks, in order, in a worker of the cluster."""
     # A worker that has a nanny may not have children by default; ours end with it.
-    multiprocessing.current_process()._config["daemon"] = False
-    Registry(guards[0]).require_files()  # says what is missing; a child would only die of it
-    with Runner(*guards) as runner:
+    multiprocessing.current_process().daemon = False
+    Registry(arguments[0]).require_files()  # says what is missing; a child would only die of it
+    with Runner(*arguments) as runner:
         answers = dict(runner.run([group]))
     return [answers[task] for task in group]

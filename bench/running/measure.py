@@ -88,6 +88,22 @@ def histories(scene: MechatronicSystem, trajectory: Trajectory) -> dict[str, np.
     return found
 
 
+def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
+    """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s."""
+    if trajectory.status != "ok":
+        return trajectory
+    y = trajectory
+    if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
+        trajectory.status = "diverged"
+        trajectory.message = "It reported success with values that are not finite."
+    elif abs(trajectory.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
+        trajectory.status = "crashed"
+        trajectory.message = (
+            f"It reported success at t={trajectory.t[-1]:.9g} s instead of {t_end:.9g} s."
+        )
+    return trajectory
+
+
 #: Of groups with more components than this, only the first ones are stored.
 MOST_COMPONENTS = 100
 

@@ -1,65 +1,62 @@
-"""The runner: shares cells out to worker processes and guards their budgets of time and memory."""
+"""The runner: shares tasks out to worker processes, and takes times in one of them."""
 
 from __future__ import annotations
 
-import signal
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from multiprocessing import get_context
-from multiprocessing.connection import wait
+from dataclasses import dataclass
 from typing import Any
-
-import psutil
 
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
-from bench.running.worker import serve
-
-#: How often the memory of a worker is looked at.
-_WATCH_SECONDS = 0.1
+from bench.running.processes import GuardedProcess, NoAnswer, wait_for_any
+from bench.running.worker import Worker, start_worker
 
 
 @dataclass(frozen=True)
 class Task:
-    """A job for a worker: ``kind`` is a method of its bench ("measure", "scene", "time")."""
+    """A job for a worker process.
 
-    kind: str
+    Parameters
+    ----------
+    job
+        A function of a module, called with the `Worker` of the process and ``arguments``.
+    arguments
+        Values that can be sent to another process.
+    label
+        Names the task to the person who waits.
+    scene
+        The scene whose reference it needs, if any.
+    """
+
+    job: Callable[..., Any]
     arguments: tuple
-
-    @property
-    def scene(self) -> str | None:
-        """The scene whose reference it needs, if any."""
-        if self.kind == "scene":
-            return self.arguments[0]
-        return self.arguments[0].problem if self.kind == "measure" else None
+    label: str = ""
+    scene: str | None = None
 
 
-@dataclass(frozen=True)
-class Lost:
-    """A task that a worker could not answer, with the status and message of its row."""
-
-    status: str
-    message: str
+def measure_task(cell: Cell, errors: bool = True) -> Task:
+    """The task that measures a cell; its answer is a `CellResult`, without ``errors`` if False."""
+    return Task(Worker.measure, (cell, errors), label=cell.key, scene=cell.problem)
 
 
-@dataclass
-class _Worker:
-    process: Any
-    pipe: Any
-    group: deque[Task] = field(default_factory=deque)
-    task: Task | None = None
-    started: float = 0.0
-    phase: str | None = None
-    scenes: set[str | None] = field(default_factory=set)
+def scene_task(problem: str, t_end: float) -> Task:
+    """The task that describes a scene up to ``t_end`` in s; its answer is a `SceneRecord`."""
+    return Task(Worker.scene, (problem, t_end), label=f"reference of {problem}", scene=problem)
 
-    def end(self) -> None:
-        """Kill it; it never holds anything that is not elsewhere."""
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
+
+class _WorkerProcess(GuardedProcess):
+    """A worker process with the task in work, the rest of its group, and the scenes it has had."""
+
+    def __init__(self, plugin_paths: list[str], budget_s: float, memory_gib: float) -> None:
+        super().__init__(start_worker, (plugin_paths,), budget_s, memory_gib)
+        self.group: deque[Task] = deque()
+        self.task: Task | None = None
+        self.scenes: set[str | None] = set()
+
+    def begin(self, task: Task) -> None:
+        self.task = task
+        self.start(task.job, *task.arguments)
 
 
 class Runner:
@@ -68,50 +65,49 @@ class Runner:
     Parameters
     ----------
     plugin_paths
-        Plugin files and folders, loaded in every worker.
+        Plugin files and folders, loaded in every worker process.
     jobs
-        Most workers at a time. Timing is always done by one alone.
+        Most processes at a time. Timing is always done by one alone.
     budget_s, memory_gib
-        What one task may take; more ends it with status "budget_exceeded".
+        The most that one task may take; more ends it with status "budget_exceeded".
     """
 
     def __init__(
         self, plugin_paths: list[str], jobs: int, budget_s: float, memory_gib: float
     ) -> None:
-        self._paths, self._jobs = plugin_paths, jobs
-        self._budget, self._memory = budget_s, memory_gib * 2**30
-        self._context = get_context("spawn")
-        self._workers: list[_Worker] = []
-        self._owner: dict[str, _Worker] = {}
+        self._jobs, self._guards = jobs, (plugin_paths, budget_s, memory_gib)
+        self.workers: list[_WorkerProcess] = []
+        self._owner: dict[str, _WorkerProcess] = {}
 
     def __enter__(self) -> Runner:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self._workers:
+        for worker in self.workers:
             worker.end()
-        self._workers.clear()
+        self.workers.clear()
 
     def expect(self, groups: int) -> None:
         """Start the workers that so many groups will need: they load what they need meanwhile."""
-        while len(self._workers) < min(self._jobs, groups):
+        while len(self.workers) < min(self._jobs, groups):
             self._spawn()
 
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
     ) -> Iterator[tuple[Task, Any]]:
-        """Yield every task with its answer, or Lost, as they finish; a group stays together."""
+        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
         queue = deque(deque(group) for group in groups if group)
-        while queue or any(w.task or w.group for w in self._workers):
+        while queue or self._busy():
             self._feed(queue, on_start)
-            for worker in self._news():
-                task, answer = worker.task, self._collect(worker)
-                if answer is not None and task is not None:
+            wait_for_any(worker for worker in self.workers if worker.task)
+            for worker in list(self.workers):
+                task = worker.task
+                if task and (answer := self._take(worker)) is not None:
                     yield task, answer
 
     def time(
         self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
-    ) -> Iterator[tuple]:
+    ) -> Iterator[tuple[Cell, int, float]]:
         """Yield (cell, number, seconds): samples taken in turn over all cells, one at a time.
 
         ``have`` are the samples, in s, that were taken before.
@@ -121,36 +117,33 @@ class Runner:
             for cell in cells:
                 if number < len(have.get(cell.key, ())) or spent[cell.key] > TIMING_SECONDS:
                     continue
-                worker = self._owner.get(cell.key)
-                if worker not in self._workers:
-                    worker = self._workers[0] if self._workers else self._spawn()
-                answer = self._ask(worker, Task("time", (cell,)))
-                if isinstance(answer, Lost):
+                worker = self._timekeeper(cell)
+                answer = worker.ask(Worker.time, cell)
+                if isinstance(answer, NoAnswer):
                     spent[cell.key] = float("inf")
+                    self._replace_dead(worker)
                     continue
                 self._owner[cell.key] = worker
                 spent[cell.key] += answer
                 yield cell, number, answer
 
-    # ---- plumbing ----------------------------------------------------------------------
-    def _spawn(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=serve, args=(theirs, self._paths), daemon=True)
-        process.start()
-        theirs.close()
-        worker = _Worker(process, ours)
-        self._workers.append(worker)
+    # ---- parts -------------------------------------------------------------------------
+    def _spawn(self) -> _WorkerProcess:
+        worker = _WorkerProcess(*self._guards)
+        self.workers.append(worker)
         return worker
 
-    def _start(self, worker: _Worker, task: Task) -> None:
-        worker.task, worker.started, worker.phase = task, time.monotonic(), None
-        with suppress(OSError):  # its death is seen by _collect
-            worker.pipe.send((task.kind, *task.arguments))
+    def _timekeeper(self, cell: Cell) -> _WorkerProcess:
+        """The worker that has prepared a cell, if it lives, or any."""
+        worker = self._owner.get(cell.key)
+        if worker and worker.alive:
+            return worker
+        return self.workers[0] if self.workers else self._spawn()
 
     def _feed(self, queue: deque[deque[Task]], on_start: Callable[[Task], None]) -> None:
-        while queue and len(self._workers) < min(self._jobs, len(queue) + self._busy()):
+        while queue and len(self.workers) < min(self._jobs, len(queue) + self._busy()):
             self._spawn()
-        for worker in self._workers:
+        for worker in self.workers:
             if worker.task:
                 continue
             if not worker.group and queue:
@@ -158,12 +151,12 @@ class Runner:
             if worker.group:
                 task = worker.group.popleft()
                 on_start(task)
-                self._start(worker, task)
+                worker.begin(task)
 
-    def _next(self, queue: deque[deque[Task]], worker: _Worker) -> deque[Task]:
+    def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
         """The first group of a scene that the worker has had, else of one that no other has: each
         worker makes its own references, which can take longer than the runs."""
-        others = set().union(*(w.scenes for w in self._workers if w is not worker))
+        others = set().union(*(w.scenes for w in self.workers if w is not worker))
         scenes = [group[0].scene for group in queue]
         ranks = [(scene not in worker.scenes, scene in others) for scene in scenes]
         best = ranks.index(min(ranks))
@@ -173,64 +166,22 @@ class Runner:
         return group
 
     def _busy(self) -> int:
-        return sum(1 for w in self._workers if w.task or w.group)
+        return sum(1 for w in self.workers if w.task or w.group)
 
-    def _news(self) -> list[_Worker]:
-        """Workers that have an answer, have died, or have outrun a budget."""
-        busy = [w for w in self._workers if w.task]
-        ready = wait([w.pipe for w in busy], timeout=_WATCH_SECONDS)
-        return [w for w in busy if w.pipe in ready or self._excess(w)]
-
-    def _excess(self, worker: _Worker) -> str:
-        seconds = time.monotonic() - worker.started
-        if seconds > self._budget:
-            return f"it took longer than the time budget of {self._budget:g} s"
-        with suppress(psutil.Error):
-            if psutil.Process(worker.process.pid).memory_info().rss > self._memory:
-                return f"it used more memory than the budget of {self._memory / 2**30:g} GiB"
-        return ""
-
-    def _collect(self, worker: _Worker) -> Any:
-        """The answer of a worker's task; None if it only said that it is ready."""
-        task = worker.task
-        if not worker.pipe.poll():
-            excess = self._excess(worker)
-            self._replace(worker)
-            return Lost(
-                "budget_exceeded",
-                f"Stopped while {worker.phase or 'running'} because {excess}; take larger steps "
-                f"or tolerances, a shorter interval, or a larger budget.",
-            )
-        try:
-            kind, answer = worker.pipe.recv()
-        except (EOFError, OSError):
-            worker.process.join()
-            code = worker.process.exitcode
-            how = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
-            self._replace(worker)
-            return Lost("crashed", f"The worker process died during the run ({how}).")
-        if kind in ("ready", "phase"):
-            # The clock starts anew: imports and references are not the integrator's.
-            worker.started, worker.phase = time.monotonic(), answer
+    def _take(self, worker: _WorkerProcess) -> Any:
+        """The answer of a worker's task, NoAnswer, or None while it is in work."""
+        answer = worker.take()
+        if answer is None:
             return None
-        worker.task = None
-        if kind == "failed":
-            return Lost("crashed", answer)
-        if task and task.kind == "measure":
+        task, worker.task = worker.task, None
+        if not isinstance(answer, NoAnswer) and task and task.job is Worker.measure:
             self._owner[task.arguments[0].key] = worker
+        self._replace_dead(worker)
         return answer
 
-    def _replace(self, worker: _Worker) -> None:
-        """End a worker; another one goes on with the rest of its group."""
-        worker.end()
-        self._workers.remove(worker)
-        if worker.group:
-            self._spawn().group = worker.group
-
-    def _ask(self, worker: _Worker, task: Task) -> Any:
-        self._start(worker, task)
-        while True:
-            if worker in self._news():
-                answer = self._collect(worker)
-                if answer is not None:
-                    return answer
+    def _replace_dead(self, worker: _WorkerProcess) -> None:
+        """If a worker is dead, have another one go on with the rest of its group."""
+        if not worker.alive:
+            self.workers.remove(worker)
+            if worker.group:
+                self._spawn().group = worker.group

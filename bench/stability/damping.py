@@ -1,0 +1,105 @@
+"""Damping of methods at constant steps, at the frequencies of the scenes of a suite."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+
+from bench.plugins.registry import Registry, fingerprint
+from bench.results.records import Damping, Record, SceneRecord
+from bench.results.store import Store
+from bench.running.measure import finite
+from bench.running.plan import Suite
+from bench.running.processes import NoAnswer
+from bench.running.runner import Runner, Task
+from bench.running.session import Progress
+from bench.running.worker import Worker
+from bench.stability.matrices import matrices, steppable
+from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
+from bench.stability.systems import Oscillator
+from problems.spec import SpecError
+
+
+def complete(
+    suite: Suite, store: Store, registry: Registry, runner: Runner, progress: Progress
+) -> None:
+    """Find the damping that the store lacks; that of a method with other source is forgotten."""
+    known = store.damping()
+    for name in suite.plan.integrators:
+        if name in known and known[name].fingerprint != _fingerprint(registry, name):
+            store.save_damping(name, None)
+            del known[name]
+    due = missing(suite, known, store.scenes(), store.records(), registry)
+    if not due:
+        return
+    progress.phase("damping of methods at constant steps", len(due))
+    for task, answer in runner.run([due], lambda task: progress.working(task.label)):
+        name, omega_h = task.arguments
+        if isinstance(answer, NoAnswer):
+            answer = Damping(omega_h=list(omega_h), message=answer.message)
+        source = _fingerprint(registry, name)
+        store.save_damping(name, msgspec.structs.replace(answer, fingerprint=source))
+        progress.advance()
+
+
+def missing(
+    suite: Suite,
+    known: Mapping[str, Damping],
+    scenes: Mapping[tuple[str, float], SceneRecord],
+    records: Mapping[str, Record],
+    registry: Registry,
+) -> list[Task]:
+    """List the methods to be analysed: those that came to the end of a scene, at all their scenes.
+
+    A method that never did is left out, so that one which hangs does so once less.
+    """
+    wanted: dict[str, set[float]] = {}
+    for study in suite.plan.studies:
+        scene = scenes.get((study.problem, study.t_end))
+        if scene is None or scene.omega_h is None:
+            continue
+        for key in study.cells:
+            name = suite.cells[key].integrator
+            if records[key].status == "ok" and registry.integrator(name).controls == "step":
+                wanted.setdefault(name, set()).add(scene.omega_h)
+    return [
+        Task(method_damping, (name, tuple(sorted(omega_h))), label=f"damping of {name}")
+        for name, omega_h in wanted.items()
+        if name not in known or not omega_h <= set(known[name].omega_h)
+    ]
+
+
+# ---- jobs of a worker ------------------------------------------------------------------
+def method_damping(worker: Worker, integrator: str, omega_h: tuple[float, ...]) -> Damping:
+    """Make the record of a method's damping."""
+    try:
+        columns = linear_response(worker, integrator, omega_h)
+    except SpecError as error:
+        return Damping(omega_h=list(omega_h), message=str(error))
+    return Damping(
+        omega_h=list(omega_h),
+        radius=columns["radius"],
+        ratio=columns["damping"],
+        period_error=columns["period_error"],
+    )
+
+
+def linear_response(
+    worker: Worker,
+    integrator: str,
+    omega_h: tuple[float, ...],
+    pattern: tuple[float, ...] = (1.0,),
+) -> dict[str, list[float | None]]:
+    """Step a method on the undamped oscillator: columns over omega h, None where not finite."""
+    at, method = np.array(omega_h), steppable(worker.registry.integrator(integrator))
+    found = matrices(method, Oscillator(), at, pattern)
+    roots = eigenvalues(found.a)
+    columns = (radii(roots), *oscillation(roots, at), *overshoot(found, Oscillator()))
+    names = ("radius", "damping", "period_error", "overshoot_q", "overshoot_v")
+    return {n: list(map(finite, c)) for n, c in zip(names, columns, strict=True)}
+
+
+def _fingerprint(registry: Registry, name: str) -> str:
+    return fingerprint(type(registry.integrator(name)))
