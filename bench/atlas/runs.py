@@ -70,7 +70,7 @@ def run_experiments(
     budget_s, memory_gib
         Limits of one run.
     progress
-        Is told of each experiment.
+        Shows the experiment in work.
 
     Raises
     ------

@@ -30,10 +30,10 @@ def atlas(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Run the failure atlas: experiments that show where methods fail, and what helps.
+    """Run the failure atlas: experiments that show failures of methods, and remedies.
 
-    Every experiment predicts numbers and measures them. The exit code is 1 if one comes out
-    differently. Results are kept in the folder: what has not changed is not measured again.
+    Every experiment predicts numbers and measures them. The exit code is 1 if a number is not as
+    predicted. The folder keeps the results; an experiment runs again only if it has changed.
 
     \b
     Examples:

@@ -84,11 +84,12 @@ def map_(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Map where a method works: thousands of runs over two quantities, as one compiled program.
+    """Map where a method works, over two quantities.
 
-    Each point is a run: ok, inaccurate, failed in Newton's method, or diverged. Writes a page with
-    the map, coloured by outcome and error. Steps and wide ranges are divided evenly in their
-    logarithm. Write step.h, scene.NAME or integrator.NAME for a name that stands for two things.
+    Each point is a run: ok, inaccurate, failed in Newton's method, or diverged; all are run in one
+    compiled program. Writes a page with the map, coloured by outcome and error. Steps and wide
+    ranges are divided evenly in their logarithm. Write step.h, scene.NAME or integrator.NAME for a
+    name that stands for two things.
 
     \b
     Examples:

@@ -116,7 +116,7 @@ def check(
 @click.argument("name")
 @click.option("--out", type=click.Path(path_type=Path), help="File; NAME.py if not given.")
 def new(kind: str, name: str, out: Path | None) -> None:
-    """Write a small scene or integrator that runs at once, for you to change.
+    """Write a small scene or integrator, which runs at once.
 
     \b
     Examples:

@@ -68,7 +68,7 @@ def _limits(
 def compare(
     old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
 ) -> None:
-    """List the changes from the results in OLD to those in NEW, run by run.
+    """Compare the results in OLD and NEW, run by run.
 
     Errors and counts are compared as they are, times where the samples of both do not overlap
     and the ratio is beyond the noise. Times from different machines or versions are shown, but

@@ -184,7 +184,7 @@ def check_work(registry: Registry, method: Integrator) -> str:
 
 
 def check_start_time(registry: Registry, method: Integrator) -> str:
-    """A scene that starts later gives the same motion, later."""
+    """A later start of the scene gives the same motion, later."""
     scenes = trials(registry, method)
     allowed = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL
     for scene in scenes:

@@ -62,10 +62,10 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
         for group, claimed in claims.items():
             fit = _fit(levels[group], floors[group], claimed)
             if fit.order is None and _at_round_off(levels[group], floors[group]):
-                continue  # exact, or too good to be told
+                continue  # exact, or too accurate to show an order
             if fit.order is None or abs(fit.order - claimed) > _allowed(claimed):
-                told = _told(fit, levels[group])
-                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {told}")
+                measured = _in_words(fit, levels[group])
+                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
             seen[group] = claimed
         if seen:
             found.append(f"{_words(seen)} on {scene.spec}")
@@ -140,7 +140,7 @@ def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
     return Fit(sum(slopes) / len(slopes), window, len(last), "converges")
 
 
-def _told(fit: Fit, levels: Levels) -> str:
+def _in_words(fit: Fit, levels: Levels) -> str:
     if fit.order is not None and fit.window:
         coarse, fine = fit.window
         return f"is {fit.order:.2f} (h = {coarse:.2g} to {fine:.2g} s)"

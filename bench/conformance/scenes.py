@@ -173,7 +173,7 @@ def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
 
 
 def _check_closed_form(scene: MechatronicSystem) -> None:
-    """It starts where the scene starts, q' = v, v' = a, and the forces agree."""
+    """It begins at the initial state, q' = v, v' = a, and the forces agree."""
     t, values = _along(scene)
     needed = [g for g, n in (("lam", scene.sizes.nl), ("x", scene.sizes.nx)) if n]
     closed = scene.exact(t)

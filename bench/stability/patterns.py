@@ -22,7 +22,7 @@ from integrators.contract import Integrator
 
 Word = tuple[int, ...]
 
-#: omega H at which patterns are looked at: with 1e6 for infinity they fill two blocks.
+#: omega H at which patterns are analysed; with infinity they fill two blocks of `matrices`.
 OMEGA_H = np.geomspace(1e-2, 1e4, 120)
 #: Growth in a period that is more than rounding.
 _GROWTH = 1e-10

@@ -106,10 +106,7 @@ def read_error(text: str, scene: MechatronicSystem) -> tuple[str, str]:
     SpecError
         If the scene has no such group, or there is no such norm.
     """
-    sizes = scene.sizes
-    there = {"q": sizes.nq, "v": sizes.nq, "a": sizes.nq, "lam": sizes.nl, "x": sizes.nx,
-             "y": sizes.ny}  # fmt: skip
-    return group_and_norm(text, [name for name in GROUPS if there[name]])
+    return group_and_norm(text, [group for group in GROUPS if scene.sizes.of(group)])
 
 
 def outcome_map(
