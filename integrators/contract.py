@@ -21,15 +21,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from integrators.multistep import MultistepForm
 from problems import spec
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from integrators.native.time_loop import StepMethod
 
 #: How a run can end; only "ok" has a complete trajectory.
 STATUSES = (
@@ -255,9 +253,13 @@ class Integrator(ABC):
         """The same method at constant steps, where its order is measured; None if it has none."""
         return self if self.controls == "step" else None
 
-    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
-        """What runs in numbers as one program: itself on a scene as pure functions of a state (see
-        integrators.native.time_loop); None if it is not written so or chooses its steps."""
+    def multistep_form(self) -> MultistepForm | None:
+        """The method as linear multistep formulas, where it is one: a theory of its stability."""
+        return None
+
+    def step_method(self, scene: MechatronicSystem) -> Any:
+        """The same method on a scene as step functions (`integrators.native.step_method`), which
+        many runs side by side need; None if it is not written so."""
         return None
 
     def supports(self, scene: MechatronicSystem) -> str | None:

@@ -311,6 +311,7 @@ class Start(NamedTuple):
     xdot: np.ndarray
     jerk: np.ndarray
     xddot: np.ndarray
+    constrained_jerk: np.ndarray | None = None
 
 
 def _start_of_large(scene: MechatronicSystem, state: State, t: float) -> tuple | None:

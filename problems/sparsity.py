@@ -67,6 +67,11 @@ class Pattern:
         self.columns = np.asarray(self._coloring.sparsity.cols, dtype=np.int32)
 
     @property
+    def fill(self) -> float:
+        """Entries over those of a full matrix."""
+        return len(self.rows) / self.size**2
+
+    @property
     def products(self) -> int:
         """How many Jacobian-vector products give all entries."""
         return self._coloring.num_colors
@@ -97,4 +102,4 @@ def is_chosen(linear_solver: str, large: bool, pattern: Callable[[], Pattern]) -
         if linear_solver == "sparse":
             raise
         return False
-    return linear_solver == "sparse" or len(found.rows) < _MOST_FILL * found.size**2
+    return linear_solver == "sparse" or found.fill < _MOST_FILL

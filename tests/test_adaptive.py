@@ -13,7 +13,10 @@ from integrators import Steps, Tolerances
 from integrators.contract import FIRST_ROWS, SPREAD_ROWS
 from integrators.methods import generalized_alpha_adaptive
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.methods.generalized_alpha_adaptive import (
+    AdaptiveAlphaStep,
+    GeneralizedAlphaAdaptive,
+)
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.formulations import compiled, consistent_start
 from problems.reference import Reference
@@ -68,15 +71,15 @@ def test_it_does_so_with_any_damping(rho_inf):
 
 def local_errors(method, scene, ratios, h):
     """Estimated and true errors of each of some steps: the truth starts from the same q, v, x."""
-    begin, step, read, estimate, *_ = method.functions()
-    numbers, start = method.numbers(), consistent_start(scene)
+    program, numbers = method.program(scene)
+    start = consistent_start(scene)
     p, rate = scene.parameters(), compiled(scene).ode
-    t, state, pairs = scene.interval[0], begin(scene, numbers, start, jnp.asarray(h)), []
+    t, state, pairs = scene.interval[0], program.begin(scene, numbers, start, jnp.asarray(h)), []
     for ratio in ratios:
         h *= ratio
-        new, _ = step(scene, numbers, state, t + h, jnp.asarray(h))
-        estimated = estimate(numbers, state, new, h)
-        old, now = read(state), read(new)
+        new, _ = program.step(scene, numbers, state, t + h, jnp.asarray(h))
+        estimated = program.estimate(numbers, state, new, h)
+        old, now = program.read(state), program.read(new)
         s0 = np.concatenate([old.q, old.v, old.x])
         exact = solve_ivp(
             lambda t, s: rate(p, t, s), (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15
@@ -99,8 +102,8 @@ def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
 
 
 def test_a_wrong_estimate_would_be_seen(monkeypatch):
-    right = generalized_alpha_adaptive._bend
-    monkeypatch.setattr(generalized_alpha_adaptive, "_bend", lambda *args: -right(*args))
+    right = generalized_alpha_adaptive.bend_after
+    monkeypatch.setattr(generalized_alpha_adaptive, "bend_after", lambda *args: -right(*args))
     pairs = local_errors(GeneralizedAlphaAdaptive(), Duffing(), RATIOS, h=0.001)
     assert any(np.abs(e - t).max() > 0.1 * np.abs(t).max() for e, t in pairs)
 
@@ -150,7 +153,8 @@ def test_accepted_steps_keep_to_the_guarded_ratios():
     run = run_of(method, Pendulum(), 1e-3)
     assert run.work.rejected <= 2
     ratios = run.notes["h"][2:] / run.notes["h"][1:-1]
-    lowest, highest = method.functions()[4](method.numbers())
+    program, numbers = method.program(Pendulum())
+    lowest, highest = program.ratios(numbers)
     assert lowest == pytest.approx(1 / highest)  # what is safe up is safe down
     assert highest == pytest.approx(1.15)
     # a rejected step, and the last ones that meet the end, may be cut sharper
@@ -228,16 +232,14 @@ def test_trouble_is_a_status_with_a_time_and_a_cure(trouble, options, status, wo
 
 def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
     # The estimate is made to fail at any step size from t = 1 on.
-    method = GeneralizedAlphaAdaptive()
-    *functions, right, ratio, order = method.functions()
-
-    def hopeless(numbers, before, after, h):
-        errors = right(numbers, before, after, h)
-        return errors._replace(q=jnp.where(after.alpha.q > 2.0, 1e6, errors.q))
+    class Hopeless(AdaptiveAlphaStep):
+        def estimate(self, before, after, h):
+            errors = super().estimate(before, after, h)
+            return errors._replace(q=jnp.where(after.alpha.q > 2.0, 1e6, errors.q))
 
     class Planted(GeneralizedAlphaAdaptive):
         def functions(self):
-            return *functions, hopeless, ratio, order
+            return Hopeless(super().functions().step_of)
 
     run = Planted().prepare(Trouble(), 2.0, Tolerances(1e-4)).measure()
     assert run.status == "step_too_small", run.message
@@ -247,12 +249,12 @@ def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
 def test_new_tolerances_and_schemes_compile_nothing():
     scene = Duffing()
     first = GeneralizedAlphaAdaptive().prepare(scene, 3.0, Tolerances(1e-3))
-    compilations = first._kernel.compilations
+    compilations = first.kernel.compilations
     for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
         run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
-        assert run._kernel is first._kernel
+        assert run.kernel is first.kernel
         run.measure()
-    assert first._kernel.compilations == compilations
+    assert first.kernel.compilations == compilations
 
 
 def test_the_accelerations_scale_is_their_largest_value_so_far():

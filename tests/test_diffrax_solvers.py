@@ -11,6 +11,7 @@ from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
 from integrators.adapters.counting import run_counted
+from integrators.adapters.diffrax_constant import DiffraxStepMethod
 from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
     Dopri8,
@@ -22,7 +23,8 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
-from integrators.adapters.diffrax_runs import _Marched, _step_functions, adaptive_programs
+from integrators.adapters.diffrax_runs import adaptive_programs
+from integrators.native import constant_steps
 from problems import MechatronicSystem, jnp
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -62,7 +64,7 @@ def run(
     return method.prepare(scene, t_end or scene.interval[1], Tolerances(rtol)).measure()
 
 
-def march(
+def at_constant_steps(
     method: DiffraxSolver, scene: MechatronicSystem, h: float, pattern: tuple[float, ...] = (1.0,)
 ) -> Trajectory:
     resolution = Steps(h, pattern)
@@ -121,7 +123,7 @@ def test_the_claimed_order_shows_in_every_group_at_constant_steps(cls, scene, t_
 
 def test_a_pattern_of_steps_is_hit_exactly_and_keeps_the_order():
     pattern, scene = (0.5, 0.2, 0.3), Pendulum()
-    t = march(KenCarp3(), scene, 0.02, pattern).t
+    t = at_constant_steps(KenCarp3(), scene, 0.02, pattern).t
     m, j = np.divmod(np.arange(16), 3)
     assert t[1:17].tolist() == (0.35 + 1.0 * ((m + np.array([0.5, 0.7, 1.0])[j]) / 50)).tolist()
     assert t[-1] == 1.35
@@ -136,11 +138,11 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        functions = _step_functions(Kvaerno3, "fair", scene.template(), counted)
-        assert _Marched(scene.parameters(), *functions).kernel(scene).compilations == 1
+        program, _ = DiffraxStepMethod(method, scene, counted).program(scene)
+        assert constant_steps.kernel(program, scene.template()).compilations == 1
 
 
-def test_the_counted_march_takes_the_timed_steps_and_more_of_them_than_max_steps():
+def test_the_counted_run_takes_the_timed_steps_and_more_of_them_than_max_steps():
     method = replace(Kvaerno3(max_steps=1), steps="constant")
     prepared = method.prepare(SpringMass(), 5.0, Steps(0.1))
     trajectory, ((rows, _), counts) = prepared.measure(), run_counted(prepared.execute)
@@ -153,7 +155,7 @@ def test_the_counted_march_takes_the_timed_steps_and_more_of_them_than_max_steps
 
 def test_a_stiff_equilibrium_whose_rates_are_known_to_few_digits_does_not_stop_newtons_method():
     # The spring force is a difference of terms of 1e10 and rounds to 1e-6.
-    trajectory = march(Kvaerno3(), Probe(k=-1e10, c=-1e10, v0=1e-3), 0.05)
+    trajectory = at_constant_steps(Kvaerno3(), Probe(k=-1e10, c=-1e10, v0=1e-3), 0.05)
     assert trajectory.status == "ok", trajectory.message
     assert np.abs(trajectory.q[-1] - 1) < 1e-8
 
@@ -205,7 +207,9 @@ def test_an_implicit_explicit_method_starts_every_step_anew():
 def test_at_constant_steps_the_stages_are_counted_to_the_last():
     # Newton's method solves a linear stage and confirms it; implicit Euler evaluates its
     # predictor besides, and the last of Dopri8's stages is the first of the next step.
-    euler, explicit = (march(cls(), Probe(), 0.1).work for cls in (ImplicitEuler, Dopri8))
+    euler, explicit = (
+        at_constant_steps(cls(), Probe(), 0.1).work for cls in (ImplicitEuler, Dopri8)
+    )
     assert (euler.steps, euler.rejected, euler.newton) == (20, 0, 2 * 20)
     assert euler.jacobians == euler.factorisations == euler.solves == euler.newton
     assert euler.residuals == 20 + 2 * 20
@@ -270,7 +274,7 @@ def test_a_pole_of_the_solution_ends_the_run_near_it():
 
 
 def test_a_root_finder_that_fails_at_a_constant_step_ends_the_run_there():
-    trajectory = march(ImplicitEuler(), Pendulum(), 0.125)
+    trajectory = at_constant_steps(ImplicitEuler(), Pendulum(), 0.125)
     assert trajectory.status == "newton_failed"
     assert "in the step to t=0.6 s; take a smaller step" in trajectory.message
     assert trajectory.t.tolist() == [0.35, 0.475]
@@ -279,7 +283,7 @@ def test_a_root_finder_that_fails_at_a_constant_step_ends_the_run_there():
 
 @pytest.mark.parametrize(("cls", "scene"), [(Kvaerno3, Probe), (Dopri8, Probe), (Dopri8, Filtered)])
 def test_a_rate_that_becomes_nan_at_constant_steps_ends_the_run_as_diverged(cls, scene):
-    trajectory = march(cls(), scene(breaks_at=0.5), 0.1)
+    trajectory = at_constant_steps(cls(), scene(breaks_at=0.5), 0.1)
     assert trajectory.status == "diverged"
     assert "in the step to t=0.6 s" in trajectory.message
     assert trajectory.t[-1] == 0.5

@@ -15,7 +15,7 @@ from bench.sweeps.batch import Batch, Run
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
-from integrators.native.time_loop import Kernel
+from integrators.native.kernel import Kernel
 from problems import parameter
 from problems.batched_initial_values import consistent_starts
 from problems.formulations import consistent_start

@@ -18,7 +18,7 @@ from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted, watch
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.native import small_matrices, time_loop
+from integrators.native import constant_steps, small_matrices
 from problems import jnp, runtime
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
@@ -37,7 +37,7 @@ class Program:
 
     def __init__(self, run) -> None:
         arguments = run._end_only if hasattr(run, "_end_only") else (run._drop,)
-        lowered = run._kernel._compiled.lower(run._arguments, *arguments)
+        lowered = run.kernel.compiled.lower(run.arguments, *arguments)
         self.lines: dict[str, list[str]] = {}
         for line in lowered.compile().as_text().splitlines():
             head = re.match(r"(ENTRY )?%([\w.\-]+) \(.*\{$", line)
@@ -90,11 +90,11 @@ def test_so_is_the_march_of_chosen_steps():
 
 def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
     monkeypatch.setattr(small_matrices, "without_products", lambda function: function)
-    time_loop.kernel.cache_clear()
+    constant_steps.kernel.cache_clear()
     try:
         assert not Program(prepared(SliderCrank())).joined()
     finally:
-        time_loop.kernel.cache_clear()
+        constant_steps.kernel.cache_clear()
 
 
 @pytest.mark.parametrize("newton", KINDS)
@@ -138,13 +138,13 @@ def test_what_is_counted_is_what_was_done(newton):
 
 
 def test_schemes_steps_and_parameters_compile_nothing_new():
-    time_loop.kernel.cache_clear()
+    constant_steps.kernel.cache_clear()
     run = prepared(SliderCrank(), "modified")
     prepared(SliderCrank(l1=0.1, w0=3.0), "modified", steps=123)
     GeneralizedAlpha(rho_inf=0.3, newton="modified").prepare(
         SliderCrank(), 2.0, Steps(0.01, (0.3, 0.7))
     ).measure()
-    assert run._kernel.compilations == 1
+    assert run.kernel.compilations == 1
 
 
 def test_the_yardstick_in_c_solves_the_same_equations():

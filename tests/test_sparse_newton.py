@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from integrators.contract import Steps
-from integrators.methods import generalized_alpha_sparse
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.native import klu
+from integrators.native import constant_steps, klu
+from integrators.native.step_program import StepProgram
 from problems import MechatronicSystem, State, jnp
 from problems.formulations import consistent_start
 from problems.runtime import jax
@@ -83,9 +83,9 @@ def calls(monkeypatch):
 
     for name in ("solve", "solve_by", "factorised"):
         monkeypatch.setattr(klu, name, counted(name, getattr(klu, name)))
-    generalized_alpha_sparse._kernel.cache_clear()
+    constant_steps.kernel.cache_clear()
     yield count
-    generalized_alpha_sparse._kernel.cache_clear()
+    constant_steps.kernel.cache_clear()
 
 
 @pytest.mark.parametrize("newton", ["full", "modified"])
@@ -148,13 +148,13 @@ def test_a_long_run_frees_every_factorisation(held):
 
 
 def test_without_the_finish_of_a_run_its_last_factorisation_would_stay(held, monkeypatch):
-    monkeypatch.setattr(generalized_alpha_sparse, "_finish", lambda state: None)
-    generalized_alpha_sparse._kernel.cache_clear()
+    monkeypatch.setattr(StepProgram, "finish", lambda self, state: None)
+    constant_steps.kernel.cache_clear()
     run = run_of(Chain(links=6), 20, 0.001, newton="modified")
     analysis = set(held)
     run.execute()
     assert set(held) > analysis
-    generalized_alpha_sparse._kernel.cache_clear()
+    constant_steps.kernel.cache_clear()
 
 
 @dataclass(frozen=True)
@@ -215,20 +215,20 @@ def test_too_few_iterations_are_a_status(held, newton):
 def test_a_factorisation_of_another_matrix_is_given_up():
     scene, h = Chain(links=8), 1e-3
     start = consistent_start(scene)
-    sparse = GeneralizedAlpha(linear_solver="sparse", newton="modified").on(scene, start)
-    pattern, _ = generalized_alpha_sparse._analysed(scene, False)
-    numbers = jax.tree.map(jnp.asarray, sparse.numbers())
-    state = generalized_alpha_sparse._begin(False, True, scene, numbers, start, jnp.asarray(h))
+    program, numbers = GeneralizedAlpha(linear_solver="sparse", newton="modified").program(scene)
+    (pattern,), numbers = program.patterns, jax.tree.map(jnp.asarray, numbers)
+    state = program.begin(scene, numbers, start, jnp.asarray(h))
     random = np.random.default_rng(3).normal(size=len(pattern.rows))
-    wrong = klu.factorised(numbers.analysis, jnp.asarray(random), instead_of=klu.none())
+    wrong = klu.factorised(numbers.analyses[0], jnp.asarray(random), instead_of=klu.none())
     good, bad = (
-        generalized_alpha_sparse._step(False, pattern, scene, numbers, begun, h, h)
-        for begun in (state, state._replace(kept=wrong))
+        program.step(scene, numbers, begun, h, h)
+        for begun in (state, state._replace(kept=(wrong,)))
     )
     assert good[1].converged
     assert bad[1].converged
     assert 1 == good[1].jacobians <= bad[1].jacobians
     assert bad[1].newton > good[1].newton
-    assert bad[0].a == pytest.approx(np.asarray(good[0].a), rel=1e-8, abs=1e-8)
+    right, found = (np.asarray(program.read(after).a) for after, _ in (good, bad))
+    assert found == pytest.approx(right, rel=1e-8, abs=1e-8)
     for state in (good[0], bad[0]):
-        generalized_alpha_sparse._finish(state)
+        program.finish(state)

@@ -11,12 +11,8 @@ from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_theory import (
-    Multistep,
-    Recurrence,
-    recurrence_of,
-    stable,
-)
+from integrators.methods.generalized_alpha_theory import recurrence_of
+from integrators.multistep import Multistep, MultistepForm, stable
 
 MEMBERS = [
     GeneralizedAlpha(rho_inf=0.0),
@@ -47,26 +43,26 @@ def ratio_to_matrices(polynomial, system, method):
 @pytest.mark.parametrize("zeta", [0.0, 0.2])
 def test_the_characteristic_polynomial_is_that_of_the_matrices(method, zeta):
     def polynomial(at):
-        return recurrence_of(method).oscillator(at, zeta)
+        return recurrence_of(method.scheme()).oscillator(at, zeta)
 
     assert ratio_to_matrices(polynomial, Oscillator(zeta=zeta), method) < 1e-10
 
 
 @pytest.mark.parametrize("method", MEMBERS[:5], ids=lambda m: m.spec)
 def test_so_it_is_for_the_controller(method):
-    found = ratio_to_matrices(recurrence_of(method).relaxation, Relaxation(), method)
+    found = ratio_to_matrices(recurrence_of(method.scheme()).relaxation, Relaxation(), method)
     assert found < 1e-10
 
 
 def test_another_polynomial_is_told_apart():
-    other = recurrence_of(GeneralizedAlpha(rho_inf=0.79))
+    other = recurrence_of(GeneralizedAlpha(rho_inf=0.79).scheme())
     assert ratio_to_matrices(other.oscillator, Oscillator(), GeneralizedAlpha(rho_inf=0.8)) > 1e-4
 
 
 @given(st.floats(0.02, 0.97))
 @settings(max_examples=30, deadline=None)
 def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
-    r = recurrence_of(GeneralizedAlpha(rho_inf=rho_inf))
+    r = recurrence_of(GeneralizedAlpha(rho_inf=rho_inf).scheme())
     assert [r.positions.order, r.velocities.order, r.controller.order] == [2, 2, 2]
     assert r.positions.zero_stable
     assert r.positions.infinity_stable
@@ -82,29 +78,31 @@ def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
 
 def test_order_two_needs_its_gamma():
     class Off(GeneralizedAlpha):
-        def parameters(self):
-            alpha_m, alpha_f, beta, gamma, *rest = super().parameters()
-            return alpha_m, alpha_f, beta, gamma + 0.01, *rest
+        def second_order(self):
+            right = super().second_order()
+            return right._replace(gamma=right.gamma + 0.01)
 
-    r = recurrence_of(Off(rho_inf=0.8))
+    r = recurrence_of(Off(rho_inf=0.8).scheme())
     assert [r.positions.order, r.velocities.order] == [1, 1]
-    assert recurrence_of(Newmark(beta=1 / 12)).positions.order == 4
-    assert recurrence_of(Newmark(beta=0.25)).positions.order == 2
+    assert recurrence_of(Newmark(beta=1 / 12).scheme()).positions.order == 4
+    assert recurrence_of(Newmark(beta=0.25).scheme()).positions.order == 2
 
 
 def test_without_damping_the_root_at_infinity_is_multiple():
     for method in (Newmark(), GeneralizedAlpha(rho_inf=1.0)):
-        q = recurrence_of(method).positions
+        q = recurrence_of(method.scheme()).positions
         assert q.zero_stable
         assert not q.infinity_stable
     assert [(times, round(z.real, 6)) for z, times in q.infinity_roots] == [(3, -1.0)]
-    assert not recurrence_of(Newmark(beta=0.0)).positions.infinity_stable  # a root is infinite
-    assert not recurrence_of(Newmark(beta=1 / 6)).positions.infinity_stable
+    assert not recurrence_of(
+        Newmark(beta=0.0).scheme()
+    ).positions.infinity_stable  # a root is infinite
+    assert not recurrence_of(Newmark(beta=1 / 6).scheme()).positions.infinity_stable
 
 
 def test_hht_ends_where_it_says():
-    assert recurrence_of(HHT(alpha=1 / 3)).positions.infinity_stable
-    assert not recurrence_of(HHT(alpha=0.55, any_alpha=True)).positions.infinity_stable
+    assert recurrence_of(HHT(alpha=1 / 3).scheme()).positions.infinity_stable
+    assert not recurrence_of(HHT(alpha=0.55, any_alpha=True).scheme()).positions.infinity_stable
 
 
 def test_roots_on_the_circle_are_counted():
@@ -116,5 +114,5 @@ def test_roots_on_the_circle_are_counted():
 
 
 def test_only_methods_of_the_recurrence_have_it():
-    assert isinstance(recurrence_of(GeneralizedAlpha()), Recurrence)
-    assert recurrence_of(Kvaerno5()) is None
+    assert isinstance(GeneralizedAlpha().multistep_form(), MultistepForm)
+    assert Kvaerno5().multistep_form() is None

@@ -13,8 +13,7 @@ from bench.stability.matrices import matrices, steppable
 from bench.stability.spectra import FIRST_STEPS, eigenvalues, nearest, radii, spectrum, summary
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
-from integrators.methods import generalized_alpha_theory
-from integrators.native.time_loop import StepMethod
+from integrators.native.step_method import NativeMethod
 from problems.spec import SpecError
 
 SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
@@ -68,7 +67,7 @@ def analyse(
     columns = ("omega_h", "radius", "damping", "period_error", "overshoot_q", "overshoot_v")
     plain = summary(found)
     maps, safe = [], {}
-    if isinstance(method, StepMethod):
+    if isinstance(method, NativeMethod):
         maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
         safe = {} if found.growing else _safe_ratios(method, system, ratios)
     return plain | {
@@ -81,7 +80,7 @@ def analyse(
     }
 
 
-def _safe_ratios(method: StepMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
+def _safe_ratios(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
     """Safe ratios by kind of pattern."""
     tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.words()}
     kinds = list(tried)[: ["none", *tried].index(ratios)]
@@ -96,7 +95,7 @@ def _radii(
 
 
 def _option_map(
-    method: StepMethod, system: LinearSystem, pattern: Sequence[float]
+    method: NativeMethod, system: LinearSystem, pattern: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Radii over omega h and the option that a method shows first, if that is a bounded number."""
     for field in dataclasses.fields(method):
@@ -115,7 +114,7 @@ def _option_map(
     return []
 
 
-def _ratio_map(method: StepMethod, system: LinearSystem) -> dict[str, Any]:
+def _ratio_map(method: NativeMethod, system: LinearSystem) -> dict[str, Any]:
     """Radii over omega H and the ratio of two steps that take turns."""
     rows = [
         {"value": float(r), "radii": _radii(method, system, patterns.fractions((1, -1), r))}
@@ -125,9 +124,9 @@ def _ratio_map(method: StepMethod, system: LinearSystem) -> dict[str, Any]:
 
 
 def _theory(method: Integrator) -> dict[str, Any] | None:
-    """The multistep formulas of a method of the generalized-alpha recurrence."""
-    recurrence = generalized_alpha_theory.recurrence_of(method)
-    if recurrence is None:
+    """The multistep formulas of a method, where it has them."""
+    form = method.multistep_form()
+    if form is None:
         return None
 
     def plain(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
@@ -144,10 +143,6 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
             "infinity_roots": plain(formula.infinity_roots),
             "infinity_stable": formula.infinity_stable,
         }
-        for group, formula in (
-            ("q", recurrence.positions),
-            ("v", recurrence.velocities),
-            ("x", recurrence.controller),
-        )
+        for group, formula in (("q", form.q), ("v", form.v), ("x", form.x))
     }
-    return {"formulas": formulas, "smallest_ratio": recurrence.smallest_ratio}
+    return {"formulas": formulas, "smallest_ratio": form.smallest_ratio}

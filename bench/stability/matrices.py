@@ -23,7 +23,8 @@ import numpy as np
 
 from bench.stability.systems import LinearSystem
 from integrators.contract import Integrator, Steps
-from integrators.native.time_loop import StepMethod
+from integrators.native.step_method import NativeMethod
+from integrators.native.step_program import StepProgram
 from problems.formulations import Start, with_rates
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
@@ -87,25 +88,25 @@ def matrices(
     SpecError
         If the method has no constant steps, refuses the system, or hides its memory.
     """
-    method, steps = steppable(method), np.asarray(steps, dtype=float)
-    pattern = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
+    method, macro_steps = steppable(method), np.asarray(steps, dtype=float)
+    fractions = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
     reason = method.supports(system)
     if reason:
         raise SpecError(f"{method.spec} does not take {system.name}: {reason}")
-    if isinstance(method, StepMethod):
-        return _by_stepping(method, system, steps, pattern)
-    return _by_running(method, system, steps, pattern)
+    if isinstance(method, NativeMethod):
+        return _by_stepping(method, system, macro_steps, fractions)
+    return _by_running(method, system, macro_steps, fractions)
 
 
 # ---- methods whose step is a function ----------------------------------------------------
 def _by_stepping(
-    method: StepMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
+    method: NativeMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
 ) -> Matrices:
-    begin, step, read = method.functions()
-    program = _program(begin, step, read, system.template())
+    step_program, numbers = method.program(system, sparse=False)
+    program = _program(step_program, system.template())
     slots = np.zeros(_SLOTS)
     slots[: len(pattern)] = pattern
-    fixed = system.parameters(), method.numbers(), system.deviations(), slots, len(pattern)
+    fixed = system.parameters(), numbers, system.deviations(), slots, len(pattern)
     fixed = jax.tree.map(jnp.asarray, fixed)
     count = len(_SAMPLES)
     # Whole blocks, so that other numbers of steps compile nothing.
@@ -132,9 +133,7 @@ def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _program(
-    begin: Callable, step: Callable, read: Callable, template: MechatronicSystem
-) -> Callable:
+def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
     """Program of (parameters, numbers, deviations, pattern, its length, macro steps); one
     compilation serves all members of a family, all parameters, steps and patterns."""
     from jax.flatten_util import ravel_pytree
@@ -146,18 +145,18 @@ def _program(
         def started(s: Any) -> Any:
             q, v, x = jnp.split(s, [template.sizes.nq, 2 * template.sizes.nq])
             start = Start(*with_rates(scene, q, v, x, jnp.asarray(0.0)))
-            return begin(scene, numbers, start, hs[0])
+            return method.begin(scene, numbers, start, hs[0])
 
         first = jax.tree.map(jnp.asarray, started(jnp.zeros(deviations.shape[1])))
         rest, unravel = ravel_pytree(first)
 
         def advance(flat: Any) -> tuple:
             def single(k: Any, carry: tuple) -> tuple:
-                state, report = step(scene, numbers, carry[0], ends[k], hs[k])
+                state, report = method.step(scene, numbers, carry[0], ends[k], hs[k])
                 return state, carry[1] & report.converged
 
             state, converged = jax.lax.fori_loop(0, slots, single, (unravel(flat), True))
-            shown = read(state)
+            shown = method.read(state)
             return ravel_pytree(state)[0], jnp.concatenate([shown.q, shown.v, shown.x]), converged
 
         # One loop does two things, so that the step is compiled once: it takes patterns from rest

@@ -16,9 +16,10 @@ from functools import cache
 import numpy as np
 
 from bench.stability.matrices import matrices
-from bench.stability.spectra import INFINITY, eigenvalues, multiple, radii
+from bench.stability.spectra import INFINITY, eigenvalues, radii
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
+from integrators.multistep import multiple
 
 Word = tuple[int, ...]
 

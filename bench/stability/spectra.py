@@ -16,6 +16,7 @@ import numpy as np
 from bench.stability.matrices import Matrices, matrices, steppable
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
+from integrators.multistep import multiple
 
 if TYPE_CHECKING:
     from jaxtyping import Complex, Float
@@ -26,9 +27,6 @@ OMEGA_H = np.geomspace(1e-2, 1e4, 181)
 INFINITY = 1e6
 #: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
 GROWTH = 1e-9
-#: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
-#: the k-th root of rounding, and like 1/INFINITY.
-_ONE_ROOT = 1e-3
 #: A pair whose imaginary part is below this is real.
 _REAL = 1e-7
 #: Number of first steps in which the overshoot is sought.
@@ -160,23 +158,6 @@ def eigenvalues(a: Float[np.ndarray, "k n n"]) -> Complex[np.ndarray, "k n"]:
 def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
     """Return spectral radii from eigenvalues."""
     return np.abs(roots).max(axis=1)
-
-
-def multiple(
-    roots: Complex[np.ndarray, " n"], within: float = _ONE_ROOT
-) -> list[tuple[complex, int]]:
-    """Return roots with their multiplicities, the largest first.
-
-    Rounding eps scatters a k-fold root by eps^(1/k), but moves the mean of its parts only by eps.
-    """
-    groups: list[list[complex]] = []
-    for root in sorted(roots[np.isfinite(roots)], key=abs, reverse=True):
-        near = [g for g in groups if abs(np.mean(g) - root) < within]
-        if near:
-            near[0].append(root)
-        else:
-            groups.append([root])
-    return [(complex(np.mean(g)), len(g)) for g in groups]
 
 
 def principal(

@@ -13,14 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from bench.sweeps.batched_steps import ChosenSteps, ConstantSteps, Pace, distinct
-from integrators.contract import Integrator, Steps, Tolerances
-from integrators.native.adaptive_loop import AdaptiveMethod
-from integrators.native.time_loop import StepMethod
+from bench.sweeps.batched_steps import Run, distinct, times_of
+from integrators.contract import Integrator
 from problems.batched_initial_values import consistent_starts
 from problems.formulations import complete
 from problems.runtime import jax
@@ -33,14 +31,6 @@ _MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
 _MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
 #: Rows that a kernel has room for, about.
 _ROWS = 256
-
-
-class Run(NamedTuple):
-    """One of many runs. What is equal in several of them is made once."""
-
-    scene: MechatronicSystem
-    method: Integrator
-    resolution: Steps | Tolerances
 
 
 @dataclass(frozen=True)
@@ -67,19 +57,14 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
     reason = method.supports(scene)
     if reason:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
-    if _marching(method, scene) is None:
+    if method.step_method(scene) is None:
         constant = method.at_constant_steps()
-        able = constant is not None and constant.stepped(scene) is not None
+        able = constant.spec if constant and constant.step_method(scene) else ""
         raise SpecError(
             f"{method.spec} cannot run many members in one program: that takes steps written as "
             f"JAX functions of a state; take "
-            f"{constant.spec if able else 'a StepMethod such as generalized_alpha'}."
+            f"{able or 'a StepMethod such as generalized_alpha'}."
         )
-
-
-def _marching(method: Integrator, scene: MechatronicSystem) -> StepMethod | None:
-    """What marches in numbers, at constant steps or at steps of its own."""
-    return method if isinstance(method, AdaptiveMethod) else method.stepped(scene)
 
 
 class Batch:
@@ -107,17 +92,19 @@ class Batch:
     ) -> None:
         scenes, self._of_scene = distinct(run.scene for run in runs)
         pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)
-        steppers = [_marching(method, scene) for method, scene in pairs]
-        kinds = {stepper.functions() for stepper in steppers}, {s.template() for s in scenes}
+        methods = [method.step_method(scene) for method, scene in pairs]
+        by_id = {id(method): method for method in methods}  # many scenes may share one
+        programs = {k: m.program(scenes[0], sparse=False) for k, m in by_id.items()}
+        kinds = {program for program, _ in programs.values()}, {s.template() for s in scenes}
         if any(len(kind) > 1 for kind in kinds):
             raise SpecError(
                 "The members need different compiled programs; only float parameters of the "
                 "scene, numeric options of the integrator and steps or tolerances can differ."
             )
-        self._kernel = steppers[0].kernel(scenes[0])
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
-        self._states_only, self._every_row = steppers[0].states_only, every_row
-        self._pace = _pace(runs, t_end, every_row)
+        self._times = times_of(runs, t_end, every_row)
+        self._kernel = self._times.kernel(kinds[0].pop(), self._template)
+        self._states_only, self._every_row = methods[0].states_only, every_row
         self._starts, without = consistent_starts(scenes)
         refused = {
             k: ("unsupported", reason)
@@ -130,21 +117,20 @@ class Batch:
             if scene in without
         }
         settings = [scene.parameters() for scene in scenes]
-        by_id = {id(stepper): stepper for stepper in steppers}  # many scenes may share one
-        keys, of_stepper = distinct(map(id, steppers))
-        numbers = [by_id[key].numbers() for key in keys]
+        keys, of_method = distinct(map(id, methods))
+        numbers = [programs[key][1] for key in keys]
         start = jax.tree.map(lambda leaf: leaf[0], self._starts)
         # Packing one tells the kernel how its numbers are arranged: one part after the other.
-        self._kernel.pack(settings[0], numbers[0], start, self._pace.numbers[0])
+        self._kernel.pack(settings[0], numbers[0], start, self._times.numbers[0])
         names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
         leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
         self._parameters = np.array([[values[name] for name in names] for values in settings])
         self._tables = [
             (self._parameters, self._of_scene),
-            (_table(numbers), of_stepper[self._of_pair]),
+            (_table(numbers), of_method[self._of_pair]),
             (np.concatenate(leaves, axis=1), self._of_scene),
         ]
-        self._times = _table(self._pace.numbers)
+        self._time_table = _table(self._times.numbers)
         self._lanes = lanes or _lanes(self._sizes, len(runs))
 
     def blocks(self, jobs: int | None = None) -> Iterator[Block]:
@@ -152,7 +138,7 @@ class Batch:
 
         The longest runs come first, so that the last block to end is a short one.
         """
-        order = self._pace.longest_first()
+        order = self._times.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
         jobs = jobs or _processors()
         pool = ThreadPoolExecutor(jobs)
@@ -175,8 +161,8 @@ class Batch:
 
     def _called(self, lanes: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
         tables = [table[of[lanes]] for table, of in self._tables]
-        packed = np.concatenate([*tables, self._times[self._pace.of(lanes, idle)]], axis=1)
-        return self._kernel.batched(packed, *self._pace.wanted(lanes, idle))
+        packed = np.concatenate([*tables, self._time_table[self._times.of(lanes, idle)]], axis=1)
+        return self._kernel.batched(packed, *self._times.wanted(lanes, idle))
 
     def _block(self, members: np.ndarray) -> Block:
         # The last member fills the block up, so that one size is compiled; it takes no step there.
@@ -185,7 +171,7 @@ class Batch:
         scene, pair = self._of_scene[lanes], self._of_pair[lanes]
         idle = (np.arange(self._lanes) >= count) | np.isin(pair, list(self._refused))
         answer = tuple(np.array(part) for part in self._called(lanes, idle))
-        t, table, row_counts, ends, counts = self._pace.read(lanes, answer)
+        t, table, row_counts, ends, counts = self._times.read(lanes, answer)
         values = _split(table, self._sizes)
         if self._states_only:
             values |= self._completed(scene, t, values)
@@ -203,7 +189,7 @@ class Batch:
         refused = self._refused.get(int(self._of_pair[member]))
         if refused:
             return refused
-        status, message = self._pace.outcome(member, end)
+        status, message = self._times.outcome(member, end)
         if status == "ok" and not finite:
             return "diverged", "It ended with values that are not finite."
         return status, message
@@ -230,15 +216,7 @@ class Batch:
     @property
     def counts(self) -> tuple[str, ...]:
         """Names of the counts that mean something."""
-        return self._pace.counts[:1] if self._states_only else self._pace.counts
-
-
-def _pace(runs: Sequence[Run], t_end: float, every_row: bool) -> Pace:
-    t0, resolutions = runs[0].scene.interval[0], [run.resolution for run in runs]
-    if isinstance(runs[0].method, AdaptiveMethod):
-        methods = [run.method for run in runs]
-        return ChosenSteps(resolutions, methods, t0, t_end, every_row)
-    return ConstantSteps(resolutions, t0, t_end, every_row)
+        return self._times.counts[:1] if self._states_only else self._times.counts
 
 
 def _table(trees: Sequence[Any]) -> np.ndarray:

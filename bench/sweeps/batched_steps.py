@@ -1,6 +1,7 @@
-"""How runs side by side go in time: at constant steps, or at steps that follow a tolerance.
+"""The times of many runs: constant steps, or steps that follow a tolerance.
 
-A pace gives a compiled march what it takes last, and reads the rows and the ending that it returns.
+An object of times gives a compiled time loop its last arguments, and reads the rows and the ending
+that it returns.
 """
 
 from __future__ import annotations
@@ -10,9 +11,22 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from integrators.contract import Steps, Tolerances
-from integrators.native import adaptive_loop, time_loop
-from integrators.native.adaptive_loop import AdaptiveMethod
+from integrators.contract import Integrator, Steps, Tolerances
+from integrators.native import adaptive_steps, constant_steps
+from integrators.native.adaptive_steps import Span
+from integrators.native.endings import Ending
+from integrators.native.kernel import Kernel
+from integrators.native.step_functions import StepReport
+from integrators.native.step_program import StepProgram
+from problems.system import MechatronicSystem
+
+
+class Run(NamedTuple):
+    """One of many runs. What is equal in several of them is made once."""
+
+    scene: MechatronicSystem
+    method: Integrator
+    resolution: Steps | Tolerances
 
 
 class Rows(NamedTuple):
@@ -27,44 +41,57 @@ class Rows(NamedTuple):
     counts: np.ndarray
 
 
-class Pace(Protocol):
+class Times(Protocol):
     """The time of many runs; ``places`` are places among all of them."""
 
     #: Names of what is counted.
     counts: tuple[str, ...]
-    #: What a march takes last, for each that is different.
+    #: The last argument of a kernel, for each that is different.
     numbers: list[Any]
+
+    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
+        """The compiled time loop of a method on a kind of scene."""
+        ...
 
     def longest_first(self) -> np.ndarray:
         """The places of all runs in the order in which they are best begun."""
+        ...
 
     def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
         """Places in ``numbers``; those that are idle shall take no step."""
+        ...
 
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
-        """Which rows a march shall keep, as it takes them."""
+        """Which rows a kernel shall keep, as it takes them."""
+        ...
 
     def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
-        """What a march returned."""
+        """Rows and endings from what a kernel returned."""
+        ...
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         """Status and message of a run."""
+        ...
 
 
 class ConstantSteps:
     """Runs at constant steps, or patterns of them."""
 
-    counts = ("steps", *time_loop.StepReport._fields[1:])
+    counts = ("steps", *StepReport._fields[1:])
 
     def __init__(self, steps: Sequence[Steps], t0: float, t_end: float, every_row: bool) -> None:
+        self._t_end = t_end
         different, self._of = distinct(steps)
-        clocks, rows = zip(*(time_loop.grid(t0, t_end, s) for s in different), strict=True)
+        clocks, rows = zip(*(constant_steps.grid(t0, t_end, s) for s in different), strict=True)
         rows = [numbers if every_row else numbers[-1:] for numbers in rows]
         self.numbers = list(clocks)
         self._row_counts = np.array([len(numbers) for numbers in rows])
         self._rows = np.zeros((len(rows), self._row_counts.max()), dtype=np.int64)
         for table, numbers in zip(self._rows, rows, strict=True):
             table[: len(numbers)] = numbers
+
+    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
+        return constant_steps.kernel(program, template)
 
     def longest_first(self) -> np.ndarray:
         return np.argsort(-self._rows.max(axis=1)[self._of], kind="stable")
@@ -83,29 +110,33 @@ class ConstantSteps:
         return Rows(table[:, :, 1], table[:, :, 2:], self._row_counts[of], end[:, :2], end[:, 2:])
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
-        return time_loop.outcome(int(ending[0]), float(ending[1]))
+        return Ending(int(ending[0])).outcome(float(ending[1]), self._t_end)
 
 
 class ChosenSteps:
     """Runs whose steps follow a tolerance."""
 
-    counts = ("steps", "rejected", *time_loop.StepReport._fields[1:])
+    counts = ("steps", "rejected", *StepReport._fields[1:])
 
     def __init__(
         self,
         tolerances: Sequence[Tolerances],
-        methods: Sequence[AdaptiveMethod],
+        step_limits: Sequence[int],
         t0: float,
         t_end: float,
         every_row: bool,
     ) -> None:
         self._every_row = every_row
         spans = [
-            method.span(t0, t_end, asked) for asked, method in zip(tolerances, methods, strict=True)
+            Span(t0, t_end, asked.rtol, asked.atol, most)
+            for asked, most in zip(tolerances, step_limits, strict=True)
         ]
         self.numbers, self._of = distinct(spans)
         # A run over no time takes no step.
         self.numbers.append(self.numbers[0]._replace(t_end=t0))
+
+    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
+        return adaptive_steps.kernel(program, template)
 
     def longest_first(self) -> np.ndarray:
         return np.argsort([self.numbers[k].rtol for k in self._of], kind="stable")
@@ -121,7 +152,7 @@ class ChosenSteps:
         tables = np.concatenate([early, spread, last[:, None]], axis=1)
         if not self._every_row:
             tables[end[:, 0] != 0] = 0  # an end that was not reached is no row
-        kept = [adaptive_loop.in_order(table) for table in tables]
+        kept = [adaptive_steps.in_order(table) for table in tables]
         complete = np.array([max(1, len(rows)) for rows in kept])
         table = np.full((len(kept), complete.max(), last.shape[1]), np.nan)
         for place, rows in zip(table, kept, strict=True):
@@ -130,7 +161,18 @@ class ChosenSteps:
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         span = self.numbers[self._of[place]]
-        return adaptive_loop.outcome(int(ending[0]), float(ending[1]), span)
+        return Ending(int(ending[0])).outcome(float(ending[1]), span.t_end, span.max_steps)
+
+
+def times_of(runs: Sequence[Run], t_end: float, every_row: bool) -> Times:
+    """The times of runs that all have steps, or all have tolerances."""
+    t0 = runs[0].scene.interval[0]
+    steps = [run.resolution for run in runs if isinstance(run.resolution, Steps)]
+    if steps:
+        return ConstantSteps(steps, t0, t_end, every_row)
+    tolerances = [run.resolution for run in runs if isinstance(run.resolution, Tolerances)]
+    limits = [run.method.step_method(run.scene).step_limit for run in runs]
+    return ChosenSteps(tolerances, limits, t0, t_end, every_row)
 
 
 def distinct(values: Iterable[Any]) -> tuple[list[Any], np.ndarray]:

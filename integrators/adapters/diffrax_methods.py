@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from integrators.adapters.diffrax_runs import AdaptiveRun, ConstantRun, marched
+from integrators.adapters.diffrax_constant import ConstantRun, DiffraxStepMethod
+from integrators.adapters.diffrax_runs import AdaptiveRun
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
-from integrators.native.time_loop import StepMethod
+from integrators.native.step_method import NativeMethod
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
@@ -60,8 +61,8 @@ class DiffraxSolver(Integrator):
     def at_constant_steps(self) -> Integrator | None:
         return replace(self, steps="constant")
 
-    def stepped(self, scene: MechatronicSystem) -> StepMethod | None:
-        return marched(self, scene, counted=False) if self.controls == "step" else None
+    def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
+        return DiffraxStepMethod(self, scene) if self.controls == "step" else None
 
     @staticmethod
     @abstractmethod

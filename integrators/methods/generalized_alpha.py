@@ -12,14 +12,17 @@ from typing import Any, ClassVar
 
 from integrators.contract import option
 from integrators.methods.generalized_alpha_step import (
-    FUNCTIONS,
+    AlphaStep,
+    FirstOrder,
     Scheme,
+    SecondOrder,
     first_order_parameters,
     second_order_parameters,
 )
-from integrators.native.time_loop import StepMethod
-from problems.formulations import Start, is_large
-from problems.sparsity import is_chosen
+from integrators.methods.generalized_alpha_theory import recurrence_of
+from integrators.multistep import MultistepForm
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_method import NewtonOptions
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -33,33 +36,14 @@ def _gamma_policy() -> Any:
 
 
 @dataclass(frozen=True)
-class AlphaMethod(StepMethod):
+class AlphaMethod(NewtonOptions):
     """Base of the members of the family: a member only says which scheme it is."""
 
     family: ClassVar[str] = "generalized-alpha"
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False
-    guarded: ClassVar[bool] = True
 
-    newton_tol: float = option(
-        1e-12,
-        "relative error that Newton's method may leave in a, lam, xdot and y",
-        low=1e-15,
-        high=1e-2,
-    )
-    newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
-
-    newton: str = option(
-        "full",
-        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
-        choices=("full", "modified"),
-    )
-    linear_solver: str = option(
-        "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
-        choices=("auto", "dense", "sparse"),
-    )
     formulation: str = option(
         "index3",
         "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
@@ -72,12 +56,26 @@ class AlphaMethod(StepMethod):
     )
 
     @property
+    def guarded(self) -> bool:
+        """Whether sharp cuts restart the recurrence, where weights are updated."""
+        return True
+
+    @property
     def affinity(self) -> str:
         return f"{self.family} {self.formulation} {self.newton}"
 
     @abstractmethod
-    def parameters(self) -> tuple[float, ...]:
-        """alpha_m, alpha_f, beta, gamma, delta_m, delta_f, theta; is gamma updated?; classical?"""
+    def second_order(self) -> SecondOrder:
+        """The algorithmic parameters for q."""
+
+    @abstractmethod
+    def first_order(self) -> FirstOrder:
+        """The algorithmic parameters for x."""
+
+    @property
+    def updated(self) -> bool:
+        """Whether gamma and theta follow the step ratio."""
+        return False
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         s, claims = self.scheme(), dict(self.orders)
@@ -92,26 +90,17 @@ class AlphaMethod(StepMethod):
 
     def scheme(self) -> Scheme:
         """All that the step is told of this member."""
-        corrected = self.start == "corrected"
-        solver = self.newton_tol, self.newton_max
-        return Scheme(*self.parameters(), corrected, *solver, self.guarded)
+        policy = self.updated, self.classical, self.start == "corrected", self.guarded
+        return Scheme(*self.second_order(), *self.first_order(), *policy)
 
     def numbers(self) -> Any:
         return self.scheme()
 
-    def functions(self) -> tuple[Any, ...]:
-        return FUNCTIONS[self.formulation, self.newton]
+    def functions(self) -> StepFunctions:
+        return AlphaStep(self.formulation == "stabilised_index2")
 
-    def on(self, scene: MechatronicSystem, start: Start) -> Any:
-        def sparse() -> Any:
-            from integrators.methods.generalized_alpha_sparse import SparseAlpha
-
-            return SparseAlpha(self.scheme(), self.formulation, self.newton, scene, start)
-
-        chosen = is_chosen(self.linear_solver, is_large(scene), lambda: sparse().pattern())
-        return sparse() if chosen else self
-
-    begin, step, read = map(staticmethod, FUNCTIONS["index3", "full"])
+    def multistep_form(self) -> MultistepForm | None:
+        return recurrence_of(self.scheme()).form
 
 
 @dataclass(frozen=True)
@@ -142,17 +131,17 @@ class GeneralizedAlpha(AlphaMethod):
 
     @property
     def guarded(self) -> bool:
-        """Whether sharp cuts restart the recurrence."""
         return self.gamma != "unguarded"
 
-    def parameters(self) -> tuple[float, ...]:
-        rho_x = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
-        return (
-            *second_order_parameters(self.rho_inf),
-            *first_order_parameters(rho_x),
-            self.gamma != "fixed",
-            self.classical,
-        )
+    @property
+    def updated(self) -> bool:
+        return self.gamma != "fixed"
+
+    def second_order(self) -> SecondOrder:
+        return second_order_parameters(self.rho_inf)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters(self.rho_inf if self.rho_inf_x is None else self.rho_inf_x)
 
 
 @dataclass(frozen=True)
@@ -182,18 +171,16 @@ class HHT(AlphaMethod):
                 f"known to be stable at every step; give any_alpha=true to take it all the same."
             )
 
-    def parameters(self) -> tuple[float, ...]:
+    @property
+    def updated(self) -> bool:
+        return self.gamma == "updated"
+
+    def second_order(self) -> SecondOrder:
         gamma = 0.5 + self.alpha
-        rho_inf = (1 - self.alpha) / (1 + self.alpha)
-        return (
-            0.0,
-            self.alpha,
-            0.25 * (gamma + 0.5) ** 2,
-            gamma,
-            *first_order_parameters(rho_inf),
-            self.gamma == "updated",
-            self.classical,
-        )
+        return SecondOrder(0.0, self.alpha, 0.25 * (gamma + 0.5) ** 2, gamma)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters((1 - self.alpha) / (1 + self.alpha))
 
 
 @dataclass(frozen=True)
@@ -207,18 +194,17 @@ class WBZ(AlphaMethod):
     )
     gamma: str = _gamma_policy()
 
-    def parameters(self) -> tuple[float, ...]:
+    @property
+    def updated(self) -> bool:
+        return self.gamma == "updated"
+
+    def second_order(self) -> SecondOrder:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
         gamma = 0.5 - alpha_m
-        return (
-            alpha_m,
-            0.0,
-            0.25 * (gamma + 0.5) ** 2,
-            gamma,
-            *first_order_parameters(self.rho_inf),
-            self.gamma == "updated",
-            self.classical,
-        )
+        return SecondOrder(alpha_m, 0.0, 0.25 * (gamma + 0.5) ** 2, gamma)
+
+    def first_order(self) -> FirstOrder:
+        return first_order_parameters(self.rho_inf)
 
 
 @dataclass(frozen=True)
@@ -257,8 +243,11 @@ class Newmark(AlphaMethod):
             )
         return None
 
-    def parameters(self) -> tuple[float, ...]:
-        return 0.0, 0.0, self.beta, self.gamma, 0.0, 0.0, self.gamma, False, self.classical
+    def second_order(self) -> SecondOrder:
+        return SecondOrder(0.0, 0.0, self.beta, self.gamma)
+
+    def first_order(self) -> FirstOrder:
+        return FirstOrder(0.0, 0.0, self.gamma)
 
 
 _CLASSICAL_ORDERS = {"q": 2, "v": 2, "a": 1, "lam": 2}

@@ -18,40 +18,46 @@ divided differences of the true a and xdot, which no start-up error of the auxil
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.contract import Integrator, option
+from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_step import (
-    FUNCTIONS,
     AlphaState,
+    AlphaStep,
     Scheme,
     safe_ratio,
     weights,
 )
-from integrators.native.adaptive_loop import AdaptiveMethod, Errors
-from integrators.native.time_loop import Reading, StepReport
+from integrators.native.step_functions import Errors, Reading, StepFunctions
+from integrators.native.step_method import ErrorControl
 from problems.formulations import Start
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from integrators.native.step_functions import Scalar
+    from integrators.native.step_work import StepWork
+
 #: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps
 #: but not the stability at every step: these are a few percent below the largest ratios at which
 #: no pattern of up to six steps grows (``stepbench stability --ratios any``).
-_GROWTH = ((0.0, 2.0), (0.5, 2.0), (0.6, 1.75), (0.7, 1.4), (0.8, 1.15), (0.9, 1.03), (1.0, 1.01))
+_RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+_GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
-class _Numbers(NamedTuple):
+class Numbers(NamedTuple):
+    """A scheme, whether a and lam are in the error test, and the largest ratio of steps."""
+
     scheme: Scheme
     all_tested: bool
     growth: float
 
 
-class _State(NamedTuple):
+class State(NamedTuple):
     """A state of the method with the bends, and the last divided differences of a, xdot and lam
     over a step of size ``gap`` (at the start the exact derivatives, over none)."""
 
@@ -64,39 +70,83 @@ class _State(NamedTuple):
     gap: Any
 
 
-def _begin(begin: Any, scene: MechatronicSystem, numbers: _Numbers, start: Start, h: Any) -> _State:
-    zero = 0.0 * h
-    alpha = begin(scene, numbers.scheme, start, h)
-    return _State(alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero)
+@dataclass(frozen=True)
+class AdaptiveAlphaStep(StepFunctions):
+    """The step functions of the family with the error estimate."""
+
+    step_of: AlphaStep
+    own: Any = None
+
+    order = 2
+
+    def with_numbers(self, numbers: Numbers) -> AdaptiveAlphaStep:
+        return replace(self, step_of=self.step_of.with_numbers(numbers.scheme), own=numbers)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> State:
+        zero = 0.0 * h
+        alpha = self.step_of.begin(scene, start, h)
+        return State(alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero)
+
+    def step(
+        self, scene: MechatronicSystem, state: State, t: Scalar, h: Scalar, work: StepWork
+    ) -> State:
+        s, before = self.own.scheme, state.alpha
+        alpha = self.step_of.step(scene, before, t, h, work)
+        bend, bend_x = bends_before(s, state, h)
+        return State(
+            alpha,
+            bend_after(s.alpha_m, s.alpha_f, bend, alpha.shift, h),
+            bend_after(s.delta_m, s.delta_f, bend_x, alpha.shift_x, h),
+            (alpha.a - before.a) / h,
+            (alpha.xdot - before.xdot) / h,
+            (alpha.lam - before.lam) / h,
+            h,
+        )
+
+    def read(self, state: State) -> Reading:
+        return self.step_of.read(state.alpha)
+
+    def estimate(self, before: State, after: State, h: Scalar) -> Errors:
+        """Local errors of q, v and x; for a and lam the error of a straight line between steps."""
+        s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
+        bend, bend_x = bends_before(s, before, h)
+
+        def of_rate(weight: Any, shifts: tuple, bends: tuple, rate: Any, old_rate: Any) -> Any:
+            """Local error of v or x; its first part vanishes if the weight is updated."""
+            first = (1 - weight) * shifts[0] + weight * (h + shifts[1]) - h / 2
+            bend_end = bends[1] + h * shifts[1] + h**2 / 2
+            then = (1 - weight) * bends[0] + weight * bend_end - h**2 / 6
+            return h * (first * rate + then * second(rate, old_rate))
+
+        def second(now: Any, old: Any) -> Any:
+            return 2 * (now - old) / (h + before.gap)
+
+        curve_a = second(after.rate_a, before.rate_a)
+        curve_lam = second(after.rate_lam, before.rate_lam) * (before.gap > 0)
+        tested = jnp.where(self.own.all_tested, h**2 / 8, 0.0)
+        c_q = (0.5 - s.beta) * w.shift + s.beta * (h + w.shift_end) - h / 6
+        shifts, shifts_x = (w.shift, w.shift_end), (w.shift_x, w.shift_x_end)
+        return Errors(
+            q=h**2 * c_q * after.rate_a,
+            v=of_rate(w.gamma, shifts, (bend, after.bend), after.rate_a, before.rate_a),
+            x=of_rate(w.theta, shifts_x, (bend_x, after.bend_x), after.rate_xdot, before.rate_xdot),
+            a=tested * curve_a,
+            lam=tested * curve_lam,
+        )
+
+    def ratios(self) -> tuple[Scalar, Scalar]:
+        """The cut down to which updated gamma and theta need no restart, and the largest growth."""
+        s, growth = self.own.scheme, self.own.growth
+        safe = jnp.maximum(safe_ratio(s.alpha_m), safe_ratio(s.delta_m))
+        return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / growth), growth
 
 
-def _bend(m: Any, f: Any, bend: Any, shift_end: Any, h: Any) -> Any:
+def bend_after(m: Any, f: Any, bend: Any, shift_end: Any, h: Any) -> Any:
+    """The bend k+ of the recurrence above, where m, f are alpha_m, alpha_f or delta_m, delta_f."""
     return ((m - f) * h**2 / 2 - m * bend) / (1 - m) - h * shift_end
 
 
-def _step(
-    step: Any,
-    scene: MechatronicSystem,
-    numbers: _Numbers,
-    state: _State,
-    t: Any,
-    h: Any,
-) -> tuple[_State, StepReport]:
-    s, before = numbers.scheme, state.alpha
-    alpha, report = step(scene, s, before, t, h)
-    bend, bend_x = _bends(s, state, h)
-    return _State(
-        alpha,
-        _bend(s.alpha_m, s.alpha_f, bend, alpha.shift, h),
-        _bend(s.delta_m, s.delta_f, bend_x, alpha.shift_x, h),
-        (alpha.a - before.a) / h,
-        (alpha.xdot - before.xdot) / h,
-        (alpha.lam - before.lam) / h,
-        h,
-    ), report
-
-
-def _bends(s: Scheme, state: _State, h: Any) -> tuple[Any, Any]:
+def bends_before(s: Scheme, state: State, h: Any) -> tuple[Any, Any]:
     """The bends at the start of a step: none after a restart, which also has no shift."""
     w = weights(s, state.alpha, h)
     return (
@@ -105,72 +155,8 @@ def _bends(s: Scheme, state: _State, h: Any) -> tuple[Any, Any]:
     )
 
 
-def _read(read: Any, state: _State) -> Reading:
-    return read(state.alpha)
-
-
-def _estimate(numbers: _Numbers, before: _State, after: _State, h: Any) -> Errors:
-    """Local errors of q, v and x; for a and lam what a straight line between two steps leaves."""
-    s, w = numbers.scheme, weights(numbers.scheme, before.alpha, h)
-    bend, bend_x = _bends(s, before, h)
-
-    def of_rate(weight: Any, shifts: tuple, bends: tuple, rate: Any, old_rate: Any) -> Any:
-        """Local error of v or x; its first part vanishes if the weight is updated."""
-        first = (1 - weight) * shifts[0] + weight * (h + shifts[1]) - h / 2
-        bend_end = bends[1] + h * shifts[1] + h**2 / 2
-        then = (1 - weight) * bends[0] + weight * bend_end - h**2 / 6
-        return h * (first * rate + then * second(rate, old_rate))
-
-    def second(now: Any, old: Any) -> Any:
-        return 2 * (now - old) / (h + before.gap)
-
-    curve_a = second(after.rate_a, before.rate_a)
-    curve_lam = second(after.rate_lam, before.rate_lam) * (before.gap > 0)
-    tested = jnp.where(numbers.all_tested, h**2 / 8, 0.0)
-    c_q = (0.5 - s.beta) * w.shift + s.beta * (h + w.shift_end) - h / 6
-    return Errors(
-        q=h**2 * c_q * after.rate_a,
-        v=of_rate(
-            w.gamma,
-            (w.shift, w.shift_end),
-            (bend, after.bend),
-            after.rate_a,
-            before.rate_a,
-        ),
-        x=of_rate(
-            w.theta,
-            (w.shift_x, w.shift_x_end),
-            (bend_x, after.bend_x),
-            after.rate_xdot,
-            before.rate_xdot,
-        ),
-        a=tested * curve_a,
-        lam=tested * curve_lam,
-    )
-
-
-def _ratios(numbers: _Numbers) -> tuple[Any, Any]:
-    """The cut down to which updated gamma and theta need no restart, and the largest growth."""
-    s = numbers.scheme
-    safe = jnp.maximum(safe_ratio(s.alpha_m), safe_ratio(s.delta_m))
-    return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / numbers.growth), numbers.growth
-
-
-_FUNCTIONS = {
-    key: (
-        partial(_begin, begin),
-        partial(_step, step),
-        partial(_read, read),
-        _estimate,
-        _ratios,
-        2,
-    )
-    for key, (begin, step, read) in FUNCTIONS.items()
-}
-
-
 @dataclass(frozen=True)
-class GeneralizedAlphaAdaptive(AdaptiveMethod, GeneralizedAlpha):
+class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
     """Generalized-alpha with error-controlled steps, true accelerations and updated gamma."""
 
     source: ClassVar[str] = (
@@ -207,12 +193,9 @@ class GeneralizedAlphaAdaptive(AdaptiveMethod, GeneralizedAlpha):
         choices=("states", "all"),
     )
 
-    def numbers(self) -> _Numbers:
-        growth = float(np.interp(self.rho_inf, *zip(*_GROWTH, strict=True)))
-        return _Numbers(self.scheme(), self.error_test == "all", growth)
+    def numbers(self) -> Numbers:
+        growth = float(np.interp(self.rho_inf, _RHO, _GROWTH))
+        return Numbers(self.scheme(), self.error_test == "all", growth)
 
-    def functions(self) -> tuple[Any, ...]:
-        return _FUNCTIONS[self.formulation, self.newton]
-
-    def at_constant_steps(self) -> Integrator | None:
-        return None
+    def functions(self) -> StepFunctions:
+        return AdaptiveAlphaStep(AlphaStep(self.formulation == "stabilised_index2"))

@@ -27,17 +27,22 @@ they take ``aux`` for the acceleration: they report it and feed it to the contro
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.native.newton import DENSE, Linear, newton
-from integrators.native.time_loop import Reading, StepReport, largest
+from integrators.native.step_functions import Reading, StepFunctions, largest
 from problems import formulations
 from problems.formulations import Start
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
+
+    from integrators.native.step_functions import Scalar
+    from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
 #: Unknowns are guessed ahead where that was so much better than staying put the last time; in a
@@ -60,50 +65,65 @@ class Scheme(NamedTuple):
     updated: bool
     classical: bool
     corrected: bool
-    newton_tol: float
-    newton_max: int
     guarded: bool
 
 
+class SecondOrder(NamedTuple):
+    """Algorithmic parameters for q."""
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+
+
+class FirstOrder(NamedTuple):
+    """Algorithmic parameters for x."""
+
+    delta_m: float
+    delta_f: float
+    theta: float
+
+
 class AlphaState(NamedTuple):
-    """Everything that a step hands to the next; ``shift`` and ``shift_x`` are the times by which
-    the auxiliary values run ahead of the true ones (delta in the linear form of eqs 28-30), ``h``
-    is the last step and ``gamma``, ``theta`` were its weights, ``seen`` is the acceleration that is
-    reported, ``kept`` what modified Newton keeps of a tangent (empty in full Newton),
-    ``slopes`` are the first and second divided differences of the unknowns, for the next guess,
-    and ``smooth`` says whether guessing by them would have been right the last time."""
+    """Everything that a step hands to the next one."""
 
-    q: Any
-    v: Any
-    a: Any
-    aux: Any
-    lam: Any
-    x: Any
-    xdot: Any
-    auxx: Any
-    y: Any
-    shift: Any
-    shift_x: Any
-    h: Any
-    gamma: Any
-    theta: Any
-    seen: Any
-    kept: Any
-    slopes: Any
-    smooth: Any
+    q: Array
+    v: Array
+    a: Array
+    #: The auxiliary acceleration.
+    aux: Array
+    lam: Array
+    x: Array
+    xdot: Array
+    auxx: Array
+    y: Array
+    #: Times by which the auxiliary values run ahead of the true ones (delta in eqs 28-30).
+    shift: Scalar
+    shift_x: Scalar
+    #: Size and weights of the last step.
+    h: Scalar
+    gamma: Scalar
+    theta: Scalar
+    #: The acceleration that is reported.
+    seen: Array
+    #: First and second divided differences of the unknowns, for the next guess.
+    slopes: Array
+    #: Whether a guess by them would have been right the last time.
+    smooth: Array
 
 
-def second_order_parameters(rho_inf: float) -> tuple[float, float, float, float]:
-    """alpha_m, alpha_f, beta, gamma of Chung & Hulbert (1993) in the paper's signs."""
+def second_order_parameters(rho_inf: float) -> SecondOrder:
+    """The parameters for q of Chung & Hulbert (1993) in the paper's signs."""
     alpha_m, alpha_f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     gamma = 0.5 + alpha_f - alpha_m
-    return alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma
+    return SecondOrder(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
 
 
-def first_order_parameters(rho_inf: float) -> tuple[float, float, float]:
-    """delta_m, delta_f, theta of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
+def first_order_parameters(rho_inf: float) -> FirstOrder:
+    """The parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
     delta_m, delta_f = (3 * rho_inf - 1) / (2 * (rho_inf + 1)), rho_inf / (rho_inf + 1)
-    return delta_m, delta_f, 0.5 + delta_f - delta_m
+    return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m)
 
 
 def updated_weight(alpha_m: Any, alpha_f: Any, shift: Any, h: Any) -> tuple[Any, Any]:
@@ -123,12 +143,6 @@ def safe_ratio(alpha_m: Any) -> Any:
     1 - alpha_m; sharper cuts can send gamma to infinity.
     """
     return alpha_m / (1 - alpha_m)
-
-
-def read(state: AlphaState) -> Reading:
-    """The variables of a state, and the step's own weights."""
-    s = state
-    return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))
 
 
 class Weights(NamedTuple):
@@ -168,41 +182,6 @@ def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
         shift_end=shift_end,
         shift_x_end=shift_x_end,
     )
-
-
-def begin(
-    stabilised: bool,
-    modified: bool,
-    scene: MechatronicSystem,
-    numbers: Scheme,
-    start: Start,
-    h: Any,
-    constrained_jerk: Any = None,
-) -> AlphaState:
-    """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
-
-    On index 3 the shift alone leaves a first-order transient in lambda; it is gone with
-    v0 + C h^2 Q jerk, C = 1/6 - beta - (alpha_m - alpha_f)/2, where Q projects on the range of
-    M^-1 Phi_q^T; this product may be given as ``constrained_jerk``.
-    """
-    z, s, on = start.z, numbers, jnp.where(numbers.corrected, 1.0, 0.0)
-    shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
-    v = z.v
-    if scene.sizes.nl and not stabilised:
-        c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
-        part = constrained_jerk
-        if part is None:
-            part = formulations.constrained_part(scene, z.q, z.t, start.jerk)
-        v = v + on * c * h**2 * part
-    aux = z.a + on * shift * start.jerk
-    auxx = start.xdot + on * shift_x * start.xddot
-    n = scene.sizes.nq + scene.sizes.nl * (2 if stabilised else 1) + scene.sizes.nx + scene.sizes.ny
-    inverse = jnp.full((n, n) if modified else (0, 0), jnp.nan)  # none yet
-    return AlphaState(
-        z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma, s.theta,
-        z.a, inverse, jnp.full((2, sum(scene.sizes)), jnp.nan),
-        jnp.asarray(False),
-    )  # fmt: skip
 
 
 class Equations(NamedTuple):
@@ -282,40 +261,6 @@ def equations(
     return Equations(residual, at, cuts, floors, aux_base, aux_slope, auxx_base, auxx_slope)
 
 
-def step(
-    stabilised: bool,
-    modified: bool,
-    scene: MechatronicSystem,
-    numbers: Scheme,
-    state: AlphaState,
-    t: Any,
-    h: Any,
-    linear: Linear = DENSE,
-) -> tuple[AlphaState, StepReport]:
-    """A step of size h to time t; ``linear`` as in `newton`."""
-    s = numbers
-    w = weights(s, state, h)
-    e = equations(stabilised, scene, s, state, w, t, h)
-    old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
-    ahead = extrapolated(old, state.slopes, h, state.h)
-    no_mu = jnp.zeros(scene.sizes.nl if stabilised else 0)
-    guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
-    guess = jnp.where(state.smooth, *guesses)
-    u, kept, report = newton(
-        e.residual, guess, guesses[1], e.cuts, s.newton_tol, s.newton_max, e.floors, state.kept,
-        linear,
-    )  # fmt: skip
-    z, xdot = e.at(u)
-    aux_end, auxx_end = e.aux_base + e.aux_slope * z.a, e.auxx_base + e.auxx_slope * xdot
-    seen = jnp.where(s.classical, aux_end, z.a)
-    new = jnp.concatenate([z.a, z.lam, xdot, z.y])
-    return AlphaState(
-        z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-        w.gamma, w.theta, seen, kept, differences(new, old, state.slopes, h, state.h),
-        largest(new - ahead) < _SMOOTH * largest(new - old),
-    ), report  # fmt: skip
-
-
 def extrapolated(u: Any, slopes: Any, h: Any, h_last: Any) -> Any:
     """The unknowns at the end of a step, from the parabola through the last three; NaN slopes are
     not known yet."""
@@ -329,14 +274,64 @@ def differences(new: Any, old: Any, slopes: Any, h: Any, h_last: Any) -> Any:
     return jnp.stack([first, (first - slopes[0]) / (h + h_last)])
 
 
-#: begin, step and read per formulation and kind of Newton's method; one object each, so
-#: that all members share one kernel.
-FUNCTIONS = {
-    (form, kind): (
-        partial(begin, form == "stabilised_index2", kind == "modified"),
-        partial(step, form == "stabilised_index2", kind == "modified"),
-        read,
-    )
-    for form in ("index3", "stabilised_index2")
-    for kind in ("full", "modified")
-}
+@dataclass(frozen=True)
+class AlphaStep(StepFunctions):
+    """The step functions of the family: all members are numbers, a `Scheme`."""
+
+    stabilised: bool
+    scheme: Any = None
+
+    order = 2
+
+    def with_numbers(self, numbers: Scheme) -> AlphaStep:
+        return replace(self, scheme=numbers)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> AlphaState:
+        """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
+
+        On index 3 the shift alone leaves a first-order transient in lambda. It is gone with
+        v0 + C h^2 Q jerk, C = 1/6 - beta - (alpha_m - alpha_f)/2, where Q projects on the range of
+        M^-1 Phi_q^T.
+        """
+        z, s = start.z, self.scheme
+        on = jnp.where(s.corrected, 1.0, 0.0)
+        shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
+        v = z.v
+        if scene.sizes.nl and not self.stabilised:
+            c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
+            part = start.constrained_jerk
+            if part is None:
+                part = formulations.constrained_part(scene, z.q, z.t, start.jerk)
+            v = v + on * c * h**2 * part
+        aux = z.a + on * shift * start.jerk
+        auxx = start.xdot + on * shift_x * start.xddot
+        return AlphaState(
+            z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma,
+            s.theta, z.a, jnp.full((2, sum(scene.sizes)), jnp.nan), jnp.asarray(False),
+        )  # fmt: skip
+
+    def step(
+        self, scene: MechatronicSystem, state: AlphaState, t: Scalar, h: Scalar, work: StepWork
+    ) -> AlphaState:
+        s = self.scheme
+        w = weights(s, state, h)
+        e = equations(self.stabilised, scene, s, state, w, t, h)
+        old = jnp.concatenate([state.a, state.lam, state.xdot, state.y])
+        ahead = extrapolated(old, state.slopes, h, state.h)
+        no_mu = jnp.zeros(scene.sizes.nl if self.stabilised else 0)
+        guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
+        guess = jnp.where(state.smooth, *guesses)
+        z, xdot = e.at(work.solve(e.residual, guess, guesses[1], e.cuts, e.floors))
+        aux_end, auxx_end = e.aux_base + e.aux_slope * z.a, e.auxx_base + e.auxx_slope * xdot
+        seen = jnp.where(s.classical, aux_end, z.a)
+        new = jnp.concatenate([z.a, z.lam, xdot, z.y])
+        return AlphaState(
+            z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
+            w.gamma, w.theta, seen, differences(new, old, state.slopes, h, state.h),
+            largest(new - ahead) < _SMOOTH * largest(new - old),
+        )  # fmt: skip
+
+    def read(self, state: AlphaState) -> Reading:
+        """The variables, and the step's size and weights."""
+        s = state
+        return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))

@@ -18,72 +18,14 @@ the highest power first.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.stability.spectra import multiple
-from integrators.contract import Integrator
 from integrators.methods.generalized_alpha_step import Scheme, safe_ratio
+from integrators.multistep import Multistep, MultistepForm
 
 _ONE = np.array([1.0, -1.0])  # z - 1
-#: How far from each other roots of a small polynomial count as one.
-_ONE_ROOT = 1e-4
-#: Moments below this vanish.
-_ROUNDING = 1e-11
-_MOST_ORDERS = 8
-
-
-@dataclass(frozen=True)
-class Multistep:
-    """A formula rho(E) u = h^k sigma(E) (k-th derivative of u), k = ``power``."""
-
-    rho: np.ndarray
-    sigma: np.ndarray
-    power: int
-
-    @property
-    def order(self) -> int:
-        """Order of consistency p: rho(e^z) - z^k sigma(e^z) = O(z^(p+k))."""
-        r, s = (np.arange(len(c))[::-1] for c in (self.rho, self.sigma))
-        for m in range(_MOST_ORDERS + self.power):
-            left = (self.rho * r**m).sum() / math.factorial(m)
-            n = m - self.power
-            right = (self.sigma * s**n).sum() / math.factorial(n) if n >= 0 else 0.0
-            if abs(left - right) > _ROUNDING:
-                return m - self.power
-        return _MOST_ORDERS
-
-    @property
-    def zero_roots(self) -> list[tuple[complex, int]]:
-        """Roots of rho with multiplicities: all growth at h = 0."""
-        return multiple(np.roots(self.rho), _ONE_ROOT)
-
-    @property
-    def infinity_roots(self) -> list[tuple[complex, int]]:
-        """Roots of sigma with multiplicities: all growth at infinite frequency."""
-        return multiple(np.roots(self.sigma), _ONE_ROOT)
-
-    @property
-    def zero_stable(self) -> bool:
-        """No root of rho outside the unit circle, and on it none of more than order ``power``."""
-        return stable(self.zero_roots, self.power)
-
-    @property
-    def infinity_stable(self) -> bool:
-        """No root of sigma outside the unit circle, and on it only simple ones."""
-        full = len(self.rho) == len(np.trim_zeros(self.sigma, "f"))  # else a root is infinite
-        return full and stable(self.infinity_roots, 1)
-
-
-def stable(roots: Sequence[tuple[complex, int]], on_circle: int) -> bool:
-    """Whether powers of the roots stay bounded, up to multiplicity ``on_circle`` on the circle."""
-    return all(
-        abs(root) < 1 - 1e-9 or (abs(root) <= 1 + 1e-9 and count <= on_circle)
-        for root, count in roots
-    )
 
 
 @dataclass(frozen=True)
@@ -115,6 +57,11 @@ class Recurrence:
         """The formula for x."""
         return Multistep(np.polymul(self.mu_x, _ONE), np.polymul(self.nu_x, self.alpha_x), 1)
 
+    @property
+    def form(self) -> MultistepForm:
+        """The three formulas."""
+        return MultistepForm(self.positions, self.velocities, self.controller, self.smallest_ratio)
+
     def oscillator(self, omega_h: float, zeta: float = 0.0) -> np.ndarray:
         """Characteristic polynomial on q'' + 2 zeta omega q' + omega^2 q = 0::
 
@@ -129,12 +76,9 @@ class Recurrence:
         return np.polyadd(self.controller.rho, rate_h * self.controller.sigma)
 
 
-def recurrence_of(method: Integrator) -> Recurrence | None:
-    """The polynomials of a method that steps by a `Scheme` with constant weights, else None."""
-    numbers = getattr(method, "numbers", lambda: None)()
-    if not isinstance(numbers, Scheme):
-        return None
-    s = numbers
+def recurrence_of(scheme: Scheme) -> Recurrence:
+    """The polynomials of a scheme with constant weights."""
+    s = scheme
     return Recurrence(
         mu=np.array([1 - s.alpha_m, s.alpha_m]),
         alpha=np.array([1 - s.alpha_f, s.alpha_f]),

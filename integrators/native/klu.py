@@ -21,7 +21,6 @@ from problems.runtime import jax, jnp
 #: KLU's complaint about a singular matrix; the compiled program ends with it.
 FAILURE = "klu_factor"
 _FREE = "stepbench_klu_free"
-_ADDRESS = jax.ShapeDtypeStruct((1,), np.uint64)
 
 
 class Analysis(NamedTuple):
@@ -53,7 +52,8 @@ def factorised(pattern: Analysis, values: Any, instead_of: Any) -> Any:
     # ends, and nobody would free the other one. Declared as a side effect, a call is done where it
     # stands and once; XLA may do others twice, or ahead of a branch that is not taken.
     _, values = jax.lax.optimization_barrier((free(instead_of), values))
-    call = jax.ffi.ffi_call("factor_f64", _ADDRESS, has_side_effect=True)
+    address = jax.ShapeDtypeStruct((1,), np.uint64)
+    call = jax.ffi.ffi_call("factor_f64", address, has_side_effect=True)
     return call(pattern.rows, pattern.columns, values[None], _one(pattern.address))
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from integrators.native import small_matrices
-from integrators.native.time_loop import StepReport, largest
+from integrators.native.linear_solvers import LinearSolver
+from integrators.native.step_functions import StepReport, largest
 from problems.runtime import jax, jnp
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+    from integrators.native.step_functions import Scalar
 
 #: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7
@@ -18,76 +24,67 @@ _CONTRACTION = 0.1
 _WILD = 10.0
 
 
-class Linear(NamedTuple):
-    """How updates are computed from tangents.
-
-    ``once(residual, u)`` is the update by the tangent at u, which full Newton takes. Of modified
-    Newton, ``renewed(residual, u, kept)`` is what is kept of the tangent at u in place of
-    ``kept``, ``update(kept, r)`` the update by it for a residual r, and ``known(kept)`` says
-    whether anything is kept yet.
-    """
-
-    once: Callable
-    renewed: Callable
-    update: Callable
-    known: Callable
-
-
-#: Small matrices: full Newton eliminates, modified Newton keeps the inverse (NaN if not known).
-DENSE = Linear(
-    once=lambda residual, u: small_matrices.solve(jax.jacfwd(residual)(u), residual(u)),
-    renewed=lambda residual, u, kept: small_matrices.inverse(jax.jacfwd(residual)(u)),
-    update=small_matrices.product,
-    known=lambda inverse: ~jnp.isnan(inverse[0, 0]),
-)
-
-
 class _Iteration(NamedTuple):
-    """The iterate after k updates, how many more are allowed, the size of the last and of the one
-    before, whether the last came from a new tangent, what is kept of a tangent, and how many
-    tangents were taken."""
+    """Newton's iteration after k updates."""
 
     u: Any
     k: Any
+    #: How many more updates are allowed.
     room: Any
+    #: Size of the last update, and of the one before it; 1 is just small enough.
     size: Any
     before: Any
+    #: Whether the last update came from a new tangent.
     exact: Any
     kept: Any
+    #: How many tangents were computed.
     tangents: Any
 
 
 def newton(
     residual: Callable,
-    guess: Any,
-    old: Any,
-    cuts: Any,
-    tol: Any,
-    most: Any,
-    floors: Any,
-    kept: Any,
-    linear: Linear = DENSE,
-) -> tuple[Any, Any, StepReport]:
-    """Solve residual(u) = 0, in the traced loop of a step.
+    guess: Float[Array, " n"],
+    old: Float[Array, " n"],
+    cuts: Sequence[int],
+    tol: Scalar,
+    most: Scalar,
+    floors: Sequence[Scalar],
+    kept: Array | None,
+    linear: LinearSolver,
+) -> tuple[Float[Array, " n"], Array | None, StepReport]:
+    """Solve residual(u) = 0; can be traced.
 
-    Full Newton (an empty ``kept`` comes) takes a new tangent in every iteration. Modified Newton
-    keeps the one that it is given while, from the third on, an update is at most ``_CONTRACTION``
-    times the one before, and takes a new one where it is not, or where the update dwarfs what is
-    known of the unknowns. What it has not solved after ``most`` iterations, or has lost to what is
-    not a number, full Newton tries from the start of the step. Returns the solution, what is kept
-    for the next step, and the report.
+    Full Newton (``kept`` is None) computes a new tangent in every iteration. Modified Newton keeps
+    the tangent as long as each update, from the third on, is at most ``_CONTRACTION`` times the one
+    before, and computes a new one where it is not, or where the update is much larger than the
+    unknowns. If it has not converged after ``most`` iterations, or meets a value that is not a
+    number, full Newton tries again from ``old``.
 
-    With updates d1, d2, ... shrinking by r = d_k/d_(k-1), what is left after d_k is at most
-    d_k r/(1 - r). The iteration ends when this (or d_k itself) is, in every group (a, lam, mu,
-    xdot, y), below ``tol`` times the group's size, now or at the start of the step (``old``), plus
-    its entry of ``floors``; or when updates by a new tangent no longer shrink and are tiny:
-    round-off then forbids more.
+    With updates d1, d2, ... that shrink by r = d_k/d_(k-1), the error left after d_k is at most
+    d_k r/(1 - r). The iteration ends when this error (or d_k itself) is small enough in every
+    group: below ``tol`` times the size of the group, now or in ``old``, plus the group's entry of
+    ``floors``. It also ends when updates by new tangents are tiny and no longer shrink: they have
+    met round-off.
+
+    Parameters
+    ----------
+    cuts
+        Indices at which the unknowns are split into groups.
+    floors
+        Rounding errors of each group, below which no update can fall.
+    kept
+        What modified Newton keeps of the last tangent (see `LinearSolver`).
+
+    Returns
+    -------
+    tuple
+        The solution, what is kept for the next call, and the report.
     """
-    keeps = bool(kept.size)
+    keeps = kept is not None
 
     def measure(du: Any, u: Any, exact: Any) -> Any:
-        # What an old tangent leaves behind points the same way in every step and adds up; a new
-        # one leaves far less than its last update.
+        # Errors left by an old tangent point the same way in every step and add up; a new tangent
+        # leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
         # An old tangent that leads far astray must not set the scale.
         split = [jnp.split(part, cuts) for part in (du, jnp.where(exact, u, guess), old)]
@@ -130,7 +127,7 @@ def newton(
             wild = ~exact & (k > 0) & (size * tol > _WILD)
             astray = ~exact & ((stale & ~(size <= before)) | wild)
             u = jnp.where(anew, old, jnp.where(astray, guess, u))
-            # What led astray is nothing to compare with.
+            # An update that led astray is no measure for the next one.
             size = jnp.where(anew | astray, jnp.inf, size)
             exact = stale | wild | (room <= most)
             kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from integrators import option
-from integrators.native.time_loop import Reading, StepMethod, StepReport
+from integrators.native.step_functions import Reading
+from integrators.native.step_method import StepMethod
 from problems.formulations import complete
 
 
@@ -23,17 +24,13 @@ class NewIntegrator(StepMethod):
     def supports(self, scene):
         return None  # or the reason, in a sentence, why it cannot take the scene
 
-    def numbers(self):
-        return (self.place,)  # traced: other values compile nothing new
-
-    @staticmethod
-    def begin(scene, numbers, start, h):
+    def begin(self, scene, start, h):
         z = start.z  # consistent values at the start, with a, lam and y
         return Reading(z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y)
 
-    @staticmethod
-    def step(scene, numbers, s, t, h):
-        (c,) = numbers
+    def step(self, scene, state, t, h, work):
+        # Float options such as self.place are traced: other values compile nothing new.
+        s, c = state, self.place
         weight = 1 / (2 * c)  # of the inner stage
         # The state s is that of t - h; `complete` solves for a, lam, y and xdot at q, v, x.
         v = s.v + c * h * s.a
@@ -45,9 +42,8 @@ class NewIntegrator(StepMethod):
             s.x + h * ((1 - weight) * s.xdot + weight * xdot),
             t,
         )
-        new = Reading(end.q, end.v, end.a, end.lam, end.x, xdot, end.y)
-        return new, StepReport(converged=True, residuals=2)  # work is counted where it happens
+        work.count(residuals=2)  # work is counted where it happens
+        return Reading(end.q, end.v, end.a, end.lam, end.x, xdot, end.y)
 
-    @staticmethod
-    def read(state):
+    def read(self, state):
         return state  # the variables in a state, as they are reported

@@ -1,4 +1,4 @@
-"""Error-controlled steps for methods written in JAX: the compiled march with a step controller.
+"""Runs whose steps follow a tolerance: the compiled time loop with its step controller.
 
 A method adds to ``begin``, ``step`` and ``read`` an estimate of the error that a step made. The
 controller then chooses the steps so that the *achieved* error follows the tolerance: a method of
@@ -21,11 +21,8 @@ The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,24 +33,28 @@ from integrators.contract import (
     Tolerances,
     Trajectory,
     Work,
-    option,
 )
 from integrators.native import small_matrices
-from integrators.native.time_loop import (
-    GROWTH_LIMIT,
-    Kernel,
-    Reading,
-    StepMethod,
-    StepReport,
-    flat,
-    largest,
-    with_start,
-)
+from integrators.native.endings import Ending
+from integrators.native.kernel import Kernel, SparseKernel
+from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_functions import Errors, Reading, StepReport, largest
+from integrators.native.step_program import Numbers, StepProgram
 from problems.formulations import Start, consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
-_OK, _MOST_STEPS, _ERROR, _NEWTON, _NOT_FINITE, _DIVERGED = range(6)
+_OK, _MOST_STEPS, _ERROR, _NEWTON, _NOT_FINITE, _DIVERGED = (
+    int(ending)
+    for ending in (
+        Ending.OK,
+        Ending.BUDGET_EXCEEDED,
+        Ending.ERROR_TEST_FAILED,
+        Ending.NEWTON_KEPT_FAILING,
+        Ending.NOT_FINITE,
+        Ending.UNBOUNDED,
+    )
+)
 
 _SAFETY = 0.9
 #: Factors of a rejected step.
@@ -62,17 +63,6 @@ _SHARPEST, _AFTER_FAILURE = 0.1, 0.25
 _FIRST_PART = 0.01
 
 _SPREAD_SLOTS = 2 * SPREAD_ROWS
-
-
-class Errors(NamedTuple):
-    """Estimated errors of a step per entry of q, v, x, a and lam; those of a and lam, of order p
-    instead of p + 1, may be zero: not tested."""
-
-    q: Any
-    v: Any
-    x: Any
-    a: Any
-    lam: Any
 
 
 class Span(NamedTuple):
@@ -85,8 +75,8 @@ class Span(NamedTuple):
     max_steps: Any
 
 
-class _March(NamedTuple):
-    """Where a march is: the method's state at t, the step to try next, the error of the last that
+class _Progress(NamedTuple):
+    """Where a run is: the method's state at t, the step to try next, the error of the last that
     was accepted, the largest a and lam so far, how the last try ended, counts, and rows kept."""
 
     t: Any
@@ -101,63 +91,41 @@ class _March(NamedTuple):
     stride: Any
 
 
-@dataclass(frozen=True)
-class AdaptiveMethod(StepMethod):
-    """Base of one-step methods with an error estimate, written as pure JAX functions."""
+class AdaptiveRun(PreparedRun):
+    """A run whose steps follow a tolerance; ``noted`` names what a reading notes."""
 
-    controls: ClassVar[str] = "tolerance"
-
-    max_steps: int = option(1_000_000, "most steps in a run, rejected ones included", low=1)
-
-    @abstractmethod
-    def functions(self) -> tuple[Callable, Callable, Callable, Callable, Callable, int]:
-        """``begin``, ``step`` and ``read`` as in StepMethod; then three for the control:
-
-        ``estimate(numbers, before, after, h) -> Errors``
-            of the step from one state to the next
-        ``ratios(numbers)``
-            smallest and largest ratio of neighbouring steps that the controller chooses of its own
-            accord
-        the order p
-        """
-
-    def kernel(self, scene: MechatronicSystem) -> Kernel:
-        return kernel(*self.functions(), scene.template())
-
-    def span(self, t0: float, t_end: float, tolerances: Tolerances) -> Span:
-        """What a run's kernel takes last."""
-        return Span(t0, t_end, tolerances.rtol, tolerances.atol, self.max_steps)
-
-    def prepare(
-        self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> PreparedRun:
-        return _AdaptiveRun(self, scene, t_end, resolution)
-
-
-class _AdaptiveRun(PreparedRun):
     def __init__(
-        self, method: AdaptiveMethod, scene: MechatronicSystem, t_end: float, resolution: Tolerances
+        self,
+        program: StepProgram,
+        numbers: Numbers,
+        noted: tuple[str, ...],
+        scene: MechatronicSystem,
+        t_end: float,
+        resolution: Tolerances,
+        max_steps: int,
     ) -> None:
-        self._method, self._start = method, consistent_start(scene)
+        self._start, self._noted = consistent_start(scene), noted
         t0 = scene.interval[0]
-        self._span = method.span(t0, float(t_end), resolution)
-        self._kernel = method.kernel(scene)
-        packs = [scene.parameters(), method.numbers(), self._start]
-        self._arguments = self._kernel.pack(*packs, self._span)
+        self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
+        self.kernel = kernel(program, scene.template())
+        packs = [scene.parameters(), numbers, self._start]
+        self.arguments = self.kernel.pack(*packs, self._span)
         self._keep, self._drop = jnp.asarray(1), jnp.asarray(0)
-        # A march over no time compiles the kernel and costs nothing else.
-        nothing = self._kernel.pack(*packs, self._span._replace(t_end=t0))
-        jax.block_until_ready(self._kernel(nothing, self._drop))
+        # A loop over no time compiles the kernel and costs nothing else.
+        nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
+        jax.block_until_ready(self.kernel(nothing, self._drop))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self._kernel(self._arguments, self._drop))
+        return jax.block_until_ready(self.kernel(self.arguments, self._drop))
 
     def measure(self) -> Trajectory:
-        early, spread, last, end = map(np.asarray, self._kernel(self._arguments, self._keep))
+        early, spread, last, end = map(np.asarray, self.kernel(self.arguments, self._keep))
         ending, t, *counts = end
-        status, message = outcome(int(ending), float(t), self._span)
+        status, message = Ending(int(ending)).outcome(
+            float(t), self._span.t_end, self._span.max_steps
+        )
         rows = in_order(np.concatenate([early, spread, last[None]]))
-        values = with_start(self._start, rows[:, 1:], self._method.noted)
+        values = with_start(self._start, rows[:, 1:], self._noted)
         work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
 
@@ -168,57 +136,31 @@ def in_order(rows: np.ndarray) -> np.ndarray:
     return rows[places[rows[places, 0] > 0]]
 
 
-def outcome(ending: int, t: float, span: Span) -> tuple[str, str]:
-    """Status and message of the ending that a kernel gave at t."""
-    if ending == _OK:
-        return "ok", ""
-    status, reason, cure = {
-        _MOST_STEPS: (
-            "budget_exceeded",
-            f"{span.max_steps} steps were used up",
-            "raise max_steps or use a larger rtol",
-        ),
-        _ERROR: (
-            "step_too_small",
-            "the error test kept failing down to the smallest step",
-            "use a larger rtol, or look for a jump in the scene's equations",
-        ),
-        _NEWTON: (
-            "newton_failed",
-            "Newton's method kept failing down to the smallest step",
-            "use another rtol or a larger newton_max",
-        ),
-        _NOT_FINITE: (
-            "diverged",
-            "the equations are not finite from here on",
-            "check the scene's equations beyond this time",
-        ),
-        _DIVERGED: (
-            "diverged",
-            "the solution grew beyond all bounds",
-            "use a smaller rtol or check the scene's forces",
-        ),
-    }[ending]
-    return status, f"Ended at t={t:.6g} s of {span.t_end:g} s: {reason}; {cure}."
+class _SparseKernel(SparseKernel):
+    """At chosen steps; tries are counted, rejected ones included."""
+
+    def most_steps(self, packed: Any, *wanted: Any) -> int:
+        return int(self.unpacked(packed)[-1].max_steps)
+
+    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+        *others, last = self.unpacked(packed)
+        return self.pack(*others, last._replace(max_steps=steps)), *wanted
+
+    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+        *rows, end = self._attempt(*self.limited(steps, packed, *wanted))
+        return *rows, end.at[0].set(_NOT_FINITE)
 
 
 @cache
-def kernel(
-    begin: Callable,
-    step: Callable,
-    read: Callable,
-    estimate: Callable,
-    ratios: Callable,
-    order: int,
-    template: MechatronicSystem,
-) -> Kernel:
-    """The compiled march of an adaptive method on a scene, for any numbers and parameters.
+def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
+    """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
 
-    It returns the first rows, rows spread over the run, and the last row, each ``[step, t, ...]``
-    as in the march of fixed steps (step 0: no row), and ``[ending, t, steps, rejected,
-    newton, ...]``. With ``wanted`` 0 the last row is the only one; with None the program has no
-    room for others, which many runs side by side would copy in every step.
+    It returns the first rows, rows spread over the run, and the last row, each ``[step, t, q, v, a,
+    lam, x, xdot, y, notes]`` (step 0: no row), and ``[ending, t, steps, rejected, newton, ...]``.
+    With ``wanted`` 0 the last row is the only one; with None the program has no room for others,
+    which many runs side by side would copy in every step.
     """
+    order = program.functions.order
 
     def size_of(errors: Errors, old: Reading, new: Reading, peaks: Any, span: Span) -> Any:
         """Largest error relative to what is allowed; 1 is just accepted."""
@@ -256,7 +198,7 @@ def kernel(
         """The step or a little more or less of it, so that the end is met without a sliver."""
         return jnp.where(left <= h * 1.001, left, jnp.where(left < 2 * h, left / 2, h))
 
-    def keep(m: _March, n: Any, row: Any, wanted: Any) -> _March:
+    def keep(m: _Progress, n: Any, row: Any, wanted: Any) -> _Progress:
         """Store the row of the n-th step among the first or in the spread; when the spread is
         full, every other of its rows goes and the stride doubles."""
         early = m.early.at[jnp.where(wanted & (n <= FIRST_ROWS), n - 1, FIRST_ROWS)].set(
@@ -274,32 +216,32 @@ def kernel(
 
     @small_matrices.without_products
     def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple:
-        return step(template.with_parameters(p), numbers, state, t, h)
+        return program.step(template.with_parameters(p), numbers, state, t, h)
 
-    def march(p: dict, numbers: Any, start: Start, span: Span, wanted: Any) -> tuple:
+    def loop(p: dict, numbers: Numbers, start: Start, span: Span, wanted: Any) -> tuple:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
         h0 = jnp.maximum(first_step(start, span), smallest)
-        state = begin(scene, numbers, start, h0)
-        first = read(state)
+        state = program.begin(scene, numbers, start, h0)
+        first = program.read(state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
-        lowest, highest = ratios(numbers)
+        lowest, highest = program.ratios(numbers)
         power = 1 / (order + 1)
 
-        def going(m: _March) -> Any:
+        def going(m: _Progress) -> Any:
             return (m.t < span.t_end) & (m.ending == _OK)
 
-        def try_step(m: _March) -> _March:
+        def try_step(m: _Progress) -> _Progress:
             left = span.t_end - m.t
             # Among many runs those that have ended step on, too, and the step is dropped. It is
             # made one that Newton's method leaves at once.
             h = jnp.where(going(m), fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
-            now = read(state)
-            errors = estimate(numbers, m.state, state, h)
+            now = program.read(state)
+            errors = program.estimate(numbers, m.state, state, h)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))
-            error = size_of(errors, read(m.state), now, peaks, span)
+            error = size_of(errors, program.read(m.state), now, peaks, span)
             sane = jnp.isfinite(error) & jnp.isfinite(largest(now.q, now.v, now.a, now.lam))
             solved = sane & report.converged
             accepted = solved & (error <= 1.0)
@@ -327,9 +269,8 @@ def kernel(
             def choose(new: Any, old: Any) -> Any:
                 return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
 
-            t, state, error, peaks = choose(
-                (t, state, error, peaks), (m.t, m.state, m.error, m.peaks)
-            )
+            state = program.after_try(accepted, state, m.state)
+            t, error, peaks = choose((t, error, peaks), (m.t, m.error, m.peaks))
             return m._replace(
                 t=t, state=state, h=jnp.maximum(h_next, smallest), error=error, peaks=peaks,
                 ending=ending, counts=counts,
@@ -339,7 +280,7 @@ def kernel(
         m = jax.lax.while_loop(
             going,
             try_step,
-            _March(
+            _Progress(
                 t=span.t0,
                 state=state,
                 h=h0,
@@ -352,7 +293,8 @@ def kernel(
                 stride=jnp.asarray(1),
             ),
         )
-        last = jnp.concatenate([jnp.stack([1.0 * m.counts[0], m.t]), flat(read(m.state))])
+        last = jnp.concatenate([jnp.stack([1.0 * m.counts[0], m.t]), flat(program.read(m.state))])
+        program.finish(m.state)
         return m.early, m.spread, last, jnp.stack([m.ending, m.t, *m.counts])
 
-    return Kernel(march)
+    return (_SparseKernel if program.patterns else Kernel)(loop)

@@ -1,0 +1,151 @@
+"""diffrax's solvers at constant steps, or patterns of steps, in our own time loop."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.adapters.completion import rows_from_states
+from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.diffrax_runs import count_work, right_hand_side
+from integrators.contract import PreparedRun, Steps, Trajectory
+from integrators.native.step_functions import Reading, StepFunctions
+from integrators.native.step_method import NativeMethod
+from problems.formulations import Start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from integrators.adapters.diffrax_methods import DiffraxSolver
+    from integrators.native.step_functions import Scalar
+    from integrators.native.step_work import StepWork
+
+#: Newton's tolerance, relative to the size of states and rates. Every iteration linearises anew,
+#: so that the error left after the last one is of the size of its square.
+_NEWTON_TOLERANCE = 1e-9
+
+
+class State(NamedTuple):
+    """A state s = [q, v, x], what the solver hands on, and Newton's absolute tolerance."""
+
+    s: Any
+    handed_on: Any
+    atol: Any
+
+
+@cache
+def _terms(method: type[DiffraxSolver], template: MechatronicSystem, counted: bool) -> Any:
+    rate = right_hand_side(template)
+    return method.terms(watch(rate) if counted else rate)
+
+
+@dataclass(frozen=True)
+class DiffraxStep(StepFunctions):
+    """The step of a diffrax solver on scenes of one kind; counted steps are for `run_counted`.
+
+    Its numbers are the parameters of the scene, which the right-hand side is handed by diffrax.
+    """
+
+    method: type[DiffraxSolver]
+    root_finder: str
+    template: MechatronicSystem
+    counted: bool
+    parameters: Any = None
+
+    def with_numbers(self, numbers: dict[str, Scalar]) -> DiffraxStep:
+        return replace(self, parameters=numbers)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> State:
+        z, p = start.z, self.parameters
+        s = jnp.concatenate([z.q, z.v, z.x])
+        size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
+        # No iteration can get below the rounding of the rates, which in stiff scenes is large.
+        slopes = jnp.abs(jax.jacfwd(right_hand_side(self.template), argnums=1)(z.t, s, p))
+        rounding = np.finfo(float).eps * jnp.max(slopes @ (1 + jnp.abs(s)))
+        atol = _NEWTON_TOLERANCE * (1 + size) + 100 * rounding
+        handed_on = self._solver(atol).init(self._terms, z.t, z.t + h, s, p)
+        return State(s, handed_on, atol)
+
+    def step(
+        self, scene: MechatronicSystem, state: State, t: Scalar, h: Scalar, work: StepWork
+    ) -> State:
+        from diffrax import RESULTS
+
+        s, _, _, handed_on, result = self._solver(state.atol).step(
+            self._terms, t - h, t, state.s, self.parameters, state.handed_on, made_jump=False
+        )
+        work.count(converged=result == RESULTS.successful)
+        return State(s, handed_on, state.atol)
+
+    def read(self, state: State) -> Reading:
+        # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
+        # then zeros stand for them, or NaN where the time loop has to see that a state is not
+        # finite.
+        nq, nl, _, ny = self.template.sizes
+        q, v, x = jnp.split(state.s, [nq, 2 * nq])
+        nothing = 0 * jnp.sum(state.s)
+        lam, y = (jnp.full(n, nothing) for n in (nl, ny))
+        return Reading(q, v, nothing + 0 * q, lam, x, 0 * x, y)
+
+    @property
+    def _terms(self) -> Any:
+        return _terms(self.method, self.template, self.counted)
+
+    def _solver(self, atol: Any) -> Any:
+        from optimistix import Newton, max_norm
+
+        if self.root_finder == "none":
+            return self.method.solver()
+        finder = Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm)
+        return self.method.solver(root_finder=finder)
+
+
+@dataclass(frozen=True)
+class DiffraxStepMethod(NativeMethod):
+    """A diffrax method on one scene as our time loop takes it."""
+
+    formulation: ClassVar[str] = "ode"
+    states_only: ClassVar[bool] = True
+
+    method: DiffraxSolver
+    scene: MechatronicSystem
+    counted: bool = False
+
+    def functions(self) -> StepFunctions:
+        kind, template = type(self.method), self.scene.template()
+        return DiffraxStep(kind, self.method.root_finder, template, self.counted)
+
+    def numbers(self) -> dict[str, float]:
+        return self.scene.parameters()
+
+
+class ConstantRun(PreparedRun):
+    """The solver's steps on the grid of our time loop: exact times, and any pattern.
+
+    Neither another number of steps nor another pattern compiles anything.
+    """
+
+    def __init__(
+        self, method: DiffraxSolver, scene: MechatronicSystem, t_end: float, resolution: Steps
+    ) -> None:
+        self._method, self._scene = method, scene
+        self._t_end, self._resolution = float(t_end), resolution
+        self._timed = self._prepared(counted=False)
+
+    def _prepared(self, counted: bool) -> PreparedRun:
+        method = DiffraxStepMethod(self._method, self._scene, counted)
+        return method.prepare(self._scene, self._t_end, self._resolution)
+
+    def execute(self) -> Any:
+        return self._timed.execute()
+
+    def measure(self) -> Trajectory:
+        self.execute()  # the warm-up
+        run, counts = run_counted(self._prepared(counted=True).measure)
+        work = count_work(self._method, counts, run.work.steps, 0)
+        rows = rows_from_states(self._scene, run.t, run.q, run.v, run.x)
+        return dataclasses.replace(run, **rows, work=work)

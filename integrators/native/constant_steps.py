@@ -1,0 +1,186 @@
+"""Runs at constant steps, or patterns of steps: the compiled time loop.
+
+One compiled kernel serves a method on all scenes of one kind: schemes, steps, patterns, parameters
+and tolerances are traced arguments and compile nothing new. Rows are kept inside the loop, so that
+memory does not grow with the number of steps.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from integrators.contract import (
+    FIRST_ROWS,
+    SPREAD_ROWS,
+    PreparedRun,
+    Steps,
+    Trajectory,
+    Work,
+    spread_rows,
+)
+from integrators.native import small_matrices
+from integrators.native.endings import Ending
+from integrators.native.kernel import Kernel, SparseKernel
+from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_functions import StepReport, largest
+from integrators.native.step_program import Numbers, StepProgram
+from problems.formulations import Start, consistent_start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+_OK, _NEWTON_FAILED, _DIVERGED = (
+    int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED)
+)
+_PATTERN_SLOTS = 16
+#: The first steps, the first macro steps and the spread: as many rows as a run can ask for.
+_ROW_SLOTS = 2 * FIRST_ROWS + SPREAD_ROWS + 1
+
+
+class Clock(NamedTuple):
+    """A grid of steps: n-th step ends at t0 + length (m + ends[j]) / macro_steps, where
+    m, j = divmod(n, slots)."""
+
+    t0: Any
+    length: Any
+    macro_steps: Any
+    fractions: Any
+    ends: Any
+    slots: Any
+
+
+def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
+    """Time at the end of the n-th step (from zero), and its size."""
+    macro, j = n // clock.slots, n % clock.slots
+    t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
+    return t, clock.length / clock.macro_steps * clock.fractions[j]
+
+
+def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, np.ndarray]:
+    """The clock of a run, and the numbers of the steps that are its rows, without the start."""
+    macro = resolution.count(t0, t_end)
+    slots = len(resolution.pattern)
+    fractions = np.zeros(_PATTERN_SLOTS)
+    fractions[:slots] = resolution.pattern
+    ends = np.cumsum(fractions)
+    ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
+    rows = np.union1d(np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots)
+    return Clock(t0, t_end - t0, macro, fractions, ends, slots), rows[rows > 0]
+
+
+class ConstantStepsRun(PreparedRun):
+    """A run at constant steps, or a pattern of them; ``noted`` names what a reading notes."""
+
+    def __init__(
+        self,
+        program: StepProgram,
+        numbers: Numbers,
+        noted: tuple[str, ...],
+        scene: MechatronicSystem,
+        t_end: float,
+        resolution: Steps,
+    ) -> None:
+        clock, self._rows = grid(scene.interval[0], t_end, resolution)
+        padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
+        padded[: len(self._rows)] = self._rows
+        start = consistent_start(scene)
+        self._start, self._noted, self._t_end = start, noted, float(t_end)
+        self.kernel = kernel(program, scene.template())
+        self.arguments = self.kernel.pack(scene.parameters(), numbers, start, clock)
+        self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
+        self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
+        # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
+        jax.block_until_ready(self.kernel(self.arguments, self._end_only[0], jnp.asarray(0)))
+
+    def execute(self) -> Any:
+        return jax.block_until_ready(self.kernel(self.arguments, *self._end_only))
+
+    def measure(self) -> Trajectory:
+        rows, end = (np.asarray(part) for part in self.kernel(self.arguments, *self._all_rows))
+        kept = np.flatnonzero(rows[: len(self._rows), 0] == self._rows)
+        ending, t, *counts = end
+        work = Work(int(counts[0]), 0, *map(int, counts[1:]))
+        status, message = Ending(int(ending)).outcome(float(t), self._t_end)
+        values = with_start(self._start, rows[kept, 1:], self._noted)
+        return Trajectory(**values, status=status, message=message, work=work)
+
+
+class _SparseKernel(SparseKernel):
+    """At constant steps; ``wanted`` are the step numbers of rows, and how many of them count."""
+
+    def most_steps(self, packed: Any, *wanted: Any) -> int:
+        rows, row_count = wanted
+        return int(rows[row_count - 1])
+
+    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+        rows, row_count = wanted
+        return packed, jnp.full_like(rows, steps), jnp.ones_like(row_count)
+
+    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+        rows, row_count = wanted
+        kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
+        _, end = self._attempt(*self.limited(steps, packed, *wanted))
+        t, _ = step_times(self.unpacked(packed)[-1], steps)
+        return kept, jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
+
+
+@cache
+def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
+    """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
+
+    It takes the step numbers of the rows to keep ``(rows,)`` and how many of them count. It
+    returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``, and
+    ``[ending, t, counts...]``.
+    """
+
+    @small_matrices.without_products
+    def advance(p: dict, numbers: Numbers, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
+        return program.step(template.with_parameters(p), numbers, state, t, h)
+
+    def loop(
+        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Any, row_count: Any
+    ) -> tuple:
+        scene = template.with_parameters(p)
+        state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
+        first = program.read(state)
+        bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
+
+        def one_step(progress: tuple) -> tuple:
+            n, state, ending, counts, _ = progress
+            t, h = step_times(clock, n)
+            # Among many runs a step is taken for those that have failed, too, and dropped. It is
+            # made one that Newton's method leaves at once.
+            h = jnp.where(ending == _OK, h, jnp.nan)
+            state, report = advance(p, numbers, state, t, h)
+            now = program.read(state)
+            # A comparison with NaN is false: not finite counts as grown beyond the bound.
+            sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))
+            ending = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
+            counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
+            return n + 1, state, ending, counts, t
+
+        def to_row(carry: tuple) -> tuple:
+            k, kept, progress = carry
+            progress = jax.lax.while_loop(
+                lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
+            )
+            n, state, ending, _, t = progress
+            reached = jnp.where(ending == _OK, n, -1)
+            row = jnp.concatenate([jnp.stack([reached, t]), flat(program.read(state))])
+            return k + 1, kept.at[k].set(row), progress
+
+        counts = (jnp.asarray(0),) * len(StepReport._fields)
+        progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
+        width = 2 + flat(first).size
+        _, kept, progress = jax.lax.while_loop(
+            lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
+            to_row,
+            (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
+        )
+        _, state, ending, counts, t = progress
+        program.finish(state)
+        return kept, jnp.stack([ending, t, *counts])
+
+    return (_SparseKernel if program.patterns else Kernel)(loop)

@@ -1,0 +1,73 @@
+"""How a run of a native method can end, with its status and its message."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Ending(IntEnum):
+    """The ending of a time loop, as the compiled program tells it; zero while it goes on."""
+
+    OK = 0
+    #: At constant steps: Newton's method failed in a step; the solution is not finite or grew.
+    NEWTON_FAILED = 1
+    DIVERGED = 2
+    #: At chosen steps.
+    BUDGET_EXCEEDED = 3
+    ERROR_TEST_FAILED = 4
+    NEWTON_KEPT_FAILING = 5
+    NOT_FINITE = 6
+    UNBOUNDED = 7
+
+    def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
+        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.
+
+        Parameters
+        ----------
+        t, t_end
+            Where the run ended and where it was to end, in s.
+        max_steps
+            Most steps of a run that chooses its steps.
+        """
+        status, text = _OUTCOMES[self]
+        return status, text.format(t=t, t_end=t_end, max_steps=max_steps)
+
+
+_ENDED = "Ended at t={t:.6g} s of {t_end:g} s: "
+_OUTCOMES = {
+    Ending.OK: ("ok", ""),
+    Ending.NEWTON_FAILED: (
+        "newton_failed",
+        "Newton's method did not converge in the step to t={t:.6g} s; take a smaller step or a "
+        "method that damps more.",
+    ),
+    Ending.DIVERGED: (
+        "diverged",
+        "The solution grew beyond all bounds or was no longer finite in the step to t={t:.6g} s; "
+        "take a smaller step or a method that damps more, or check the scene's forces there.",
+    ),
+    Ending.BUDGET_EXCEEDED: (
+        "budget_exceeded",
+        _ENDED + "{max_steps} steps were used up; raise max_steps or use a larger rtol.",
+    ),
+    Ending.ERROR_TEST_FAILED: (
+        "step_too_small",
+        _ENDED + "the error test kept failing down to the smallest step; use a larger rtol, or "
+        "look for a jump in the scene's equations.",
+    ),
+    Ending.NEWTON_KEPT_FAILING: (
+        "newton_failed",
+        _ENDED + "Newton's method kept failing down to the smallest step; use another rtol or a "
+        "larger newton_max.",
+    ),
+    Ending.NOT_FINITE: (
+        "diverged",
+        _ENDED + "the equations are not finite from here on; check the scene's equations beyond "
+        "this time.",
+    ),
+    Ending.UNBOUNDED: (
+        "diverged",
+        _ENDED + "the solution grew beyond all bounds; use a smaller rtol or check the scene's "
+        "forces.",
+    ),
+}

@@ -1,0 +1,112 @@
+"""A compiled time loop, called with few arguments."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from integrators.native import klu
+from problems.runtime import jax, jnp
+
+
+class Kernel:
+    """A compiled time loop; its many small arguments travel as one array.
+
+    Each array that is handed to a compiled program or back costs as much as a step.
+
+    Parameters
+    ----------
+    loop
+        Traceable function of (parameters, numbers, start, time, *wanted), where ``wanted`` says
+        which rows are kept.
+    """
+
+    def __init__(self, loop: Callable) -> None:
+        self._unpack: Callable | None = None
+
+        def run(packed: Any, *wanted: Any) -> Any:
+            return loop(*self.unpacked(packed), *wanted)
+
+        self.compiled = jax.jit(run)
+        # Side by side, many numbers are treated alike: registers as wide as they come.
+        wide = {"xla_cpu_prefer_vector_width": 512}
+        self._many = jax.jit(jax.vmap(run), compiler_options=wide)
+
+    def pack(self, *arguments: Any) -> Any:
+        """Pack parameters, numbers, start and time (floats, and integers below 2^53)."""
+        leaves, tree = jax.tree.flatten(arguments)
+        leaves = [np.asarray(leaf) for leaf in leaves]
+        cuts = np.cumsum([leaf.size for leaf in leaves])[:-1]
+
+        def unpack(packed: Any) -> Any:
+            parts = jnp.split(packed, cuts)
+            return jax.tree.unflatten(
+                tree,
+                [
+                    part.reshape(leaf.shape).astype(leaf.dtype)
+                    for part, leaf in zip(parts, leaves, strict=True)
+                ],
+            )
+
+        self._unpack = self._unpack or unpack
+        return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
+
+    def unpacked(self, packed: Any) -> Any:
+        """The arguments that were packed."""
+        if self._unpack is None:
+            raise RuntimeError("A kernel unpacks only what it has packed.")
+        return self._unpack(packed)
+
+    def __call__(self, packed: Any, *wanted: Any) -> Any:
+        return self.compiled(packed, *wanted)
+
+    def batched(self, packed: Any, *wanted: Any) -> Any:
+        """Many runs in one program: every argument has one more axis in front."""
+        return self._many(packed, *wanted)
+
+    @property
+    def compilations(self) -> int:
+        """How many programs were compiled; one serves all schemes, steps and parameters."""
+        return self.compiled._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class SparseKernel(Kernel):
+    """A time loop with sparse tangents, which ends with a status where a tangent is singular.
+
+    KLU ends the program at an exactly singular tangent, and with it go all results. The step in
+    which that happens is then found by bisection over the number of steps.
+    """
+
+    def __call__(self, packed: Any, *wanted: Any) -> Any:
+        result = self._attempt(packed, *wanted)
+        if result is not None:
+            return result
+        fine, wrong = 0, self.most_steps(packed, *wanted)
+        while wrong - fine > 1:
+            middle = (fine + wrong) // 2
+            done = self._attempt(*self.limited(middle, packed, *wanted))
+            fine, wrong = (fine, middle) if done is None else (middle, wrong)
+        return self.up_to(fine, packed, *wanted)
+
+    @abstractmethod
+    def most_steps(self, packed: Any, *wanted: Any) -> int:
+        """How many steps these arguments ask for at most."""
+
+    @abstractmethod
+    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+        """Arguments with which the loop ends after so many steps."""
+
+    @abstractmethod
+    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+        """The result of so many steps, with the ending of a singular tangent in the next."""
+
+    def _attempt(self, *arguments: Any) -> Any:
+        try:
+            return jax.block_until_ready(super().__call__(*arguments))
+        except (ValueError, RuntimeError) as error:
+            if klu.FAILURE in str(error):
+                return None
+            raise

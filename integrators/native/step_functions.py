@@ -1,0 +1,122 @@
+"""A one-step method as pure functions of a state: the contract between a method and its time loop.
+
+A method is written once as `StepFunctions`. The time loops (`constant_steps`, `adaptive_steps`),
+ensembles and the stability analysis take it from there: none of them knows a method, and no method
+knows how it is run.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
+
+from problems.formulations import Start
+from problems.runtime import jnp
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Bool, Float, Int
+
+    from integrators.native.step_work import StepWork
+
+    #: A number, which may be traced.
+    Scalar: TypeAlias = Float[Array, ""] | float
+    #: A pytree of arrays that only the method itself looks into.
+    MethodState: TypeAlias = Any
+
+
+class Reading(NamedTuple):
+    """The variables that a state holds, as they are reported: q, v, a ``(nq,)``, lam ``(nl,)``, x,
+    xdot ``(nx,)``, y ``(ny,)``; and scalars of the last step, in the order of the method's
+    ``noted``."""
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    a: Float[Array, " nq"]
+    lam: Float[Array, " nl"]
+    x: Float[Array, " nx"]
+    xdot: Float[Array, " nx"]
+    y: Float[Array, " ny"]
+    notes: tuple[Scalar, ...] = ()
+
+
+class StepReport(NamedTuple):
+    """Whether the equations of a step were solved, and how often each part of the work was done."""
+
+    converged: Bool[Array, ""] | bool = True
+    newton: Int[Array, ""] | int = 0
+    residuals: Int[Array, ""] | int = 0
+    jacobians: Int[Array, ""] | int = 0
+    factorisations: Int[Array, ""] | int = 0
+    solves: Int[Array, ""] | int = 0
+
+
+class Errors(NamedTuple):
+    """Estimated errors of a step, per entry of q, v, x, a and lam.
+
+    Those of q, v and x are of order p + 1 in the step, those of a and lam of order p; the latter
+    may be zero: not tested.
+    """
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    x: Float[Array, " nx"]
+    a: Float[Array, " nq"]
+    lam: Float[Array, " nl"]
+
+
+class StepFunctions(ABC):
+    """A one-step method on any scene.
+
+    An object of it is hashable and holds what decides the form of the compiled program; numbers
+    that may vary without compiling again come in by `with_numbers`. All functions are pure and
+    written in ``jax.numpy``; sizes are those of ``scene.sizes``.
+    """
+
+    @abstractmethod
+    def with_numbers(self, numbers: Any) -> Self:
+        """A copy that holds these numbers, a pytree of floats, which may be traced."""
+
+    @abstractmethod
+    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> MethodState:
+        """Make the method's state at t0, before a first step of size h in s.
+
+        Parameters
+        ----------
+        start
+            Consistent values at t0: all variables in ``start.z``, xdot, and the derivatives jerk
+            and xddot.
+        """
+
+    @abstractmethod
+    def step(
+        self, scene: MechatronicSystem, state: MethodState, t: Scalar, h: Scalar, work: StepWork
+    ) -> MethodState:
+        """Advance the state by h, in s, to time t.
+
+        Equations are solved by ``work.solve(residual, guess)``, other work is counted by
+        ``work.count(residuals=...)``.
+        """
+
+    @abstractmethod
+    def read(self, state: MethodState) -> Reading:
+        """The variables in a state."""
+
+    # ---- error control; only methods that choose their steps have it -------------------------
+    #: Order p of the method, by which the controller chooses steps.
+    order: int
+
+    def estimate(self, before: MethodState, after: MethodState, h: Scalar) -> Errors:
+        """Estimate the errors that the step of size h from one state to the next has made."""
+        raise NotImplementedError
+
+    def ratios(self) -> tuple[Scalar, Scalar]:
+        """Smallest and largest ratio of neighbouring steps that the controller chooses of its own
+        accord."""
+        return 0.0, 5.0
+
+
+def largest(*parts: Array | Scalar) -> Float[Array, ""]:
+    """Largest absolute value over arrays that may be empty; NaN if there is one."""
+    return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))

@@ -1,0 +1,195 @@
+"""Integrators that are written as step functions.
+
+`StepMethod` is what most people want: a method with ``begin``, ``step`` and ``read``. If its step
+solves equations, `ImplicitStepMethod` adds the options of Newton's method and of the linear solver,
+and nothing else has to be done for dense or sparse tangents, full or modified Newton. A method that
+estimates its errors adds `ErrorControl` to its bases. `NativeMethod` is the common base, which a
+family with step functions of its own (several members, one compiled kernel) inherits from directly.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, NamedTuple, Self
+
+from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
+from integrators.native.adaptive_steps import AdaptiveRun
+from integrators.native.constant_steps import ConstantStepsRun
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
+from problems import spec
+from problems.formulations import is_large
+from problems.sparsity import Pattern, is_chosen
+from problems.spec import SpecError
+from problems.system import MechatronicSystem
+
+
+class NewtonSettings(NamedTuple):
+    """How the equations of a step are solved; see the options of `NewtonOptions`."""
+
+    tolerance: float = 0.0
+    most: int = 0
+    modified: bool = False
+    linear_solver: str = "dense"
+
+
+@dataclass(frozen=True)
+class NativeMethod(Integrator):
+    """Base of the integrators that are step functions, marched by our own compiled time loops."""
+
+    #: Names of the scalars that a `Reading` notes of the last step.
+    noted: ClassVar[tuple[str, ...]] = ()
+    #: Whether its steps give q, v and x alone and count nothing: the equations give the rest.
+    states_only: ClassVar[bool] = False
+
+    @abstractmethod
+    def functions(self) -> StepFunctions:
+        """The step functions; equal ones share their compiled kernels."""
+
+    @abstractmethod
+    def numbers(self) -> Any:
+        """The numbers that the step functions take, a pytree; other values compile nothing new."""
+
+    @property
+    def newton_settings(self) -> NewtonSettings:
+        """How equations are solved; an explicit method has none."""
+        return NewtonSettings()
+
+    @property
+    def step_limit(self) -> int:
+        """Most steps of a run that chooses its steps."""
+        return 0
+
+    def program(self, scene: MechatronicSystem, sparse: bool = True) -> tuple[StepProgram, Numbers]:
+        """The method on a scene as a time loop takes it, and its numbers.
+
+        Parameters
+        ----------
+        sparse
+            Whether tangents may be sparse; many runs side by side cannot have them.
+
+        Raises
+        ------
+        problems.spec.SpecError
+            If sparse tangents are asked for and cannot be had.
+        """
+        settings, numbers = self.newton_settings, self.numbers()
+        tangents = self._sparse_tangents(scene, sparse, numbers)
+        program = StepProgram(self.functions(), settings.modified, tangents.patterns)
+        return program, Numbers(numbers, settings.tolerance, settings.most, tangents.analyses)
+
+    def _sparse_tangents(
+        self, scene: MechatronicSystem, allowed: bool, numbers: Any
+    ) -> SparseTangents:
+        asked = self.newton_settings.linear_solver
+        if not allowed and asked == "sparse":
+            raise SpecError(
+                f"{self.spec} cannot have sparse tangents in many runs side by side; take "
+                f"linear_solver=dense."
+            )
+
+        def found() -> SparseTangents:
+            return sparse_tangents(self.functions(), numbers, scene.template())
+
+        def fullest() -> Pattern:
+            return max(found().patterns, key=lambda pattern: pattern.fill)
+
+        if allowed and is_chosen(asked, is_large(scene), fullest):
+            return found()
+        return SparseTangents((), (), ())
+
+    def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
+        return self
+
+    def prepare(
+        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
+    ) -> PreparedRun:
+        program, numbers = self.program(scene)
+        if isinstance(resolution, Steps):
+            return ConstantStepsRun(program, numbers, self.noted, scene, t_end, resolution)
+        return AdaptiveRun(program, numbers, self.noted, scene, t_end, resolution, self.step_limit)
+
+
+@dataclass(frozen=True)
+class StepMethod(NativeMethod, StepFunctions):
+    """Base of a one-step method that is written as functions of a state: begin, step and read.
+
+    Inside of these functions the float options of ``self`` are traced: other values of them compile
+    nothing new, and Python's ``if`` cannot ask for them. All other options (text, whole numbers,
+    true or false) are plain values, which may decide by ``if`` how a step is made.
+    """
+
+    def functions(self) -> StepFunctions:
+        # Newton's method and the step control are no concern of the step functions.
+        others = {name: field.default for name, field in _not_of_the_step(type(self)).items()}
+        neutral = {name: v if v is None else 1.0 for name, v in self.numbers().items()}
+        return self.with_numbers(others | neutral)
+
+    def numbers(self) -> dict[str, float | None]:
+        others = _not_of_the_step(type(self))
+        return {n: getattr(self, n) for n in spec.numbers_of(type(self)) if n not in others}
+
+    def with_numbers(self, numbers: Any) -> Self:
+        copy = object.__new__(type(self))
+        vars(copy).update(vars(self) | numbers)
+        return copy
+
+
+@dataclass(frozen=True)
+class NewtonOptions(NativeMethod):
+    """Options of methods whose steps solve equations; not to be inherited from directly."""
+
+    newton_tol: float = option(
+        1e-12,
+        "relative error that Newton's method may leave in a, lam, xdot and y",
+        low=1e-15,
+        high=1e-2,
+    )
+    newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
+
+    newton: str = option(
+        "full",
+        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
+        choices=("full", "modified"),
+    )
+    linear_solver: str = option(
+        "auto",
+        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
+        choices=("auto", "dense", "sparse"),
+    )
+
+    @property
+    def newton_settings(self) -> NewtonSettings:
+        modified = self.newton == "modified"
+        return NewtonSettings(self.newton_tol, self.newton_max, modified, self.linear_solver)
+
+
+@dataclass(frozen=True)
+class ImplicitStepMethod(NewtonOptions, StepMethod):
+    """Base of a `StepMethod` whose step solves equations by ``work.solve(residual, guess)``."""
+
+
+@dataclass(frozen=True)
+class ErrorControl(NativeMethod):
+    """Base of native methods whose steps follow a tolerance.
+
+    The step functions of such a method have ``order`` and ``estimate``, too.
+    """
+
+    controls: ClassVar[str] = "tolerance"
+
+    max_steps: int = option(1_000_000, "most steps in a run, rejected ones included", low=1)
+
+    @property
+    def step_limit(self) -> int:
+        return self.max_steps
+
+
+def _not_of_the_step(cls: type) -> dict[str, Field]:
+    """Options that do not act on the step functions of a method."""
+    found: dict[str, Field] = {}
+    for base in (NewtonOptions, ErrorControl):
+        if issubclass(cls, base):
+            found |= spec.options_of(base)
+    return found

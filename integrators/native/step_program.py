@@ -1,0 +1,176 @@
+"""A method's step functions together with the linear algebra that solves its equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from integrators.native import klu
+from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
+from integrators.native.step_functions import Errors, Reading, StepFunctions, StepReport
+from integrators.native.step_work import EquationsFinder, StepWork
+from problems.formulations import Start
+from problems.runtime import jax, jnp
+from problems.sparsity import Pattern
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from integrators.native.step_functions import MethodState, Scalar
+
+
+class Numbers(NamedTuple):
+    """All numbers of a method that a compiled program takes as arguments."""
+
+    #: Of the step functions.
+    method: Any
+    #: Tolerance and most iterations of Newton's method.
+    tolerance: Scalar
+    most: Scalar
+    #: Of sparse tangents, one for each system of equations in a step.
+    analyses: tuple[klu.Analysis, ...] = ()
+
+
+class _Carried(NamedTuple):
+    """A state with the tangents that modified Newton keeps."""
+
+    state: MethodState
+    kept: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """A method on scenes of one kind as functions of (scene, numbers, state), for a time loop.
+
+    Programs are equal if they compile to the same: methods with equal step functions share one.
+
+    Parameters
+    ----------
+    functions
+        The method.
+    keeps_tangents
+        Modified Newton: tangents are kept over steps.
+    patterns
+        Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
+    """
+
+    functions: StepFunctions
+    keeps_tangents: bool = False
+    patterns: tuple[Pattern, ...] = ()
+
+    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Scalar) -> Any:
+        """The state at t0, before a first step of size h."""
+        functions = self.functions.with_numbers(numbers.method)
+        state = functions.begin(scene, start, h)
+        if not self.keeps_tangents:
+            return state
+        finder = EquationsFinder()
+        jax.eval_shape(lambda: functions.step(scene, state, start.z.t + h, h, finder))
+        kept = (
+            self._solver(k, numbers).nothing_kept(equations.size)
+            for k, equations in enumerate(finder.found)
+        )
+        return _Carried(state, tuple(kept))
+
+    def step(
+        self, scene: MechatronicSystem, numbers: Numbers, state: Any, t: Scalar, h: Scalar
+    ) -> tuple[Any, StepReport]:
+        """The state after a step of size h to time t, and the work that was done."""
+        before, kept = state if self.keeps_tangents else (state, None)
+        work = StepWork(lambda k: self._solver(k, numbers), kept, numbers.tolerance, numbers.most)
+        functions = self.functions.with_numbers(numbers.method)
+        after = functions.step(scene, before, t, h, work)
+        if self.keeps_tangents:
+            after = _Carried(after, tuple(work.kept))
+        return after, work.report()
+
+    def read(self, state: Any) -> Reading:
+        """The variables in a state."""
+        return self.functions.read(self._of_method(state))
+
+    def estimate(self, numbers: Numbers, before: Any, after: Any, h: Scalar) -> Errors:
+        """Estimated errors of the step from one state to the next."""
+        functions = self.functions.with_numbers(numbers.method)
+        return functions.estimate(self._of_method(before), self._of_method(after), h)
+
+    def ratios(self, numbers: Numbers) -> tuple[Scalar, Scalar]:
+        """Smallest and largest ratio of neighbouring steps that the controller chooses."""
+        return self.functions.with_numbers(numbers.method).ratios()
+
+    def after_try(self, accepted: Any, after: Any, before: Any) -> Any:
+        """The state from which to go on, after a step that was accepted or not."""
+        chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), after, before)
+        if self.keeps_tangents and self.patterns:
+            # The factorisation from before the step may be freed already.
+            return chosen._replace(kept=after.kept)
+        return chosen
+
+    def finish(self, state: Any) -> None:
+        """Give back what the last state holds."""
+        if self.keeps_tangents and self.patterns:
+            for kept in state.kept:
+                klu.free(kept)
+
+    def _of_method(self, state: Any) -> MethodState:
+        return state.state if self.keeps_tangents else state
+
+    def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
+        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
+
+
+class SparseTangents(NamedTuple):
+    """Patterns of the tangents of a step, and KLU's analyses of them."""
+
+    patterns: tuple[Pattern, ...]
+    analyses: tuple[klu.Analysis, ...]
+    #: They own the memory of the analyses.
+    symbolic: tuple[Any, ...]
+
+
+def sparse_tangents(
+    functions: StepFunctions, numbers: Any, template: MechatronicSystem
+) -> SparseTangents:
+    """Find the patterns of the equations that a method's step solves on a kind of scene.
+
+    Raises
+    ------
+    problems.sparsity.NoPattern
+        If the program of a residual cannot be followed.
+    """
+    leaves, tree = jax.tree.flatten(numbers)
+    return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)
+
+
+@cache
+def _sparse_tangents(
+    functions: StepFunctions, tree: Any, kinds: tuple[type, ...], template: MechatronicSystem
+) -> SparseTangents:
+    import klujax
+
+    # No number may be zero by chance and hide an entry: one pattern serves all numbers.
+    generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
+    method = functions.with_numbers(jax.tree.unflatten(tree, generic))
+    finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
+    start = _at_rest(template)
+    method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
+    patterns = tuple(Pattern(residual, size) for residual, size in finder.found)
+    symbolic = tuple(
+        klujax.analyze(jnp.asarray(p.rows), jnp.asarray(p.columns), p.size) for p in patterns
+    )
+    analyses = (
+        klu.Analysis(p.rows, p.columns, np.asarray(s.raw))
+        for p, s in zip(patterns, symbolic, strict=True)
+    )
+    return SparseTangents(patterns, tuple(analyses), symbolic)
+
+
+def _at_rest(scene: MechatronicSystem) -> Start:
+    """A start whose derivatives are zero: it costs nothing, and patterns do not depend on it."""
+    state, (nq, nl, nx, ny) = scene.initial_state(), scene.sizes
+    q, v, x = map(jnp.asarray, state)
+    nothing, of_x = jnp.zeros(nq), jnp.zeros(nx)
+    t = jnp.asarray(scene.interval[0])
+    z = Variables(q, v, nothing, jnp.zeros(nl), x, jnp.zeros(ny), t)
+    return Start(z, of_x, nothing, of_x)._replace(constrained_jerk=nothing)
