@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
 from bench.results.quantities import GROUPS
 from bench.results.records import Record
 from bench.results.store import Store
-from bench.running.measure import histories, rows_of
+from bench.running.measure import histories, norms, relative_errors, rows_of
+from bench.running.scene_records import rates
 from integrators.contract import Trajectory
+from problems import MechatronicSystem, State, jnp
+from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
@@ -85,3 +91,61 @@ def test_histories_are_what_each_row_violates():
     lifted = scene.m * scene.g * 0.1 * exact["q"][2, 1]
     assert found["energy"][2] == pytest.approx(abs(lifted) / kinetic.max())
     assert histories(SpringMass(), trajectory()) == {}
+
+
+def test_norms_are_those_worked_out_by_hand_at_unequal_times():
+    t = np.array([0.0, 1.0, 2.5, 3.0, 3.5, 4.0])
+    sizes = np.array([[4.0, 2.0, 9.0, 1.0, 3.0, 2.0]])
+    found = {name: norm(sizes).tolist() for name, norm in norms(t).items()}
+    # The last quarter begins at t = 3: the 9 at t = 2.5 belongs to the last half alone.
+    # Trapezoids of the squares 16, 4, 81, 1, 9, 4: 10 + 63.75 + 20.5 + 2.5 + 3.25 = 100, over 4 s.
+    assert found == {"end": [2.0], "max": [9.0], "rms": [5.0], "settled": [3.0]}
+
+
+def test_errors_are_relative_in_each_norm_by_itself():
+    t = np.array([0.0, 1.0, 4.0])
+    exact = np.array([[3.0, 4.0], [0.0, 10.0], [8.0, 0.0]])  # sizes 5, 10, 8
+    off = np.array([[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])  # sizes 0, 5, 2
+
+    class Known:
+        error = MappingProxyType({"q": 1e-3})
+
+        def __call__(self, at):
+            none = dict.fromkeys(GROUPS, np.zeros((len(at), 0)))
+            return none | {"q": exact}
+
+    run = trajectory(t=t, q=exact + off)
+    errors, floors = relative_errors(run, Known())
+    assert errors["q"]["end"] == 2 / 8
+    assert errors["q"]["max"] == 5 / 10
+    assert errors["q"]["settled"] == 2 / 8
+    # Trapezoids of the squares: (0 + 25)/2 + 3 (25 + 4)/2 = 56 and (25 + 100)/2 + 3 (100 + 64)/2.
+    assert errors["q"]["rms"] == pytest.approx(np.sqrt(56 / 308.5), rel=1e-15)
+    assert floors["q"]["max"] == 1e-3 / 10
+
+
+@dataclass(frozen=True)
+class FreePair(MechatronicSystem):
+    """Two masses of 1 kg on a spring of 2 N/m, free to drift, in coordinates turned by 1 rad."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.1
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        along = jnp.array([np.cos(1.0) - np.sin(1.0), np.sin(1.0) + np.cos(1.0)])
+        return -2.0 * along * (along @ q)
+
+    def initial_state(self):
+        return State(q=np.array([0.3, 0.1]), v=np.array([0.7, -0.2]))
+
+
+def test_a_zero_eigenvalue_up_to_rounding_is_no_slow_rate():
+    # The pair swings at sqrt(k/m + k/m) = 2 rad/s. Its drift is a double zero, of which rounding
+    # makes two small numbers.
+    scene = FreePair()
+    found = rates(scene, Reference(scene, 1.0))
+    assert found["slowest"] == pytest.approx(2.0, rel=1e-9)
+    assert found["fastest"] == pytest.approx(2.0, rel=1e-9)

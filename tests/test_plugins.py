@@ -59,14 +59,14 @@ def test_what_a_plugin_prints_at_import_stays_out_of_the_json(listed):
 
 
 def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
-    from bench.plugins.registry import _checked
+    from bench.plugins.registry import checked_plugin
     from problems.scenes.pendulum import Pendulum
 
     def load():
         print("hello")
         return Pendulum
 
-    assert _checked("problems", "pendulum", "here", load).cls is Pendulum
+    assert checked_plugin("problems", "pendulum", "here", load).cls is Pendulum
     assert capsys.readouterr().out == ""
 
 

@@ -78,6 +78,20 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     assert table.links[1, 1] == []
 
 
+@pytest.mark.parametrize(
+    ("samples", "count", "tied"),
+    [
+        ([3e-3, 4e-3, 5e-3], 100, {"seconds": True, "residuals": True}),  # the least is the most
+        ([3.0000001e-3, 4e-3, 5e-3], 101, {"seconds": False, "residuals": False}),
+    ],
+)
+def test_a_tie_ends_where_samples_and_counts_no_longer_meet(samples, count, tied):
+    records = [run("one", "quick", 0.01, None, 100), run("one", "rival", 0.01, None, count)]
+    records[0].run_s, records[1].run_s = [1e-3, 2e-3, 3e-3], samples
+    (said,) = verdicts(standings({"one": series_of(records)}))
+    assert {cost: "tie" in text for cost, text in said.by.items()} == tied
+
+
 def test_standings_equal_a_direct_query(found):
     for s in found:
         runs = [

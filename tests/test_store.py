@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import os
@@ -15,7 +14,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from bench.results.csv_text import csv_text
+from bench.results.quantities import group_and_norm
 from bench.results.records import (
+    Damping,
     Environment,
     Plan,
     Record,
@@ -26,9 +28,11 @@ from bench.results.records import (
     median,
 )
 from bench.results.store import FILE, Store, StoreError
+from problems.spec import SpecError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
 NO_ROWS = Rows(t=[], values={})
+A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
 
 
 def a_record(key="k", **more):
@@ -85,6 +89,9 @@ def test_everything_written_is_read_back(tmp_path):
         store.save_plan(plan)
         number = store.save_environment(machine)
         store.save_scene(A_SCENE)
+        store.save_damping("newmark", A_DAMPING)
+        store.save_damping("forgotten", A_DAMPING)
+        store.save_damping("forgotten", None)
         store.save(a_record(environment=number), rows)
         for k, seconds in enumerate((0.1, 0.2, 0.05)):
             store.add_sample("k", k, seconds)
@@ -92,6 +99,7 @@ def test_everything_written_is_read_back(tmp_path):
         assert store.plan() == plan
         assert store.environments() == {number: machine}
         assert store.scenes() == {("pendulum", 1.35): A_SCENE}
+        assert store.damping() == {"newmark": A_DAMPING}
         assert store.rows("k") == rows
         assert store.records()["k"] == a_record(environment=number, run_s=[0.1, 0.2, 0.05])
         with pytest.raises(KeyError):
@@ -149,6 +157,7 @@ def filled(folder: Path) -> Path:
         store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
         store.save_environment(machine)
         store.save_scene(A_SCENE)
+        store.save_damping("newmark", A_DAMPING)
         store.save(a_record(), NO_ROWS)
         store.add_sample("k", 0, 1.0)
     return folder
@@ -235,10 +244,11 @@ def test_fresh_in_a_folder_that_cannot_be_written_is_refused_and_keeps_it(shared
         ("meta SET value = {} WHERE name = 'plan'", Store.plan),
         ("environments SET value = {}", Store.environments),
         ("scenes SET value = {}", Store.scenes),
+        ("damping SET value = {}", Store.damping),
         ("records SET value = {}", Store.records),
         ("records SET rows = {}", lambda store: store.rows("k")),
     ],
-    ids=["plan", "environments", "scenes", "records", "rows"],
+    ids=["plan", "environments", "scenes", "damping", "records", "rows"],
 )
 def test_a_damaged_value_is_named_with_the_way_out(tmp_path, column, read, damage):
     change(filled(tmp_path), f"UPDATE {column.format(damage)}")
@@ -256,6 +266,21 @@ def test_a_missing_table_is_named_with_the_way_out(tmp_path):
         pytest.raises(StoreError, match=r"cannot be read \(no such table: scenes\).*--fresh"),
     ):
         store.scenes()
+
+
+def test_a_store_from_before_there_was_a_table_is_read(tmp_path):
+    for table in ("damping", "experiments"):
+        change(filled(tmp_path / table), f"DROP TABLE {table}")
+        with Store(tmp_path / table) as store:
+            assert getattr(store, table)() == {}
+            assert list(store.records()) == ["k"]
+
+
+def test_a_plan_cannot_be_changed(tmp_path):
+    with Store(filled(tmp_path)) as store:
+        plan = store.plan()
+    with pytest.raises(AttributeError):
+        plan.samples = 2
 
 
 def test_a_sample_without_its_record_is_named_with_the_way_out(tmp_path):
@@ -350,12 +375,8 @@ def test_flat_rows_open_in_pandas():
     assert row["work_steps"] == 10
     assert (row["run_s_median"], row["run_s_min"], row["run_s_max"]) == (0.2, 0.1, 0.3)
     assert row["pattern"] == "0.3/0.7"
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, row)
-    writer.writeheader()
-    writer.writerow(row)
     for frame in (
-        pd.read_csv(io.StringIO(buffer.getvalue())),
+        pd.read_csv(io.StringIO(csv_text([row]))),
         pd.read_json(io.StringIO(json.dumps([row]))),
     ):
         assert frame.loc[0, "error_q_end"] == 1e-3
@@ -366,3 +387,26 @@ def test_the_median_of_samples():
     assert median([]) is None
     assert median([3.0]) == 3.0
     assert median([4.0, 1.0, 2.0, 3.0]) == 2.5
+
+
+def test_csv_has_the_columns_in_order_of_appearance():
+    rows = [{"b": 1, "a": 'say "no", please'}, {"c": None, "b": 2.5}]
+    assert csv_text(rows) == 'b,a,c\n1,"say ""no"", please",\n2.5,,\n'
+    assert csv_text([{"a": 1, "b": 2}], ["b", "a"]) == "b,a\n2,1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("a:rms", ("a", "rms")), (" a : max ", ("a", "max")), ("a", ("a", "end"))],
+)
+def test_an_error_is_read_as_group_and_norm(text, expected):
+    assert group_and_norm(text, ["q", "a"]) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("x:max", "no error of 'x'; known: a, q"), ("a:mx", "no norm 'mx'; did you mean 'max'")],
+)
+def test_an_error_that_is_not_known_is_named(text, words):
+    with pytest.raises(SpecError, match=words):
+        group_and_norm(text, ["q", "a"])

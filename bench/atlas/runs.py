@@ -14,7 +14,8 @@ import msgspec
 from bench.atlas.conditioning import conditions
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
 from bench.atlas.measures import history, number_of, quantity, value_of, within
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.store import Store
 from bench.running.processes import NoAnswer

@@ -1,4 +1,4 @@
-"""One loader for scenes and integrators, built-in or somebody else's.
+"""The registry: one loader for scenes and integrators, built-in or somebody else's.
 
 Plugins come as entry points (``stepbench.problems``, ``stepbench.integrators``) or as Python files
 named on the command line. One that cannot be loaded is kept with its reason and never stops the
@@ -26,6 +26,9 @@ from problems import spec
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Modules of plugin files have names that begin with this.
+FILE_PREFIX = "stepbench_plugin_"
+#: The kinds of plugins, with their base classes.
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 
 
@@ -50,7 +53,7 @@ class Plugin:
 
     @property
     def options(self) -> list[dict[str, Any]]:
-        """Options or parameters: name, default, what it means, unit, choices and limits."""
+        """Options or parameters: name, default, meaning, unit, choices and limits."""
         fields = dataclasses.fields(self.cls) if self.cls else ()
         shown = ("doc", "unit", "choices", "low", "high")
         return [
@@ -112,7 +115,13 @@ class Registry:
         return self._make("integrators", "integrator", text, {})
 
     def require_files(self) -> None:
-        """Raise PluginError if a file named on the command line could not be used."""
+        """Check that all files that were named can be used.
+
+        Raises
+        ------
+        PluginError
+            If one cannot be used.
+        """
         for plugins in (self.problems, self.integrators):
             for plugin in plugins.values():
                 if plugin.cls is None and plugin.origin in self._files:
@@ -150,7 +159,7 @@ class Registry:
         except BaseException as error:  # a plugin may even call sys.exit
             if isinstance(error, KeyboardInterrupt):
                 raise
-            # It is not known what it would have been: listed under both kinds.
+            # Its kind is not known: it is listed under both.
             for kind in KINDS:
                 self._add(kind, Plugin(file.stem, str(file), None, explain(error)))
             return
@@ -161,7 +170,7 @@ class Registry:
                 found += 1
                 # A class whose name is of no use is listed, with the reason, under its own.
                 name = cls.name if spec.is_name(cls.name) else cls.__name__
-                self._add(kind, _checked(kind, name, str(file), lambda cls=cls: cls))
+                self._add(kind, checked_plugin(kind, name, str(file), lambda cls=cls: cls))
         if not found:
             reason = "it defines no MechatronicSystem and no Integrator."
             for kind in KINDS:
@@ -169,30 +178,13 @@ class Registry:
 
 
 def explain(error: BaseException) -> str:
-    """One sentence on an exception, with the innermost line of code it came from."""
+    """Return one sentence on an exception, with the innermost line of code it came from."""
     if isinstance(error, SyntaxError):
         return f"{type(error).__name__}: {error.msg} (line {error.lineno})."
     text = " ".join(str(error).split()) or "no message"
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {text.rstrip('.')}{where}."
-
-
-@cache
-def fingerprint(cls: type) -> str:
-    """A digest of the source that a plugin's results come from: it is measured anew when edited.
-
-    The files of the class and its bases, and everything that takes part in every run.
-    """
-    files = {inspect.getsourcefile(base) for base in cls.__mro__ if base is not object}
-    own = {Path(file) for file in files if file}
-    for package in ("problems", "integrators"):
-        own |= set(Path(sys.modules[package].__path__[0]).rglob("*.py"))
-    own.add(Path(__file__).parents[1] / "running" / "measure.py")
-    digest = hashlib.sha256()
-    for file in sorted(own):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
 
 
 def _files(path: Path) -> list[Path]:
@@ -205,7 +197,7 @@ def _files(path: Path) -> list[Path]:
 
 def _import_file(file: Path) -> Any:
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"stepbench_plugin_{file.stem}_{digest}"
+    name = f"{FILE_PREFIX}{file.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
     loader = importlib.util.spec_from_file_location(name, file)
@@ -214,7 +206,7 @@ def _import_file(file: Path) -> Any:
     module = importlib.util.module_from_spec(loader)
     sys.modules[name] = module  # dataclasses look their module up
     try:
-        # What a plugin prints must not get into the JSON on the standard output.
+        # Prints of a plugin must not get into the JSON on the standard output.
         with redirect_stdout(sys.stderr):
             loader.loader.exec_module(module)
     except BaseException:
@@ -231,7 +223,7 @@ def _kind_of(cls: Any, module: str) -> str | None:
 
 def _from_entry_point(kind: str, entry: Any) -> Plugin:
     origin = _package(entry.dist) if entry.dist else entry.value
-    return _checked(kind, entry.name, origin, entry.load)
+    return checked_plugin(kind, entry.name, origin, entry.load)
 
 
 @cache  # a package reads its metadata anew each time, and has many entry points
@@ -239,7 +231,8 @@ def _package(dist: Any) -> str:
     return f"{dist.name} {dist.version}"
 
 
-def _checked(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:
+def checked_plugin(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:
+    """Return a plugin with the class that ``load`` returns, or the reason why it is of no use."""
     try:
         with redirect_stdout(sys.stderr):  # an entry point is imported here
             cls = load()
@@ -251,8 +244,13 @@ def _checked(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plug
     return Plugin(name, origin, None if reason else cls, reason)
 
 
+def _is_subclass(cls: Any, base: type) -> bool:
+    return inspect.isclass(cls) and issubclass(cls, base)
+
+
 def _fault(kind: str, name: str, cls: Any) -> str:
-    if not (inspect.isclass(cls) and issubclass(cls, KINDS[kind])):
+    """The sentence on a class that cannot be used, or nothing."""
+    if not _is_subclass(cls, KINDS[kind]):
         return f"{cls!r} is not a subclass of {KINDS[kind].__name__}."
     if inspect.isabstract(cls):
         return f"it lacks {', '.join(sorted(cls.__abstractmethods__))}."

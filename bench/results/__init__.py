@@ -1,1 +1,1 @@
-"""Records of runs: their types, their store, and what is made of them."""
+"""Records of runs: their types, their store, and their comparison, union and summary."""

@@ -1,4 +1,4 @@
-"""What changed from one run folder to another, cell by cell, and what of it is a regression.
+"""Comparison of two run folders, cell by cell, and its regressions.
 
 A cell is the same if its key is. Where it reached the end in both, three kinds are compared:
 
@@ -12,13 +12,21 @@ A cell is the same if its key is. Where it reached the end in both, three kinds 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from bench.results.comparison import LEAST, Change, Comparison, Ending, Run, factor
+from bench.results.comparison import (
+    LEAST_CHANGE,
+    Change,
+    ChangedStatus,
+    ComparedCell,
+    Comparison,
+    factor,
+)
 from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import Environment, Record, median
+from bench.results.records import Environment, Record
 from bench.results.store import Store
 from problems.spec import SpecError, suggest
 
@@ -37,7 +45,7 @@ def compare(old: Path, new: Path) -> Comparison:
     (before, machines), (after, others) = _read(old), _read(new)
     shared = [key for key in after if key in before]
     names = _names([*before.values(), *after.values()])
-    noise = max(LEAST["time"], _noise(before.values()) * _noise(after.values()))
+    noise = max(LEAST_CHANGE["time"], _noise(before.values()) * _noise(after.values()))
     judged: Counter[str] = Counter()
     differences: dict[str, None] = {}
     endings, changes, untold = [], [], 0
@@ -47,7 +55,7 @@ def compare(old: Path, new: Path) -> Comparison:
         pair = _differences(machines.get(one.environment), others.get(two.environment))
         differences |= dict.fromkeys(pair)
         if one.status != two.status:
-            endings.append(Ending(run=run, before=one.status))
+            endings.append(ChangedStatus(run=run, before=one.status))
         elif one.status == "ok":
             judged[f"{run.integrator} on {run.scene}"] += 1
             changes += [*_errors(run, one, two), *_work(run, one, two)]
@@ -80,7 +88,7 @@ def read_limits(text: str) -> dict[str, float]:
     limits: dict[str, float] = {}
     for item in text.split(","):
         kind, colon, ratio = (part.strip() for part in item.partition(":"))
-        known = [*LEAST, VANISHED]
+        known = [*LEAST_CHANGE, VANISHED]
         if kind not in known:
             raise SpecError(f"There is no kind of regression {kind!r}; {suggest(kind, known)}.")
         if kind in limits:
@@ -94,17 +102,18 @@ def read_limits(text: str) -> dict[str, float]:
             limits[kind] = float(ratio)
         except ValueError:
             raise SpecError(f"{item!r} is not of the form {kind}:ratio, as {kind}:1.5.") from None
-        if not LEAST[kind] <= limits[kind] < math.inf:
+        if not LEAST_CHANGE[kind] <= limits[kind] < math.inf:
             raise SpecError(
-                f"{item!r} is not allowed; a limit of {kind} is a ratio from {LEAST[kind]:g} up."
+                f"{item!r} is not allowed; a limit of {kind} is a ratio from "
+                f"{LEAST_CHANGE[kind]:g} up."
             )
     return limits
 
 
 def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str]:
-    """What is worse than the limits allow, a sentence each, the worst first.
+    """List changes for the worse beyond the limits, a sentence each, the worst first.
 
-    Without limits nothing is; with any, a run that no longer reaches the end always is.
+    Without limits there are none. With any, a run that no longer reaches the end is one.
 
     Raises
     ------
@@ -137,14 +146,14 @@ def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
 
 
 def _names(records: list[Record]) -> dict[tuple[str, float], str]:
-    """A scene's name, with its interval where it has several."""
+    """Names of the scenes, with the interval of those that have several."""
     keys = {(r.problem, r.t_end) for r in records}
     several = Counter(problem for problem, _ in keys)
     return {(p, t): p if several[p] == 1 else f"{p} to t={t:g} s" for p, t in keys}
 
 
-def _run(record: Record, names: Mapping[tuple[str, float], str]) -> Run:
-    return Run(
+def _run(record: Record, names: Mapping[tuple[str, float], str]) -> ComparedCell:
+    return ComparedCell(
         key=record.key,
         scene=names[record.problem, record.t_end],
         integrator=record.integrator,
@@ -169,7 +178,7 @@ def _differences(old: Environment | None, new: Environment | None) -> list[str]:
     ]
 
 
-def _errors(run: Run, old: Record, new: Record) -> Iterator[Change]:
+def _errors(run: ComparedCell, old: Record, new: Record) -> Iterator[Change]:
     for group in GROUPS:
         for norm in NORMS:
             one, two = (r.errors.get(group, {}).get(norm) for r in (old, new))
@@ -179,13 +188,13 @@ def _errors(run: Run, old: Record, new: Record) -> Iterator[Change]:
                 ratio = 1.0 if one is two else (math.inf if two is None else 0.0)
             else:
                 ratio = _ratio(max(one, floor), max(two, floor))
-            if _changed(ratio, LEAST["error"]):
+            if _changed(ratio, LEAST_CHANGE["error"]):
                 yield Change(
                     run=run, kind="error", name=group, norm=norm, old=one, new=two, ratio=ratio
                 )
 
 
-def _work(run: Run, old: Record, new: Record) -> Iterator[Change]:
+def _work(run: ComparedCell, old: Record, new: Record) -> Iterator[Change]:
     for name in dict.fromkeys([*old.work, *new.work]):
         one, two = old.work.get(name), new.work.get(name)
         if one != two:
@@ -202,11 +211,13 @@ def _noise(records: Iterable[Record]) -> float:
     return spreads[3 * len(spreads) // 4] if spreads else 1.0
 
 
-def _time(run: Run, old: Record, new: Record, noise: float, comparable: bool) -> Iterator[Change]:
+def _time(
+    run: ComparedCell, old: Record, new: Record, noise: float, comparable: bool
+) -> Iterator[Change]:
     if min(len(old.run_s), len(new.run_s)) < 2:
         return
     apart = min(new.run_s) > max(old.run_s) or min(old.run_s) > max(new.run_s)
-    one, two = median(old.run_s), median(new.run_s)
+    one, two = statistics.median(old.run_s), statistics.median(new.run_s)
     ratio = _ratio(one, two)
     if apart and _changed(ratio, noise):
         yield Change(

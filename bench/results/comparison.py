@@ -1,4 +1,4 @@
-"""What differs between two run folders: its pieces, and how each reads."""
+"""Differences of two run folders, as typed records with sentences."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections import defaultdict
 
 import msgspec
 
-#: Ratios nearer to one are no change: rounding, exact counts, and what no clock can tell.
-LEAST = {"error": 1.001, "work": 1.0, "time": 1.1}
+#: Ratios up to these are no change: rounding, exact counts, and the precision of clocks.
+LEAST_CHANGE = {"error": 1.001, "work": 1.0, "time": 1.1}
 
 
-class Run(msgspec.Struct, kw_only=True, frozen=True):
-    """A cell as a person knows it, and how it ended."""
+class ComparedCell(msgspec.Struct, kw_only=True, frozen=True):
+    """A cell and how it ended; ``scene`` tells its interval where there are several."""
 
     key: str
     scene: str
@@ -25,10 +25,10 @@ class Run(msgspec.Struct, kw_only=True, frozen=True):
         return f"{self.integrator} on {self.scene}, {self.resolution}"
 
 
-class Ending(msgspec.Struct, kw_only=True, frozen=True):
-    """A cell that ended in another way before."""
+class ChangedStatus(msgspec.Struct, kw_only=True, frozen=True):
+    """A cell whose status changed; ``before`` is the old one."""
 
-    run: Run
+    run: ComparedCell
     before: str
 
     def __str__(self) -> str:
@@ -43,7 +43,7 @@ class Change(msgspec.Struct, kw_only=True, frozen=True):
     is no number any more, None if it cannot be said (a count that one of the two lacks).
     """
 
-    run: Run
+    run: ComparedCell
     kind: str
     name: str
     norm: str = ""
@@ -58,7 +58,7 @@ class Change(msgspec.Struct, kw_only=True, frozen=True):
 
 
 class Comparison(msgspec.Struct, kw_only=True, frozen=True):
-    """Everything that differs between two run folders.
+    """All differences of two run folders.
 
     ``differences`` name machines and versions, ``edited`` counts the shared cells whose source
     differs, ``untold`` those whose times cannot be compared for want of two samples each. Ratios
@@ -74,18 +74,18 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
     noise: float
     judged: dict[str, int]
     differences: list[str]
-    endings: list[Ending]
+    endings: list[ChangedStatus]
     changes: list[Change]
-    vanished: list[Run]
-    appeared: list[Run]
+    vanished: list[ComparedCell]
+    appeared: list[ComparedCell]
 
     @property
     def same(self) -> bool:
-        """Whether nothing changed that was measured."""
+        """Whether all measured values are the same."""
         return not (self.endings or self.changes or self.vanished or self.appeared)
 
     def state(self) -> list[str]:
-        """What was compared, in sentences."""
+        """Say in sentences how much was compared, and under which conditions."""
         said = [
             f"{self.shared} runs are in both; {len(self.vanished)} only in {self.old}, "
             f"{len(self.appeared)} only in {self.new}."
@@ -99,7 +99,7 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
             )
         if self.untold:
             said.append(f"Times of {self.untold} runs are not compared: they need two samples.")
-        if self.noise > LEAST["time"]:
+        if self.noise > LEAST_CHANGE["time"]:
             said.append(
                 f"The machine was noisy: times that differ by less than {factor(self.noise)} are "
                 "not told apart."
@@ -109,7 +109,7 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
         return said
 
     def summary(self) -> list[str]:
-        """What changed, a line per integrator, scene and quantity, the worst first."""
+        """List the changes, a line per integrator, scene and quantity, the worst first."""
         groups: defaultdict[tuple[str, ...], list[Change]] = defaultdict(list)
         for c in self.changes:
             groups[f"{c.run.integrator} on {c.run.scene}", c.kind, c.name].append(c)
@@ -122,19 +122,19 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
             said = f"{who}: {what} {' to '.join(ends)} in {count} of {self.judged[who]} runs"
             if not all(c.comparable for c in changes):
                 said += ", not comparable"
-            lines.append((list(LEAST).index(kind), -max(ratios, default=1.0), said))
+            lines.append((list(LEAST_CHANGE).index(kind), -max(ratios, default=1.0), said))
         return [*map(str, self.endings), *(said for *_, said in sorted(lines))]
 
 
 def factor(ratio: float | None) -> str:
-    """A ratio in words."""
+    """Return a ratio in words."""
     if ratio is None:
         return "counted in one of the two"
     return f"x{ratio:.4g}" if math.isfinite(ratio) else "without bound"
 
 
 def shown(value: float | None) -> str:
-    """A count as it is, another number with four digits."""
+    """Return a count as it is, another number with four digits."""
     if value is None:
         return "no number"
     return str(value) if isinstance(value, int) else f"{value:.4g}"

@@ -1,4 +1,4 @@
-"""What a measurement was made on."""
+"""The machine, the versions and the command of a measurement."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import datetime
 import platform
 import shlex
 import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -13,26 +16,15 @@ import psutil
 
 from bench.results.records import Environment
 
-_PACKAGES = (
-    "stepbench",
-    "jax",
-    "jaxlib",
-    "diffrax",
-    "optimistix",
-    "scikit-sundae",
-    "scipy",
-    "numpy",
+#: Libraries that compute, by the names of their packages; some may be missing.
+LIBRARIES = (
+    *("jax", "jaxlib", "diffrax", "optimistix", "scikit-sundae", "scipy", "numpy"),
+    *("klujax", "asdex", "scipy_dae"),
 )
 
 
 def environment() -> Environment:
     """Describe this machine, its versions and the command in work."""
-    versions = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
     command = [Path(sys.argv[0]).name, *sys.argv[1:]]
     return Environment(
         date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -41,8 +33,24 @@ def environment() -> Environment:
         cores=psutil.cpu_count(logical=True) or 1,
         memory_gib=round(psutil.virtual_memory().total / 2**30, 1),
         platform=platform.platform(),
-        versions=versions,
+        versions={"python": platform.python_version()}
+        | _versions(("stepbench",))
+        | library_versions(),
     )
+
+
+@cache
+def library_versions() -> dict[str, str]:
+    """Return the versions of the libraries that compute, without those that are missing."""
+    return _versions(LIBRARIES)
+
+
+def _versions(packages: Iterable[str]) -> dict[str, str]:
+    found = {}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
 
 
 def _cpu_name() -> str:

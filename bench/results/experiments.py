@@ -27,7 +27,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
 
 
 class PartResult(msgspec.Struct, kw_only=True):
-    """One number for several cases; ``quantity`` is what the sweep's values are."""
+    """One number for several cases; ``quantity`` names the values of the sweeps."""
 
     text: str
     quantity: str
@@ -38,7 +38,7 @@ class PartResult(msgspec.Struct, kw_only=True):
 
 
 class ExperimentResult(msgspec.Struct, kw_only=True):
-    """An experiment with what came out."""
+    """An experiment with the results of its parts."""
 
     name: str
     number: int

@@ -1,4 +1,4 @@
-"""Stores from several machines put into one, each record with the machine that measured it."""
+"""Union of the stores of several machines; each record keeps the machine that measured it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from problems.spec import SpecError
 
 @dataclass
 class Source:
-    """What a store holds, apart from the rows, which are copied one by one."""
+    """The contents of a store without the sampled values, which are copied one by one."""
 
     folder: Path
     plan: Plan | None
@@ -27,14 +27,14 @@ class Source:
     records: dict[str, Record]
 
     def measured(self, record: Record) -> datetime.datetime:
-        """When a record was measured; long ago if that is not known."""
+        """Return the time at which a record was measured; long ago if that is not known."""
         environment = self.environments.get(record.environment)
         return _date(environment.date if environment else "")
 
 
 @dataclass
 class Merged:
-    """How many records there are now, and for the cells that came twice, whose was kept."""
+    """Counts of a union; ``twice`` counts, by folder, the kept records of cells that came twice."""
 
     records: int
     stores: int

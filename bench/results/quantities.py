@@ -1,4 +1,4 @@
-"""What is measured of a run, in one table each: groups, norms of errors, costs; and their names.
+"""Quantities that are measured of a run: groups, norms of errors, costs, and their titles.
 
 Every list of choices, every title and every parser of such names is made from these tables.
 """

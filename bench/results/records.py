@@ -1,4 +1,4 @@
-"""The typed rows that a run leaves behind; all that a report ever sees."""
+"""Records: the typed results of runs that are stored, and all that reports read."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import msgspec
 
 from bench.results.quantities import GROUPS, LEVELS, NORMS
 
-#: Version of the rows below. A store of another version is refused with a hint.
+#: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 1
 
-#: A run that is long is timed less often, it averages the machine's noise itself: no more samples
-#: are taken once they have lasted this long, in s.
+#: No more timing samples of a run are taken once they have lasted this long, in s: a long run
+#: averages the machine's noise itself.
 TIMING_SECONDS = 1.0
 
 
@@ -69,7 +69,7 @@ class Record(msgspec.Struct, kw_only=True):
 
     @property
     def resolution(self) -> str:
-        """The resolution in words."""
+        """The step and its pattern, or the tolerances, in words."""
         if self.controls == "tolerance":
             return f"rtol={self.rtol:g}, atol={self.atol:g}"
         parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
@@ -165,7 +165,7 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
 
 
 def flatten(record: Record) -> dict[str, Any]:
-    """One flat row for pandas: ``error_q_end``, ``work_residuals``, ``run_s_median``, ..."""
+    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ..."""
     row = msgspec.to_builtins(record)
     for group in GROUPS:
         for norm in NORMS:
@@ -188,5 +188,5 @@ def flatten(record: Record) -> dict[str, Any]:
 
 
 def median(values: Sequence[float]) -> float | None:
-    """Median, or None of nothing."""
+    """Return the median, or None if there are no values."""
     return statistics.median(values) if values else None

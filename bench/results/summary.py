@@ -1,4 +1,4 @@
-"""The answers of single runs as plain data, for JSON and for the tables of the terminal."""
+"""Results of single runs as plain data, for JSON and for the tables of the terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bench.results.records import Record, Rows, median
 
 
 def solution(record: Record, rows: Rows) -> dict[str, Any]:
-    """What ``stepbench solve --json`` prints: end values, errors, work and times of one run."""
+    """Return end values, errors, work and times of a run, as ``stepbench solve --json`` prints."""
     last = {name: values[-1] for name, values in rows.values.items()}
     return {
         "problem": record.problem,
@@ -35,8 +35,11 @@ def solution(record: Record, rows: Rows) -> dict[str, Any]:
 
 
 def orders(records: list[Record]) -> dict[str, Any]:
-    """What ``stepbench order --json`` prints: orders, windows and errors per group and norm."""
-    steps = [record.h for record in records]
+    """Return orders, windows and errors per group and norm, as ``stepbench order --json`` prints.
+
+    The records are those of one integrator at fixed steps.
+    """
+    steps = [record.h for record in records if record.h is not None]
     result: dict[str, Any] = {
         "steps": steps,
         "orders": {},

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,17 +15,35 @@ from problems.formulations import compiled
 from problems.reference import Reference
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25
 
 
 def finite(value: float) -> float | None:
-    """The value as a float, or None if it is not finite."""
+    """Return the value as a float, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
-def norms(t: np.ndarray) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """Norms over the rows at times t of sizes ``(..., k)``; see `relative_errors`."""
+def norms(
+    t: Float[np.ndarray, " k"],
+) -> dict[str, Callable[[Float[np.ndarray, "*runs k"]], Float[np.ndarray, "*runs"]]]:
+    """Return the norms over time, by name.
+
+    Parameters
+    ----------
+    t
+        The times of the k rows in s; they increase, but need not be equally spaced.
+
+    Returns
+    -------
+    dict
+        Functions of sizes of rows (not negative, the last axis is time): ``end`` takes the last
+        row, ``max`` the largest, ``rms`` the root of the mean square over time (trapezoidal
+        rule), ``settled`` the largest row of the last quarter of the interval.
+    """
     last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
     return {
         "end": lambda r: r[..., -1],
@@ -38,13 +56,23 @@ def norms(t: np.ndarray) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
 def relative_errors(
     trajectory: Trajectory, reference: Reference
 ) -> tuple[dict[str, dict[str, float | None]], dict[str, dict[str, float]]]:
-    """Relative error per group and norm over a trajectory's own rows, and the reference's own.
+    """Measure the relative errors of a run over its own rows.
 
-    In every norm it is norm(value - reference) / norm(reference): ``end`` takes the last row,
-    ``max`` the largest row, ``rms`` the root of the mean square over time (trapezoidal rule),
-    ``settled`` the largest row of the last quarter of the interval. A row's size is Euclidean.
-    Where the reference's norm vanishes the error is absolute. The reference's estimated error is
-    taken relative to the same norms.
+    In every norm (see `norms`) the error is norm(value - reference) / norm(reference). The size
+    of a row is Euclidean. If the norm of the reference vanishes, the error is absolute.
+
+    Parameters
+    ----------
+    trajectory
+        The run, with the status "ok".
+    reference
+        The values that are taken as exact, with their own estimated error.
+
+    Returns
+    -------
+    errors, reference_errors
+        Numbers by group and norm, without groups that the scene lacks: the errors of the run
+        (None if not finite), and the reference's own error relative to the same norms.
     """
     exact, over = reference(trajectory.t), norms(trajectory.t)
     errors: dict[str, dict[str, float | None]] = {}
@@ -55,13 +83,13 @@ def relative_errors(
         difference = np.linalg.norm(getattr(trajectory, group) - exact[group], axis=1)
         size = np.linalg.norm(exact[group], axis=1)
         scales = {name: float(norm(size)) or 1.0 for name, norm in over.items()}
-        errors[group] = {n: finite(norm(difference) / scales[n]) for n, norm in over.items()}
+        errors[group] = {n: finite(float(norm(difference)) / scales[n]) for n, norm in over.items()}
         floors[group] = {n: reference.error[group] / scale for n, scale in scales.items()}
     return errors, floors
 
 
 def relative_reference_error(reference: Reference) -> dict[str, float]:
-    """The reference's own estimated error, relative to the largest value of each group."""
+    """Return the reference's own estimated error, relative to the largest size of each group."""
     exact = reference(np.linspace(reference.scene.interval[0], reference.t_end, 100))
     return {
         group: float(error / (np.linalg.norm(exact[group], axis=1).max() or 1.0))
@@ -70,10 +98,18 @@ def relative_reference_error(reference: Reference) -> dict[str, float]:
     }
 
 
-def histories(scene: MechatronicSystem, trajectory: Trajectory) -> dict[str, np.ndarray]:
-    """What a run violates, per row ``(k,)``: the largest absolute residual of Phi and its first two
-    time derivatives ("position", "velocity", "acceleration"), and the "energy"'s change relative
-    to the largest kinetic energy. A scene without constraints or energy has none of them."""
+def histories(
+    scene: MechatronicSystem, trajectory: Trajectory
+) -> dict[str, Float[np.ndarray, " k"]]:
+    """Measure the violations of a run in each of its k rows.
+
+    Returns
+    -------
+    dict
+        The largest absolute residuals of Phi and of its first two time derivatives ("position",
+        "velocity", "acceleration"), and the change of "energy" relative to the largest kinetic
+        energy. A scene without constraints or without energy lacks them.
+    """
     y, p, found = trajectory, scene.parameters(), {}
     if scene.has("constraint"):
         levels = compiled(scene).levels(p, y.q, y.v, y.a, y.t)
@@ -108,11 +144,13 @@ def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
 MOST_COMPONENTS = 100
 
 
-def rows_of(trajectory: Trajectory | dict[str, Any]) -> Rows:
-    """A trajectory (or a reference's values with "t") as it is stored: up to its first row that is
-    not finite, which could not be read back, and of large groups the first components.
+def rows_of(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
+    """Return a trajectory, or the values of a reference with "t", in the form that is stored.
+
+    Rows end before the first one that is not finite, as JSON has no such numbers. Of large groups
+    only the first components are kept.
     """
-    values = trajectory if isinstance(trajectory, dict) else vars(trajectory)
+    values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])
     groups = {n: np.asarray(values[n]) for n in (*GROUPS, "xdot") if np.size(values[n])}
     finite_rows = np.isfinite(t)

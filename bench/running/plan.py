@@ -1,4 +1,8 @@
-"""Plans: which cells are to be measured, read from a profile (TOML) and the command line."""
+"""Suites and plans, made from a profile and the command line.
+
+A profile is a TOML file. A suite is the list of cells to be run that a profile and the command
+line ask for. Its plan is the part that is stored: title, studies, and limits.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,8 @@ from typing import Any
 
 import msgspec
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from integrators.contract import Integrator, Steps, Tolerances
@@ -22,11 +27,11 @@ from problems import spec
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: What a scene is refined over where a profile does not say.
+#: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
 DEFAULT_HALVINGS = 6
 DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 
-#: What a study can show; "runs" is a table of every run, not shown unless asked for.
+#: Figures and tables that a study can show; "runs" is a table of every run.
 FIGURES = ("trajectory", "convergence", "work_precision")
 TABLES = ("runs",)
 
@@ -42,7 +47,7 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """Readable and unique; the store's key."""
+        """Return the key of the cell in the store, readable and unique."""
         r = self.resolution
         if isinstance(r, Steps):
             refined = f"h={r.h!r} x {'/'.join(map(repr, r.pattern))}"
@@ -51,7 +56,7 @@ class Cell:
         return f"{self.problem} | {self.integrator} | {refined} | t_end={self.t_end!r}"
 
     def record(self, registry: Registry, status: str, message: str = "") -> Record:
-        """The row of this cell with what is known without running it."""
+        """Make the record of this cell with all that is known without a run."""
         scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
         form, t0, r = integrator.formulation, scene.interval[0], self.resolution
         known: dict[str, Any] = {}
@@ -76,7 +81,7 @@ class Cell:
         )
 
     def fingerprint(self, registry: Registry) -> str:
-        """Digest of the source of the cell's scene and integrator."""
+        """Return the fingerprints of the cell's scene and integrator."""
         scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
         return f"{fingerprint(type(scene))}-{fingerprint(type(integrator))}"
 
@@ -118,8 +123,19 @@ class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Suite:
-    """A plan as it is stored, its cells by key in order, the memory limit of a cell, and the
-    experiments of the failure atlas that belong to it (True: all, False: none)."""
+    """A plan with its cells.
+
+    Parameters
+    ----------
+    plan
+        The part that is stored.
+    cells
+        The cells by key, in the order of the studies.
+    memory_gib
+        The most memory that a cell may take.
+    atlas
+        Experiments of the failure atlas that belong to it (True: all, False: none).
+    """
 
     plan: Plan
     cells: dict[str, Cell]
@@ -128,13 +144,13 @@ class Suite:
 
 
 def built_in_profiles() -> dict[str, Path]:
-    """The profiles that ship with the tool, by name."""
+    """Return the files of the profiles that ship with the tool, by name."""
     folder = Path(str(resources.files("bench"))) / "profiles"
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
 def read_profile(name: str) -> tuple[str, ProfileFile]:
-    """Read a built-in profile by name or any TOML file by path; returns its name, too.
+    """Read a built-in profile by name or any TOML file by path; return its name and contents.
 
     Raises
     ------
@@ -166,7 +182,7 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
 
 
 def _varied(study: StudyFile) -> StudyFile:
-    """The study with every combination of the options that it varies written out."""
+    """Return the study with every combination of the options that it varies written out."""
     combinations = [
         dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
     ]
@@ -193,7 +209,7 @@ def make_suite(
     problems: Sequence[str] = (),
     integrators: Sequence[str] = (),
 ) -> Suite:
-    """Make the cells of a profile, restricted or extended by the command line.
+    """Make the suite of a profile, restricted or extended by the command line.
 
     A name in ``problems`` or ``integrators`` selects what the profile has by it; what the profile
     does not have is added, with the steps and tolerances that the profile gives the others (or
@@ -220,7 +236,7 @@ def make_suite(
         for problem in file.problems:
             own = [registry.integrator(text) for text in file.integrators]
             chosen = _select_integrators(own, registry, integrators) if integrators else own
-            # What no study of a scene names by itself goes into its first study alone.
+            # An integrator that no study of a scene names goes into its first study alone.
             taken = _own_specs(profile.study, problem, registry) | placed[problem]
             chosen = [i for i in chosen if i in own or i.spec not in taken]
             placed[problem] |= {i.spec for i in chosen}
@@ -241,7 +257,7 @@ def make_suite(
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
     )
-    # Who asks for a part of the profile does not want the atlas.
+    # A part of the profile goes without the atlas.
     atlas = False if problems or integrators else profile.atlas
     return Suite(plan, cells, profile.memory_gib, atlas)
 
@@ -289,7 +305,7 @@ def _select_integrators(
 
 
 def _own_specs(files: list[StudyFile], problem: str, registry: Registry) -> set[str]:
-    """The integrators that the studies of a scene name themselves."""
+    """Return the integrators that the studies of a scene name themselves."""
     return {
         registry.integrator(text).spec
         for file in files
@@ -305,16 +321,17 @@ def _expand(
     t0, default_end = scene.interval
     t_end = check_end(t0, default_end if file.t_end is None else file.t_end)
     steps = file.steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]
-    grids: dict[str, list[Steps | Tolerances]] = {
-        "step": [Steps(h, file.pattern) for h in steps],
+    fixed = [Steps(h, file.pattern) for h in steps]
+    for resolution in fixed:
+        resolution.count(t0, t_end)  # refuses a step that does not fit the interval
+    resolutions: dict[str, Sequence[Steps | Tolerances]] = {
+        "step": fixed,
         "tolerance": [Tolerances(r, file.atol) for r in file.rtol or DEFAULT_RTOL],
     }
-    for grid in grids["step"]:
-        grid.count(t0, t_end)
     cells = {
         cell.key: cell
         for integrator in integrators
-        for resolution in grids[integrator.controls]
+        for resolution in resolutions[integrator.controls]
         if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
     }
     study = Study(

@@ -27,13 +27,13 @@ from bench.plugins.registry import explain
 _WATCH_SECONDS = 0.1
 
 S = TypeVar("S")
-#: Tells the parent a new phase of the job in work, whose time counts from there.
+#: Tells the parent that the job goes on to another phase, which has the whole budget of time.
 Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class NoAnswer:
-    """A job that ended without an answer: the status of its run, and a sentence that says why."""
+    """The fate of a job that failed: the status of its run, and a sentence with the reason."""
 
     status: str
     message: str

@@ -36,12 +36,12 @@ class Task:
 
 
 def measure_task(cell: Cell, errors: bool = True) -> Task:
-    """The task that measures a cell; its answer is a `CellResult`, without ``errors`` if False."""
+    """Make the task that measures a cell; its answer is a `CellResult`."""
     return Task(Worker.measure, (cell, errors), label=cell.key, scene=cell.problem)
 
 
 def scene_task(problem: str, t_end: float) -> Task:
-    """The task that describes a scene up to ``t_end`` in s; its answer is a `SceneRecord`."""
+    """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
     return Task(Worker.scene, (problem, t_end), label=f"reference of {problem}", scene=problem)
 
 

@@ -1,4 +1,4 @@
-"""What is shown of a scene: its record, its pictures, and how stiff it is."""
+"""Records of scenes: descriptions, pictures, and rates that tell how stiff they are."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.registry import fingerprint
+from bench.plugins.fingerprint import fingerprint
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from problems.formulations import ode_rate
@@ -15,11 +15,11 @@ from problems.reference import Reference
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 
-#: Positions at which a still picture shows a scene.
+#: Times at which a still picture shows a scene.
 GHOSTS = 7
 #: Times at which eigenvalues are taken.
 _SPECTRA = 61
-#: Beyond so many states the eigenvalues are not asked for: they would cost more than the runs.
+#: With more states than this no eigenvalues are computed: they would cost more than the runs.
 _MOST_STATES = 400
 
 _BLOCKS = {
@@ -30,7 +30,7 @@ _BLOCKS = {
 
 
 def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
-    """Everything that a report shows of a scene; less, if it is too large for a reference."""
+    """Make the record of a scene; one too large for a reference has no values and pictures."""
     known: dict[str, Any] = {
         "reference_method": reference.missing,
         "reference_error": {},
@@ -63,7 +63,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
 
 
 def equations(scene: MechatronicSystem) -> list[str]:
-    """The equations that a scene has, in the words of the contract."""
+    """Return the equations that a scene has, in the symbols of the contract."""
     motion = "M(q) a = g(q, v, t)"
     motion += " - Phi_q^T lam" if scene.has("constraint") else ""
     motion += " + L y" if scene.has("output") else ""
@@ -71,7 +71,14 @@ def equations(scene: MechatronicSystem) -> list[str]:
 
 
 def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list[dict[str, Any]]:
-    """The scene at ``count`` times: ``{"t": s, "lines": [[[x, y], ...], ...]}``, lengths in m."""
+    """Draw a scene at ``count`` equally spaced times of its reference.
+
+    Returns
+    -------
+    list
+        ``{"t": s, "lines": [[[x, y], ...], ...]}`` for each time, lengths in m; empty if the
+        scene has no drawing.
+    """
     if not scene.has("draw"):
         return []
     t = np.linspace(scene.interval[0], reference.t_end, count)
@@ -92,12 +99,17 @@ def _jacobians(template: MechatronicSystem) -> Any:
 
 
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
-    """Rates in 1/s from the eigenvalues of the ODE form along the motion.
+    """Compute rates in 1/s from the eigenvalues of the ODE form along the motion.
 
-    ``fastest`` and ``slowest`` are the largest modulus and the smallest that is not rounding,
-    ``decay`` is the fastest decay and ``oscillation`` the fastest oscillation; a large ratio of
-    the first two, or of ``fastest`` and one over the interval, is stiffness. None for a scene too
-    large to ask.
+    A large ratio of the fastest and the slowest rate, or of the fastest and one over the
+    interval, is stiffness.
+
+    Returns
+    -------
+    dict or None
+        ``fastest`` and ``slowest``, the largest modulus and the smallest one that is not
+        rounding; ``decay`` and ``oscillation``, the fastest of both. None if the scene is too
+        large or the Jacobian is not finite.
     """
     sizes = scene.sizes
     if 2 * sizes.nq + sizes.nx > _MOST_STATES:

@@ -1,4 +1,4 @@
-"""A suite from plan to store: lists what is missing, measures it, and takes times."""
+"""A suite from plan to store: lists missing results, measures them, and takes times."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
@@ -23,16 +24,16 @@ class Progress(Protocol):
     """Messages to the person who waits."""
 
     def phase(self, name: str, total: int) -> None:
-        """A phase begins that has this many steps."""
+        """Say that a phase begins, with its number of steps."""
 
     def working(self, text: str) -> None:
-        """This is in work."""
+        """Say that this is in work."""
 
     def advance(self) -> None:
-        """One step is done."""
+        """Say that one step is done."""
 
     def note(self, text: str) -> None:
-        """Something went wrong that costs no cell."""
+        """Say that something went wrong that costs no cell."""
 
 
 def runner_for(suite: Suite, registry: Registry, jobs: int, cluster: str | None = None) -> Runner:
@@ -167,7 +168,7 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Registry) -> 
 
 # ---- parts -----------------------------------------------------------------------------
 def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
-    """Timing samples that the measured cells still lack."""
+    """Count the timing samples that the measured cells still lack."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
     return sum(
         max(0, suite.plan.samples - len(record.run_s))
@@ -183,7 +184,7 @@ def _raised(budget_s: float, record: Record) -> bool:
 def _groups(
     cells: list[Cell], scenes: list[tuple[str, float]], registry: Registry
 ) -> list[list[Task]]:
-    """Cells that share compiled code stay together; of each scene its record comes first."""
+    """Group cells that share compiled code; the record of a scene comes before its cells."""
     groups: dict[tuple, list[Task]] = {}
     for problem, t_end in scenes:
         groups[problem, t_end] = [scene_task(problem, t_end)]
@@ -194,7 +195,7 @@ def _groups(
 
 
 def _longest_first(groups: list[list[Task]], registry: Registry) -> list[list[Task]]:
-    """So that no worker is left alone with what takes longest in the end."""
+    """Sort groups so that no worker is left alone with the longest one in the end."""
 
     def weight(group: list[Task]) -> float:
         scene = group[0].scene
@@ -204,7 +205,7 @@ def _longest_first(groups: list[list[Task]], registry: Registry) -> list[list[Ta
 
 
 def _weight(scene: MechatronicSystem) -> float:
-    """How long runs of a scene take, roughly: steps times the square of its states."""
+    """Estimate how long runs of a scene take: steps times the square of its states."""
     try:
         states = sum(np.size(part) for part in scene.initial_state())
     except Exception:  # it may be a plugin, and its runs will say what is wrong

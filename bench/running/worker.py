@@ -66,7 +66,7 @@ class Worker:
         self._scenes: dict[str, MechatronicSystem] = {}
 
     def problem(self, text: str) -> MechatronicSystem:
-        """A scene, made once: it finds its dimensions by tracing and then knows them."""
+        """Return a scene; it is made once, as it finds its dimensions by tracing."""
         if text not in self._scenes:
             self._scenes[text] = self.registry.problem(text)
         return self._scenes[text]
@@ -82,7 +82,7 @@ class Worker:
         return self._references[key]
 
     def measure(self, cell: Cell, errors: bool = True) -> CellResult:
-        """Run a cell once; without ``errors`` no reference is made."""
+        """Run a cell once and measure it; without ``errors`` no reference is made."""
         scene = self.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
         record = cell.record(self.registry, trajectory.status, trajectory.message)
@@ -95,7 +95,7 @@ class Worker:
     def _compare(
         self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
     ) -> None:
-        # What goes wrong from here on is not the integrator's fault.
+        # A failure from here on is not the integrator's fault.
         if errors:
             try:
                 reference = self._reference(scene, record.t_end)
@@ -137,7 +137,7 @@ class Worker:
         return measure.checked(trajectory, cell.t_end), compile_s
 
     def time(self, cell: Cell) -> float:
-        """Seconds per bare run, averaged over as many as fit a sample."""
+        """Return seconds per bare run, averaged over as many runs as fit a sample."""
         if cell.key not in self.prepared:
             self._run(cell)
         run = self.prepared[cell.key]
@@ -159,7 +159,7 @@ class Worker:
 
 
 def memory_mappings() -> int:
-    """Memory mappings of this process; 0 where they cannot be counted."""
+    """Count the memory mappings of this process; 0 where that cannot be done."""
     try:
         return Path("/proc/self/maps").read_bytes().count(b"\n")
     except OSError:
@@ -167,7 +167,7 @@ def memory_mappings() -> int:
 
 
 def start_worker(notify: Notify, plugin_paths: list[str]) -> Worker:
-    """Make the state of a worker process, and set what is of the whole process."""
+    """Make the state of a worker process, and set up garbage collection and threads."""
     gc.set_threshold(_GARBAGE)
     one_thread()
     return Worker(Registry(plugin_paths), notify)

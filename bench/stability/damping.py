@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from bench.plugins.registry import Registry, fingerprint
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
 from bench.results.records import Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.measure import finite
@@ -94,7 +95,7 @@ def linear_response(
 ) -> dict[str, list[float | None]]:
     """Step a method on the undamped oscillator: columns over omega h, None where not finite."""
     at, method = np.array(omega_h), steppable(worker.registry.integrator(integrator))
-    found = matrices(method, Oscillator(), at, pattern)
+    found = matrices(method, Oscillator(), omega_h, pattern)
     roots = eigenvalues(found.a)
     columns = (radii(roots), *oscillation(roots, at), *overshoot(found, Oscillator()))
     names = ("radius", "damping", "period_error", "overshoot_q", "overshoot_v")

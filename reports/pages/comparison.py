@@ -6,7 +6,14 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.results.comparison import LEAST, Change, Comparison, Run, factor, shown
+from bench.results.comparison import (
+    LEAST_CHANGE,
+    Change,
+    ComparedCell,
+    Comparison,
+    factor,
+    shown,
+)
 from reports.charts import rendering
 from reports.charts.vega import GREY, Spec, config, log_axis, log_scale, quantity, short
 from reports.pages.markdown import render
@@ -67,7 +74,7 @@ def write(comparison: Comparison, regressions: Sequence[str], folder: Path) -> l
 
 def charts(comparison: Comparison) -> dict[str, Spec]:
     """New over old of every run in both, sorted, a chart per kind in which something changed."""
-    made = {kind: _ratios(comparison, kind) for kind in LEAST}
+    made = {kind: _ratios(comparison, kind) for kind in LEAST_CHANGE}
     return {f"ratio-{kind}": chart for kind, chart in made.items() if chart}
 
 
@@ -144,7 +151,9 @@ def _ratios(comparison: Comparison, kind: str) -> Spec | None:
 def tables(comparison: Comparison) -> list[Table]:
     """All that changed in tables, of each kind the worst first; none where nothing did."""
     made = [_endings(comparison)]
-    made += [_changes(kind, [c for c in comparison.changes if c.kind == kind]) for kind in LEAST]
+    made += [
+        _changes(kind, [c for c in comparison.changes if c.kind == kind]) for kind in LEAST_CHANGE
+    ]
     made += [
         _runs(f"Runs only in {comparison.old}", comparison.vanished),
         _runs(f"Runs only in {comparison.new}", comparison.appeared),
@@ -174,12 +183,12 @@ def _changes(kind: str, changes: Sequence[Change]) -> Table:
     return Table(_CAPTIONS[kind], head, rows)
 
 
-def _runs(caption: str, runs: Sequence[Run]) -> Table:
+def _runs(caption: str, runs: Sequence[ComparedCell]) -> Table:
     rows = [[*_who(run), run.status] for run in runs]
     return Table(caption, ["integrator", "scene", "run", "ending"], rows)
 
 
-def _who(run: Run) -> list[str]:
+def _who(run: ComparedCell) -> list[str]:
     return [run.integrator, run.scene, run.resolution]
 
 

@@ -1,0 +1,138 @@
+"""Fingerprints: digests of everything that decides the numbers of a scene or an integrator.
+
+These are the source of the modules that take part, the versions of the libraries that compute,
+and the flags of the compiler. A cell whose fingerprint changes is measured anew.
+
+The modules are those of the class and its base classes, the module that judges runs, and the
+modules of this project, or of the plugin's own folder or package, that these import, directly or
+not. Imports are read from the source, inside functions, too; nothing is loaded for that.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.plugins.registry import FILE_PREFIX
+from bench.results.environment import library_versions
+
+#: Variables of the environment that change what JAX computes.
+FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
+#: The module whose functions turn a trajectory into errors and a status.
+JUDGE = "bench.running.measure"
+_PROJECT = frozenset({"problems", "integrators", "bench"})
+_PROJECT_FOLDER = Path(__file__).parents[2]
+
+
+class _Place(NamedTuple):
+    """A folder with modules, and the packages in it that count; None: all modules."""
+
+    folder: Path
+    packages: frozenset[str] | None
+
+
+@cache
+def fingerprint(cls: type) -> str:
+    """Return the digest of a class of scenes or integrators: 12 hexadecimal digits."""
+    digest = hashlib.sha256()
+    for name, file in sorted(modules_of(cls).items()):
+        digest.update(f"{name} {_source(file).digest}\n".encode())
+    flags = [os.environ.get(flag) for flag in FLAGS]
+    digest.update(repr((sorted(library_versions().items()), flags)).encode())
+    return digest.hexdigest()[:12]
+
+
+def forget() -> None:
+    """Read sources, versions and flags anew from now on."""
+    for cached in (fingerprint, _file_of, _source, library_versions):
+        cached.cache_clear()
+
+
+def modules_of(cls: type) -> dict[str, Path]:
+    """Return the source files that decide the numbers of a class, by the names of the modules."""
+    places = (_Place(_PROJECT_FOLDER, _PROJECT),)
+    due = [JUDGE]
+    found: dict[str, Path] = {}
+    for base in cls.__mro__:
+        name, top = base.__module__, base.__module__.partition(".")[0]
+        file = Path(getattr(sys.modules.get(name), "__file__", None) or "")
+        if file.suffix != ".py" or top in sys.stdlib_module_names:
+            continue
+        if name.startswith(FILE_PREFIX):
+            # Its name has a digest of its path, which differs between machines.
+            name = file.stem
+            places += (_Place(file.parent, None),)
+        elif base is cls and top not in _PROJECT:
+            depth = name.count(".") + (file.stem == "__init__")
+            places += (_Place(file.parents[depth], frozenset({top})),)
+        found[name] = file
+        due += _imports(name, file)
+    while due:
+        name = due.pop()
+        file = None if name in found else _file_of(name, places)
+        if file:
+            found[name] = file
+            due += _imports(name, file)
+    return found
+
+
+@cache
+def _file_of(name: str, places: tuple[_Place, ...]) -> Path | None:
+    """The source of a module, if it is in one of the places."""
+    *parents, last = name.split(".")
+    for folder, packages in places:
+        if packages is None or name.partition(".")[0] in packages:
+            beside = folder.joinpath(*parents)
+            for file in (beside / last / "__init__.py", beside / f"{last}.py"):
+                if file.is_file():
+                    return file
+    return None
+
+
+class _Source(NamedTuple):
+    """Digest of a file and its imports, (level of a relative import, dotted name)."""
+
+    digest: str
+    imports: frozenset[tuple[int, str]]
+
+
+@cache
+def _source(file: Path) -> _Source:
+    code = file.read_bytes()
+    return _Source(hashlib.sha256(code).hexdigest(), frozenset(_import_names(ast.parse(code))))
+
+
+def _import_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    due = [tree]
+    while due:
+        node = due.pop()
+        if isinstance(node, ast.Import):
+            yield from ((0, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):  # of a module, or of a name in one
+            start = f"{node.module}." if node.module else ""
+            yield from ((node.level, start + alias.name) for alias in node.names)
+        elif isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+            due += node.orelse  # imports for types alone do not run
+        else:
+            due += (part for part in ast.iter_child_nodes(node) if not isinstance(part, ast.expr))
+
+
+def _imports(name: str, file: Path) -> Iterator[str]:
+    """The modules that a module imports, with their packages; some are names in a module."""
+    yield from _prefixes(name)
+    package = name.split(".") if file.stem == "__init__" else name.split(".")[:-1]
+    for level, imported in _source(file).imports:
+        start = package[: len(package) - level + 1] if level else []
+        yield from _prefixes(".".join([*start, imported]))
+
+
+def _prefixes(name: str) -> Iterator[str]:
+    """A dotted name and the packages that it is in: importing it runs these first."""
+    parts = name.split(".")
+    return (".".join(parts[: k + 1]) for k in range(len(parts)))
