@@ -1,17 +1,20 @@
-"""The integrator contract: options, what a run is given, what it returns.
+"""The integrator contract: options of a method, input and output of a run.
 
-An integrator is a frozen dataclass of options. The bench asks it three things:
+An integrator is a frozen dataclass of options. The bench calls it in this order:
 
-1. ``supports(scene)`` - None, or the reason why it cannot take the scene;
-2. ``prepare(scene, t_end, resolution)`` - do everything that is not to be timed (consistent
-   start, tracing, compiling) and return a prepared run;
-3. on that run, ``measure()`` - the trajectory with its status and work counts, untimed - and
-   ``execute()`` - the bare solve to t_end, as often as the bench wants to time it.
+1. ``supports(scene)`` returns None, or the reason why the integrator cannot take the scene.
+2. ``prepare(scene, t_end, resolution)`` does all untimed work (consistent start, tracing,
+   compiling) and returns a prepared run.
+3. ``measure()`` of that run returns the trajectory with its status and work counts, untimed.
+4. ``execute()`` of that run solves once more from t0 to t_end, as often as the bench times it.
 
-Rules for implementers: a run never raises for numerical trouble, it returns a status and a
-message that names the time and the cure. Work is counted where it happens; what a library does
-not let us count is None, not a guess. Accelerations are those of the equations of motion at the
-reported time, never the auxiliary ones of a recurrence.
+Rules for an integrator:
+
+- A run does not raise for numerical trouble. It returns a status of `STATUSES` and a message that
+  names the time and a remedy.
+- Work is counted where it happens. A count that a library does not give is None, not a guess.
+- Accelerations solve the equations of motion at the reported time. A recurrence's auxiliary
+  accelerations are not reported.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -29,23 +32,26 @@ from integrators.multistep import MultistepForm
 from problems import spec
 from problems.system import MechatronicSystem
 
-#: How a run can end; only "ok" has a complete trajectory.
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+#: Endings of a run; only "ok" has a complete trajectory.
 STATUSES = (
-    "ok",
-    "newton_failed",
-    "step_too_small",
-    "diverged",
-    "budget_exceeded",
-    "unsupported",
-    "crashed",
+    "ok",  # the run reached t_end
+    "newton_failed",  # Newton's method or its linear solver failed
+    "step_too_small",  # the step control fell to the rounding of time
+    "diverged",  # a value grew beyond all bounds or is not finite
+    "budget_exceeded",  # the limit of steps, calls or time was used up
+    "unsupported",  # the integrator cannot take the scene
+    "crashed",  # an exception, or the end of the process
 )
 
-#: Rows that a trajectory keeps: the first steps, where start-up errors live, and about this
-#: many more spread over the interval. Memory does not grow with the number of steps.
+#: A trajectory keeps its first steps, which show start-up errors, and about SPREAD_ROWS more
+#: over the interval. Memory does not grow with the number of steps.
 FIRST_ROWS = 16
 SPREAD_ROWS = 200
 
-#: More steps than this cannot be counted exactly in a float, nor waited for.
+#: Nobody waits for more steps than this, and a float does not count many more exactly.
 MOST_STEPS = 1e12
 
 
@@ -59,10 +65,22 @@ def option(
     always: bool = False,
     kind: type | None = None,
 ) -> Any:
-    """Declare an option of an integrator.
+    """Declare an option of an integrator: a dataclass field that users can set.
 
-    ``always`` shows it in the printed name even at its default. ``kind`` is needed only where
-    the default is None, which then is an allowed value, too.
+    Parameters
+    ----------
+    default
+        Value where the user gives none. Its type (bool, int, float or str) is the option's type.
+    doc
+        One line for the list of options.
+    choices
+        Allowed values.
+    low, high
+        Limits of a number, both allowed.
+    always
+        Show the option in the printed name even at its default.
+    kind
+        Type of an option whose default is None; None then is an allowed value.
     """
     meta = {
         "type": kind or type(default),
@@ -78,7 +96,14 @@ def option(
 
 @dataclass(frozen=True)
 class Steps:
-    """Fixed steps: macro step h in s, divided by a pattern of fractions that sum to 1.
+    """Constant steps, or a repeated pattern of steps.
+
+    Parameters
+    ----------
+    h
+        Size of a macro step in s.
+    pattern
+        Steps of a macro step as fractions of it, at most 16.
 
     Raises
     ------
@@ -104,12 +129,12 @@ class Steps:
             )
 
     def count(self, t0: float, t_end: float) -> int:
-        """Number of macro steps: the smallest whose step divides the interval and is not above h.
+        """Return the least number of equal macro steps in [t0, t_end] (s) that are not above h.
 
         Raises
         ------
         SpecError
-            If h is larger than the interval, or absurdly small.
+            If h is larger than the interval, or makes more than `MOST_STEPS` steps.
         """
         length = t_end - t0
         if self.h > length * (1 + 1e-9):
@@ -125,9 +150,16 @@ class Steps:
         return max(1, math.ceil(length / self.h * (1 - 1e-9)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Tolerances:
-    """Relative and absolute tolerance of an adaptive method; atol is rtol/100 if not given.
+    """Tolerances of an adaptive method.
+
+    Parameters
+    ----------
+    rtol
+        Relative tolerance.
+    atol
+        Absolute tolerance, in the unit of each variable; rtol/100 if None.
 
     Raises
     ------
@@ -135,21 +167,31 @@ class Tolerances:
         If one of them is not positive and finite.
     """
 
-    rtol: float = 1e-6
-    atol: float | None = None
+    rtol: float
+    atol: float
 
-    def __post_init__(self) -> None:
-        if self.atol is None:
-            object.__setattr__(self, "atol", self.rtol / 100)
-        for name in ("rtol", "atol"):
-            value = getattr(self, name)
+    def __init__(self, rtol: float = 1e-6, atol: float | None = None) -> None:
+        for name, value in (("rtol", rtol), ("atol", rtol / 100 if atol is None else atol)):
             if not (math.isfinite(value) and value > 0):
                 raise spec.SpecError(f"{name}={value:g} is not allowed; give a positive number.")
+            object.__setattr__(self, name, value)
 
 
 @dataclass
 class Work:
-    """What a run did, counted where it happens; None is "cannot be counted"."""
+    """Work counts of a run; None where a count is not known.
+
+    Attributes
+    ----------
+    steps, rejected
+        Accepted steps, and attempts that the step control rejected.
+    newton
+        Iterations of Newton's method.
+    residuals
+        Evaluations of the residual, or of an ODE's right-hand side.
+    jacobians, factorisations, solves
+        Evaluations of the Jacobian, factorisations of matrices, and solves with the factors.
+    """
 
     steps: int | None = None
     rejected: int | None = None
@@ -162,65 +204,100 @@ class Work:
 
 @dataclass
 class Trajectory:
-    """Rows of a run at some of its own steps: t ``(k,)``, the others ``(k, n)``.
+    """Rows of a run at k of its own steps, the start first; `spread_rows` chooses the steps.
 
-    ``notes`` holds what else a method tells of the step that led to a row, each ``(k,)``, such as
-    its size "h" or weight "gamma". A run that failed keeps the rows up to where it came.
+    A run that failed keeps the rows up to its last good step.
+
+    Attributes
+    ----------
+    t
+        Times in s.
+    q, v, a
+        Coordinates, velocities and accelerations, in the scene's units.
+    lam, x, xdot, y
+        Multipliers, controller states, their rates, and outputs; of no columns where the scene
+        has none.
+    status, message
+        One of `STATUSES`; unless it is "ok", one sentence that names the time and a remedy.
+    work
+        Work counts of the whole run.
+    notes
+        Further numbers of a method about the step that led to a row, such as its size "h" or its
+        weight "gamma".
     """
 
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    x: np.ndarray
-    xdot: np.ndarray
-    y: np.ndarray
+    t: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "k nq"]
+    v: Float[np.ndarray, "k nq"]
+    a: Float[np.ndarray, "k nq"]
+    lam: Float[np.ndarray, "k nl"]
+    x: Float[np.ndarray, "k nx"]
+    xdot: Float[np.ndarray, "k nx"]
+    y: Float[np.ndarray, "k ny"]
     status: str = "ok"
     message: str = ""
     work: Work = field(default_factory=Work)
-    notes: dict[str, np.ndarray] = field(default_factory=dict)
+    notes: dict[str, Float[np.ndarray, " k"]] = field(default_factory=dict)
 
     @classmethod
     def failed(cls, status: str, message: str) -> Trajectory:
-        """A run that did not even start."""
-        empty = [np.zeros(0)] + [np.zeros((0, 0)) for _ in range(7)]
-        return cls(*empty, status=status, message=message)
+        """Return the trajectory of a run that did not start: it has no rows."""
+        empty = np.zeros((0, 0))
+        return cls(np.zeros(0), *[empty] * 7, status=status, message=message)
 
 
 class PreparedRun(ABC):
-    """One run, ready to be measured and timed."""
+    """A run that can be measured and timed, any number of times."""
 
     @abstractmethod
     def measure(self) -> Trajectory:
-        """Run once with sampling and counting; untimed, and the warm-up of ``execute``."""
+        """Solve from t0 to t_end, keep rows and count work; untimed, and a warm-up."""
 
     @abstractmethod
     def execute(self) -> Any:
-        """The same solve, from t0 to t_end, without anything else; returns when it is done."""
+        """Solve from t0 to t_end and do nothing else; timed.
+
+        The steps are those of ``measure``. The bench ignores the result. The call returns when
+        the result is ready, and does not raise for numerical trouble.
+        """
+
+
+def _stated_by_subclass() -> str:
+    """A constant of a method's class, or an option: a class without it is abstract."""
+    missing: Any = property(abstractmethod(lambda self: None))
+    return missing
 
 
 @dataclass(frozen=True)
 class Integrator(ABC):
-    """Base class of all integrators; options are the dataclass fields made by ``option``.
+    """Base class of all integrators.
 
-    Class-level facts:
+    A subclass is a frozen dataclass. Its options are fields made by `option`; it states
+    ``formulation`` and ``prepare``, and overrides the rest where it differs.
 
-    ``controls``
-        "step" or "tolerance": what is refined
-    ``family``
-        methods of one family are drawn in one hue
-    ``orders``
-        claimed order per group; a group that is not named is not claimed
-    ``source``
-        where the method is published (DOI where there is one)
+    Attributes
+    ----------
+    name
+        Name on the command line; by default the class's name in snake case.
+    family
+        Methods of one family are drawn in one hue.
+    controls
+        Input that refines a run: "step" (`Steps`) or "tolerance" (`Tolerances`).
+    orders
+        Claimed order for each of the groups q, v, a, lam, x, y; nothing is claimed for others.
+    source
+        Publication of the method, with its DOI if there is one.
+    formulation
+        Equations that the method solves on a constrained scene (see problems.formulations).
     """
 
     name: ClassVar[str]
     family: ClassVar[str] = ""
-    controls: ClassVar[str] = "step"
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
+    # Without annotations, as a subclass may state these by a constant, an option or a property.
+    controls = "step"
+    formulation = _stated_by_subclass()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -229,28 +306,23 @@ class Integrator(ABC):
 
     @property
     def spec(self) -> str:
-        """Printed name, store key and filter: ``name[option=value,...]``."""
+        """The printed name, store key and filter: ``name[option=value,...]``."""
         return spec.format_spec(self.name, self)
 
     @property
     def affinity(self) -> str:
-        """Integrators of equal affinity share compiled code and go to one worker process."""
+        """A key: integrators of equal affinity share compiled code and one worker process."""
         return self.name
 
-    @property
-    @abstractmethod
-    def formulation(self) -> str:
-        """The formulation in which it takes a constrained scene (see problems.formulations)."""
-
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        """Claimed order per group on this scene, at equal steps and after the start transient.
+        """Return the claimed order per group on a scene, at equal steps, after the start transient.
 
         ``stepbench check`` measures them. Override where an option or the kind of scene matters.
         """
         return self.orders
 
     def at_constant_steps(self) -> Integrator | None:
-        """The same method at constant steps, where its order is measured; None if it has none."""
+        """Return the method at constant steps, for measuring its order; None if it has none."""
         return self if self.controls == "step" else None
 
     def multistep_form(self) -> MultistepForm | None:
@@ -263,14 +335,22 @@ class Integrator(ABC):
         return None
 
     def supports(self, scene: MechatronicSystem) -> str | None:
-        """None if it can take the scene, else the reason in one sentence."""
+        """Return None if the integrator can take the scene, else the reason in one sentence."""
         return None
 
     @abstractmethod
-    def prepare(
-        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
-    ) -> PreparedRun:
-        """Make everything ready for a run from the scene's start to t_end.
+    def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
+        """Make everything ready for a run.
+
+        Parameters
+        ----------
+        scene
+            Scene with its parameters; the run starts at ``scene.interval[0]`` from the consistent
+            values of ``problems.formulations.consistent_start``.
+        t_end
+            End of the run in s.
+        resolution
+            `Steps` if ``controls`` is "step", `Tolerances` if it is "tolerance".
 
         Raises
         ------
@@ -279,11 +359,21 @@ class Integrator(ABC):
         """
 
 
-def spread_rows(steps: int) -> np.ndarray:
-    """Step numbers at which to keep rows: the start, the first steps, and an even spread.
+def spread_rows(steps: int) -> Int[np.ndarray, " k"]:
+    """Choose the steps whose ends are rows of a trajectory.
 
-    The spread is every k-th step where a divisor of the number of steps allows it, so that runs
-    with nested steps are compared at the same times.
+    They are the start, the first `FIRST_ROWS` steps, and about `SPREAD_ROWS` more at equal
+    distance. The distance is a whole number of steps where a divisor of their number allows it, so
+    that runs with nested steps are compared at the same times.
+
+    Parameters
+    ----------
+    steps
+        Number of steps of the run.
+
+    Returns
+    -------
+    Step numbers in ascending order, from 0 (the start) to ``steps``.
     """
     most = min(steps, SPREAD_ROWS)
     rows = next((d for d in range(most, SPREAD_ROWS // 2, -1) if steps % d == 0), most)

@@ -79,7 +79,7 @@ def local_errors(method, scene, ratios, h):
         h *= ratio
         new, _ = program.step(scene, numbers, state, t + h, jnp.asarray(h))
         estimated = program.estimate(numbers, state, new, h)
-        old, now = program.read(state), program.read(new)
+        old, now = program.read(scene, state), program.read(scene, new)
         s0 = np.concatenate([old.q, old.v, old.x])
         exact = solve_ivp(
             lambda t, s: rate(p, t, s), (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15

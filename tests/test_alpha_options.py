@@ -57,7 +57,7 @@ def test_an_old_tangent_is_given_up_where_it_stops_contracting():
     spoiled, report = program.step(scene, numbers, wrong, 0.1, h)
     assert report.converged
     assert report.jacobians > with_kept.jacobians
-    assert np.isfinite(program.read(spoiled).q).all()
+    assert np.isfinite(program.read(scene, spoiled).q).all()
 
 
 def test_steps_and_weights_are_recorded():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from integrators.adapters.callbacks import Packed, all_finite
+from integrators.adapters.callbacks import PackedFunction, all_finite
 from problems import jnp
 from problems.runtime import jax
 
@@ -14,7 +14,7 @@ def weighted(p, t, s, r):
     return p[0] * s + p[1] * t + jnp.array([[0.0, 1.0], [1.0, 0.0]]) @ r
 
 
-FUNCTION = Packed(weighted, 2, None, 2, 2)
+FUNCTION = PackedFunction(weighted, 2, None, 2, 2)
 
 
 def test_it_gives_what_the_function_gives():
@@ -23,7 +23,7 @@ def test_it_gives_what_the_function_gives():
         p, s, r = rng.normal(size=(3, 2))
         t = float(rng.normal())
         expected = p[0] * s + p[1] * t + r[::-1]
-        assert FUNCTION.at(p)(t, s, r) == pytest.approx(expected, rel=1e-14)
+        assert FUNCTION.bind(p)(t, s, r) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_it_gives_what_the_function_gives():
     ids=["the arguments themselves", "a part of them", "several results"],
 )
 def test_results_are_independent_of_later_calls_and_of_the_arguments(function, lengths):
-    call = Packed(function, *lengths).at()
+    call = PackedFunction(function, *lengths).bind()
     scalars = [2.0] * (len(lengths) - 1)
     s = np.array([1.0, 2.0, 3.0])
     first = call(*scalars, s)
@@ -45,7 +45,7 @@ def test_results_are_independent_of_later_calls_and_of_the_arguments(function, l
 
 
 def test_two_of_one_program_keep_their_numbers_apart():
-    one, other = FUNCTION.at(np.array([1.0, 0.0])), FUNCTION.at(np.array([10.0, 0.0]))
+    one, other = FUNCTION.bind(np.array([1.0, 0.0])), FUNCTION.bind(np.array([10.0, 0.0]))
     s, nothing = np.array([1.0, 2.0]), np.zeros(2)
     assert one(0.0, s, nothing).tolist() == [1.0, 2.0]
     assert other(0.0, s, nothing).tolist() == [10.0, 20.0]
@@ -53,8 +53,8 @@ def test_two_of_one_program_keep_their_numbers_apart():
 
 
 def test_no_kind_of_number_compiles_it_again():
-    packed = Packed(weighted, 2, None, 2, 2)
-    call, s = packed.at(np.ones(2)), np.ones(2)
+    packed = PackedFunction(weighted, 2, None, 2, 2)
+    call, s = packed.bind(np.ones(2)), np.ones(2)
     readonly = np.ones(4)[::2]
     readonly.flags.writeable = False
     results = [call(t, s, readonly).tolist() for t in (1.0, np.float64(1.0), 1, np.array(1.0))]

@@ -20,7 +20,7 @@ from problems import jax, jnp
 @pytest.fixture(params=["by name", "by callback"])
 def _either_way(request, monkeypatch):
     if request.param == "by callback":
-        monkeypatch.setattr(counting, "_registered", lambda: False)
+        monkeypatch.setattr(counting, "names_are_registered", lambda: False)
 
 
 def evaluations(times: int):
@@ -36,7 +36,7 @@ def evaluations(times: int):
 
 # ---- counts ----------------------------------------------------------------------------
 def test_this_release_of_jax_lets_us_count_by_name():
-    assert counting._registered()
+    assert counting.names_are_registered()
 
 
 @pytest.mark.usefixtures("_either_way")
@@ -96,13 +96,13 @@ def test_if_xla_refuses_our_functions_we_say_so_and_count_otherwise(monkeypatch,
         raise RuntimeError("too old")
 
     monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
-    assert not counting._registered.__wrapped__()
+    assert not counting.names_are_registered.__wrapped__()
     assert "too old" in caplog.text
 
 
 def test_if_calls_do_not_count_we_say_so_and_count_otherwise(monkeypatch, caplog):
     monkeypatch.setattr(counting, "_EXECUTE", 99)
-    assert not counting._registered.__wrapped__()
+    assert not counting.names_are_registered.__wrapped__()
     assert "evaluations=0" in caplog.text
 
 

@@ -11,6 +11,7 @@ from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
 from integrators.adapters.counting import run_counted
+from integrators.adapters.diffrax_adaptive import adaptive_programs
 from integrators.adapters.diffrax_constant import DiffraxStepMethod
 from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
@@ -23,7 +24,6 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
-from integrators.adapters.diffrax_runs import adaptive_programs
 from integrators.native import constant_steps
 from problems import MechatronicSystem, jnp
 from problems.scenes.pendulum import Pendulum
@@ -37,11 +37,7 @@ IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, Ken
 class Dopri5(DiffraxSolver):
     """An explicit method, whose evaluations can be counted on the fingers."""
 
-    @staticmethod
-    def solver(**options):
-        import diffrax
-
-        return diffrax.Dopri5()
+    library_class = "Dopri5"
 
 
 @dataclass(frozen=True)
@@ -138,7 +134,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        program, _ = DiffraxStepMethod(method, scene, counted).program(scene)
+        program, _ = DiffraxStepMethod(method.scheme(), scene, counted).program(scene)
         assert constant_steps.kernel(program, scene.template()).compilations == 1
 
 
@@ -173,7 +169,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = adaptive_programs(Kvaerno5, "fair", scene.template(), method.max_steps)
+    programs = adaptive_programs(method.scheme(), scene.template(), method.max_steps)
     assert programs.timed._cache_size() == programs.counted._cache_size() == 1
 
 

@@ -108,7 +108,7 @@ def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(
     at = dae_layout(scene.sizes, formulation)
     w, wdot = dae.start_vectors(scene, at)
     of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
-    residual, transposed = dae.packed_residual(*of).at(p), dae.packed_jacobian(*of).at(p)
+    residual, transposed = dae.packed_residual(*of).bind(p), dae.packed_jacobian(*of).bind(p)
     t0, cj = scene.interval[0], 37.0
     assert np.abs(residual(t0, w, wdot)).max() < 1e-12
 

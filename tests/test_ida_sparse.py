@@ -13,7 +13,7 @@ from scipy.sparse import csc_matrix
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from integrators.adapters import completion, dae
+from integrators.adapters import dae, trajectories
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import formulations, jnp, sparsity
@@ -44,7 +44,7 @@ def finished(scene, t_end, rtol=1e-6, **options):
 
 
 def is_sparse(run):
-    return run._options.get("linsolver") == "sparse"
+    return run.options.get("linsolver") == "sparse"
 
 
 def of(scene, formulation):
@@ -55,7 +55,7 @@ def of(scene, formulation):
 def difference(scene, formulation, sparse):
     """Largest difference of the two Jacobians at random states and cj, relative."""
     at, n = np.array([*scene.parameters().values()]), dae_layout(scene.sizes, formulation).size
-    dense, values = dae.packed_jacobian(*of(scene, formulation)).at(at), sparse.values.at(at)
+    dense, values = dae.packed_jacobian(*of(scene, formulation)).bind(at), sparse.values.bind(at)
     rng, worst = np.random.default_rng(3), 0.0
     for cj in 10.0 ** rng.uniform(-2, 6, size=3):
         state = float(rng.normal()), rng.normal(size=n), rng.normal(size=n), cj
@@ -72,7 +72,7 @@ def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, formula
     assert difference(scene, formulation, sparse) < 1e-14
     assert sparse.rows.dtype == sparse.starts.dtype == np.int32
     entries = prepared(scene, 1.0, formulation=formulation, linear_solver="sparse")
-    entries = entries._options["sparsity"]
+    entries = entries.options["sparsity"]
     assert entries.has_canonical_format
     assert entries.indices.tolist() == sparse.rows.tolist()
 
@@ -81,7 +81,7 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
     scene, formulation = SliderCrank(), "stabilised_index2"
     good = dae.sparse_jacobian(*of(scene, formulation))
     rng, n = np.random.default_rng(4), len(good.starts) - 1
-    call = good.values.at(np.array([*scene.parameters().values()]))
+    call = good.values.bind(np.array([*scene.parameters().values()]))
     size = np.abs(call(0.0, *rng.normal(size=(2, n)), 1.0))
     k, entries = int(np.argmax(size)), np.arange(len(size))
     column = np.searchsorted(good.starts, k, "right") - 1
@@ -93,8 +93,8 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
         def __init__(self, change):
             self._change = change
 
-        def at(self, p):
-            values = good.values.at(p)
+        def bind(self, p):
+            values = good.values.bind(p)
             return lambda *z: self._change(np.asarray(values(*z)))
 
     for change in (
@@ -126,10 +126,10 @@ def test_sparse_and_dense_runs_are_the_same(scene, formulation):
 def test_a_wrong_entry_costs_calls_that_the_dense_run_does_not_make(factor):
     scene, dense = Chain(links=5), finished(Chain(links=5), 0.1, linear_solver="dense")
     planted = prepared(scene, 0.1, linear_solver="sparse")
-    residual, jacobian = planted._functions
-    wrong = np.ones(len(planted._options["sparsity"].data))
+    residual, jacobian = planted.functions
+    wrong = np.ones(len(planted.options["sparsity"].data))
     wrong[7] = factor
-    planted._functions = residual, lambda *z: wrong * np.asarray(jacobian(*z))
+    planted.functions = residual, lambda *z: wrong * np.asarray(jacobian(*z))
     assert planted.measure().work.residuals > dense.work.residuals
 
 
@@ -138,7 +138,7 @@ def test_the_timed_solve_takes_the_same_steps():
     assert is_sparse(run)
     trajectory, timed = run.measure(), run.execute()
     assert (trajectory.work.residuals, trajectory.work.jacobians) == (timed.nfev, timed.njev)
-    assert trajectory.q[-1].tolist() == timed.y[run._at.q].tolist()
+    assert trajectory.q[-1].tolist() == timed.y[run.layout.q].tolist()
 
 
 def test_a_thousand_links_follow_generalized_alpha_and_keep_their_length_and_energy():
@@ -155,13 +155,14 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
     scene = Chain(links=6)
     z = finished(scene, 0.05)
     states = scene, z.t, z.q, z.v, z.x
-    dense = completion.rows_from_states(*states)
+    dense = trajectories.trajectory_from_states(*states)
     monkeypatch.setattr(formulations, "LARGE", 1)
-    monkeypatch.setattr(completion, "compiled", None)
-    sparse = completion.rows_from_states(*states)
-    for name, values in dense.items():
-        assert sparse[name].shape == values.shape
-        assert sparse[name] == pytest.approx(values, abs=1e-10 * np.abs(values).max(initial=1.0))
+    monkeypatch.setattr(trajectories, "compiled", None)
+    sparse = trajectories.trajectory_from_states(*states)
+    for name in ("t", "q", "v", "a", "lam", "x", "xdot", "y"):
+        found, values = getattr(sparse, name), getattr(dense, name)
+        assert found.shape == values.shape
+        assert found == pytest.approx(values, abs=1e-10 * np.abs(values).max(initial=1.0))
 
 
 def test_other_parameters_compile_nothing_new():

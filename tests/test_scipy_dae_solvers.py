@@ -9,8 +9,8 @@ import pytest
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
-from integrators.adapters import scipy_dae
-from integrators.adapters.scipy_dae import BDFDAE, RadauDAE, ScipyDAESolver, _compiled
+from integrators.adapters import dae, scipy_dae
+from integrators.adapters.scipy_dae import BDFDAE, RadauDAE, ScipyDAESolver, packed_jacobians
 from problems import MechatronicSystem
 from problems.formulations import dae_layout
 from problems.scenes.pendulum import Pendulum
@@ -67,8 +67,8 @@ def test_the_jacobians_are_the_derivatives_of_the_equations(cls, formulation):
     scene, generator = Pendulum(), np.random.default_rng(2)
     n = dae_layout(scene.sizes, formulation).size
     p, w, wdot = (np.array(list(scene.parameters().values())), *generator.normal(size=(2, n)))
-    packed = _compiled(scene.template(), formulation)
-    residual, jacobians = (f.at(p) for f in packed)
+    key = scene.template(), formulation
+    residual, jacobians = dae.packed_residual(*key).bind(p), packed_jacobians(*key).bind(p)
 
     def differences(move):
         pairs = [(move(d), move(-d)) for d in 1e-6 * np.eye(n)]
@@ -82,7 +82,7 @@ def test_the_jacobians_are_the_derivatives_of_the_equations(cls, formulation):
 # ---- work ------------------------------------------------------------------------------
 def test_counts_agree_with_the_librarys_own_and_with_what_an_iteration_costs(cls):
     prepared = cls().prepare(Pendulum(), 1.35, Tolerances(1e-5))
-    solver = prepared._new(prepared._calls())
+    solver = prepared.new_solver(prepared.counted_equations())
     steps = 0
     while solver.status == "running":
         solver.step()
@@ -119,7 +119,8 @@ def test_multipliers_in_the_error_test_end_the_stabilised_form_with_a_reason(cls
 
 
 def test_raw_index_3_ends_with_a_reason_at_small_tolerances(cls):
-    trajectory = run(cls(formulation="index3", max_calls=10_000), Pendulum(), 1e-8)
+    # From 3e-10 on both end in the first 0.04 s, whatever the rounding; at 1e-8 some runs do not.
+    trajectory = run(cls(formulation="index3", max_calls=10_000), Pendulum(), 1e-10)
     assert trajectory.status in ("step_too_small", "budget_exceeded", "newton_failed")
     assert "use formulation=stabilised_index2" in trajectory.message
 

@@ -9,8 +9,8 @@ import pytest
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
-from integrators.adapters.callbacks import Calls, Stop
-from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver, _compiled
+from integrators.adapters.callbacks import CountedEquations, EarlyEnd
+from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver, packed_rate_and_jacobian
 from problems import MechatronicSystem
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -50,14 +50,14 @@ def test_other_parameters_and_another_end_are_taken_without_compiling_again(meth
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-6
-    functions = _compiled(scene.template())
+    functions = packed_rate_and_jacobian(scene.template())
     assert [f.program._cache_size() for f in functions] == [1, 1]
 
 
 def test_the_jacobian_is_the_derivative_of_the_right_hand_side(method):
     scene = Pendulum()
     p, s = np.array(list(scene.parameters().values())), np.array([0.6, -0.7, 0.3, 0.9])
-    rate, jacobian = (f.at(p) for f in _compiled(scene.template()))
+    rate, jacobian = (f.bind(p) for f in packed_rate_and_jacobian(scene.template()))
     differences = [(rate(0.0, s + d) - rate(0.0, s - d)) / 2e-6 for d in 1e-6 * np.eye(4)]
     assert jacobian(0.0, s) == pytest.approx(np.stack(differences, axis=1), abs=1e-7)
 
@@ -66,7 +66,7 @@ def test_the_jacobian_is_the_derivative_of_the_right_hand_side(method):
 @pytest.mark.parametrize("scene", [Probe(c=1.0), Pendulum()], ids=lambda s: s.name)
 def test_counts_agree_with_scipys_own_where_it_has_them(method, scene):
     prepared = method.prepare(scene, scene.interval[1], Tolerances(1e-6))
-    solver = prepared._new(prepared._calls())
+    solver = prepared.new_solver(prepared.counted_equations())
     steps = 0
     while solver.status == "running":
         solver.step()
@@ -123,9 +123,8 @@ def test_runs_are_equal_to_the_bit_and_the_timed_one_takes_the_same_calls(method
     for name in ("t", "q", "v", "a", "lam"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
     made = []
-    monkeypatch.setattr(
-        prepared, "_calls", lambda make=prepared._calls: made.append(make()) or made[0]
-    )
+    make = prepared.counted_equations
+    monkeypatch.setattr(prepared, "counted_equations", lambda: made.append(make()) or made[0])
     assert prepared.execute() is None
     assert made[0].work(first.work.steps).residuals == first.work.residuals
 
@@ -167,13 +166,13 @@ def test_a_pole_of_the_solution_ends_the_run_near_it(method):
 
 
 def test_values_that_are_not_finite_are_remembered_for_a_step_and_end_a_run_without_time(method):
-    calls = Calls(lambda t, s: s * np.nan, None, 10)
-    assert np.isnan(calls.value(0.0, np.ones(2))).all()
-    assert not calls.finite
-    calls.begin_step(0.1)
-    assert calls.finite
-    with pytest.raises(Stop, match="not finite"):
-        calls.value(np.nan, np.ones(2))
+    equations = CountedEquations(lambda t, s: s * np.nan, None, 10)
+    assert np.isnan(equations.value(0.0, np.ones(2))).all()
+    assert not equations.finite
+    equations.begin_step(0.1)
+    assert equations.finite
+    with pytest.raises(EarlyEnd, match="not finite"):
+        equations.value(np.nan, np.ones(2))
 
 
 # ---- options ---------------------------------------------------------------------------

@@ -228,7 +228,7 @@ def test_a_factorisation_of_another_matrix_is_given_up():
     assert bad[1].converged
     assert 1 == good[1].jacobians <= bad[1].jacobians
     assert bad[1].newton > good[1].newton
-    right, found = (np.asarray(program.read(after).a) for after, _ in (good, bad))
+    right, found = (np.asarray(program.read(scene, after).a) for after, _ in (good, bad))
     assert found == pytest.approx(right, rel=1e-8, abs=1e-8)
     for state in (good[0], bad[0]):
         program.finish(state)

@@ -180,7 +180,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
                 return state, carry[1] & report.converged
 
             state, converged = jax.lax.fori_loop(0, slots, single, (unravel(flat), True))
-            shown = method.read(state)
+            shown = method.read(scene, state)
             return ravel_pytree(state)[0], jnp.concatenate([shown.q, shown.v, shown.x]), converged
 
         # One loop does two things, so that the step is compiled once: it takes patterns from rest

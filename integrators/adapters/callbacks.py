@@ -1,5 +1,4 @@
-"""What solvers share that call the equations back in Python: how compiled functions are called
-with few conversions, counting, budget, ways to end."""
+"""Equations for solvers that call them from Python: compiled, counted, with a limit of calls."""
 
 from __future__ import annotations
 
@@ -7,26 +6,37 @@ import math
 from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from integrators.contract import Work
 from problems.runtime import jax
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 NOT_FINITE = "the equations gave a value that is not finite"
 
 
-class Stop(Exception):
-    """Ends a run from inside a callback."""
+class EarlyEnd(Exception):
+    """The end of a run ahead of its time; raised in a callback, it ends the run there.
+
+    Parameters
+    ----------
+    status
+        One of `integrators.contract.STATUSES`.
+    reason
+        A clause for the run's message.
+    """
 
     def __init__(self, status: str, reason: str) -> None:
         super().__init__(reason)
         self.status, self.reason = status, reason
 
 
-def cure(status: str) -> str:
-    """What to try after an ending that has nothing to do with the formulation."""
+def advice(status: str) -> str:
+    """Advice after an early end that does not depend on the formulation."""
     if status == "budget_exceeded":
         return "raise max_calls or use a larger rtol"
     if status == "diverged":
@@ -34,9 +44,9 @@ def cure(status: str) -> str:
     return "use a larger rtol, or a smaller one if the solution changes abruptly here"
 
 
-def all_finite(values: np.ndarray) -> bool:
-    """Whether every entry of a vector is finite, at a third of what looking at each costs."""
-    return _zeros(len(values)).dot(values) == 0.0  # 0 times what is not finite is NaN
+def all_finite(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether every entry of a vector is finite; three times as fast as ``np.isfinite``."""
+    return _zeros(len(values)).dot(values) == 0.0  # 0 times NaN or infinity is NaN
 
 
 @cache
@@ -44,14 +54,13 @@ def _zeros(n: int) -> np.ndarray:
     return np.zeros(n)
 
 
-class Packed:
+class PackedFunction:
     """A function of numbers and vectors, compiled once, and called with NumPy arrays.
 
-    JAX makes arrays of its own of the arrays that it is given, at a microsecond each. Here all
-    arguments are copied side by side into memory that JAX has been given once and for all. A
-    program is done with them when it returns, as programs run in the calling thread (see
-    `problems.runtime`); where JAX was in use before us and they do not, the result has to be waited
-    for before the next call. Results are new arrays.
+    JAX takes a microsecond to convert each array that it is given. Here all arguments are copied
+    side by side into one array that JAX has been given before. A program has read this array when
+    it returns, as programs run in the calling thread (see `problems.runtime`). Where JAX was in use
+    before us and they do not, wait for the result before the next call. Results are new arrays.
 
     Parameters
     ----------
@@ -59,17 +68,24 @@ class Packed:
         Traceable function of arrays.
     lengths
         Lengths of its arguments, which are vectors; None for a scalar.
+
+    Attributes
+    ----------
+    function
+        The function itself.
+    program
+        The compiled function of one array, in which all arguments stand side by side.
     """
 
-    def __init__(self, function: Callable, *lengths: int | None) -> None:
+    def __init__(self, function: Callable[..., Any], *lengths: int | None) -> None:
         ends = np.cumsum([0, *(1 if n is None else n for n in lengths)]).tolist()
         between = zip(pairwise(ends), lengths, strict=True)
         self._places = [a if n is None else slice(a, b) for (a, b), n in between]
         self._size, self.function = ends[-1], function
         self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self._places)))
 
-    def at(self, *first: np.ndarray) -> Callable:
-        """The function of the remaining arguments, with memory of its own: for one thread."""
+    def bind(self, *first: np.ndarray) -> Callable[..., Any]:
+        """Return the function of the remaining arguments, for one thread: it has its own memory."""
         memory = _aligned(self._size)
         for place, value in zip(self._places, first, strict=False):
             memory[place] = value
@@ -77,7 +93,7 @@ class Packed:
         numbers = jax.dlpack.from_dlpack(memory, copy=False)
 
         def call(*arguments: Any) -> Any:
-            # Were zip asked to be strict, it would take as long as all the copying.
+            # A strict zip would take as long as all the copying.
             for place, value in zip(places, arguments):  # noqa: B905
                 memory[place] = value
             return program(numbers)
@@ -86,18 +102,18 @@ class Packed:
 
 
 def _aligned(n: int) -> np.ndarray:
-    """Memory for n floats that XLA takes as it is: it begins at a multiple of 64 bytes."""
+    """Memory for n floats that XLA uses without a copy: it begins at a multiple of 64 bytes."""
     room = np.zeros(n + 8)
     first = -room.ctypes.data % 64 // 8
     return room[first : first + n]
 
 
-class Calls:
-    """The equations as a stepping solver calls them, counted; one object for each run.
+class CountedEquations:
+    """The equations as a solver of scipy's kind calls them, counted; one object for each run.
 
-    Iterations and attempts are told by the times of the calls. The first call of every Newton
-    iteration is at the earliest time of its attempt, and an attempt that is repeated with a
-    smaller step begins earlier than those before it.
+    The times of the calls tell iterations and attempts. The first call of every Newton iteration
+    is at the earliest time of its attempt. An attempt that is repeated with a smaller step begins
+    earlier than those before it.
 
     Parameters
     ----------
@@ -107,7 +123,9 @@ class Calls:
         After so many calls of ``value`` the run ends as budget_exceeded.
     """
 
-    def __init__(self, value: Callable, jacobian: Callable, max_calls: int) -> None:
+    def __init__(
+        self, value: Callable[..., Any], jacobian: Callable[..., Any], max_calls: int
+    ) -> None:
         self._value, self._jacobian, self._max_calls = value, jacobian, max_calls
         self._residuals = self._jacobians = self._newton = self._attempts = 0
         self._factorisations = self._solves = 0
@@ -116,32 +134,40 @@ class Calls:
         self.finite = True
 
     def begin_step(self, t: float) -> None:
-        """Say that the solver stands at time t."""
+        """Note that the solver begins a step at time t."""
         self._now, self._earliest, self.finite = t, math.inf, True
 
-    def value(self, t: float, *at: np.ndarray) -> np.ndarray:
+    def value(self, t: float, *vectors: np.ndarray) -> np.ndarray:
+        """The right-hand side or residual, counted.
+
+        Raises
+        ------
+        EarlyEnd
+            If the calls are used up, or the time is NaN.
+        """
         if self._residuals == self._max_calls:
-            raise Stop("budget_exceeded", f"{self._max_calls} calls were used up")
+            raise EarlyEnd("budget_exceeded", f"{self._max_calls} calls were used up")
         self._residuals += 1
         if self._now < t <= self._earliest:
             self._newton += 1
             self._attempts += int(t < self._earliest)
             self._earliest = t
-        value = np.asarray(self._value(t, *at))
+        value = np.asarray(self._value(t, *vectors))
         if not all_finite(value):
             self.finite = False
-            # Solvers answer to such a value by a smaller step, unless it made the time NaN.
+            # Solvers take a smaller step after such a value, unless it made the time NaN.
             if not math.isfinite(t):
-                raise Stop("diverged", NOT_FINITE)
+                raise EarlyEnd("diverged", NOT_FINITE)
         return value
 
-    def jacobian(self, t: float, *at: np.ndarray) -> Any:
+    def jacobian(self, t: float, *vectors: np.ndarray) -> Any:
+        """The Jacobian, counted."""
         self._jacobians += 1
-        # Not later: what it is computed from is overwritten by the next call.
-        return jax.block_until_ready(self._jacobian(t, *at))
+        # Now, as the next call overwrites its arguments.
+        return jax.block_until_ready(self._jacobian(t, *vectors))
 
-    def watch(self, solver: Any) -> None:
-        """Count the factorisations and solves of a solver of scipy's kind."""
+    def count_linear_algebra(self, solver: Any) -> None:
+        """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change."""
         factorise, solve = solver.lu, solver.solve_lu
 
         def counted_lu(matrix: np.ndarray) -> Any:
@@ -155,7 +181,7 @@ class Calls:
         solver.lu, solver.solve_lu = counted_lu, counted_solve
 
     def work(self, steps: int) -> Work:
-        """What was counted, with the number of accepted steps."""
+        """The counts of the run, with its number of accepted steps."""
         return Work(
             steps,
             self._attempts - steps,

@@ -1,10 +1,9 @@
 """Counting of a function's evaluations inside compiled code.
 
 A counted program calls functions of this process by name, through XLA's foreign function
-interface. A program that holds nothing but names is the same in every process, so that JAX keeps
-it in its persistent compilation cache. Should the interface refuse our functions, what remains is
-``jax.debug.callback``, whose calls take some 40 microseconds instead of 10 and whose programs
-every process compiles anew.
+interface. Such a program is the same in every process, so that JAX keeps it in its persistent
+compilation cache. If the interface refuses our functions, ``jax.debug.callback`` counts: its calls
+take some 40 microseconds instead of 10, and every process compiles its programs anew.
 """
 
 from __future__ import annotations
@@ -32,20 +31,19 @@ class Counts(NamedTuple):
 
 
 # One tally for the process: a compiled program knows names, not objects.
-_tally = dict.fromkeys((EVALUATION, LINEARISATION), 0)
+_tally: dict[str, int] = {EVALUATION: 0, LINEARISATION: 0}
 _tally_lock = threading.Lock()  # XLA may call from several threads
 _run_lock = threading.Lock()  # one counted run at a time
 
 
 def watch(rate: Callable) -> Callable:
-    """The same function of (t, s, p), counted in runs under `run_counted`.
+    """Return the same function of (t, s, p), counted in runs under `run_counted`.
 
-    A linearisation in s passes once through the rule below, however many directions are then
-    pushed through its linear part. The calls that count take no arguments, so that they stand
-    outside of that part.
+    A linearisation in s counts once, however many directions follow: the calls that count take no
+    arguments, so that they stand outside of its linear part.
     """
-    # Called here, and so ahead of any program that could need them, compiled or out of a cache.
-    count = _count_by_name if _registered() else _count_by_callback
+    # Registered here, ahead of any program that calls the functions, compiled or out of a cache.
+    count = _count_by_name if names_are_registered() else _count_by_callback
     return _watch(rate, count)
 
 
@@ -54,8 +52,7 @@ def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
 
     Returns
     -------
-    tuple
-        The finished result of ``program(*arguments)``, and what was counted in the meantime.
+    The finished result of ``program(*arguments)``, and the counts of the call.
     """
 
     def run() -> tuple[Any, Counts]:
@@ -77,9 +74,9 @@ def _watch(rate: Callable, count: Callable[[str], None]) -> Callable:
         return rate(t, s, p)
 
     @counted.defjvp
-    def linearise(at: tuple, directions: tuple) -> tuple:
+    def linearise(arguments: tuple, directions: tuple) -> tuple:
         count(LINEARISATION)
-        t, s, p = at
+        t, s, p = arguments
         # Along s alone: nothing here differentiates with respect to time or parameters.
         return jax.jvp(lambda s: rate(t, s, p), (s,), (directions[1],))
 
@@ -102,7 +99,7 @@ def _count_by_callback(name: str) -> None:
 
 
 @cache
-def _registered() -> bool:
+def names_are_registered() -> bool:
     """Make both functions known to XLA, once, and try them out."""
     try:
         # XLA refuses by an exception only when it is up. Before, it would keep the function
@@ -134,8 +131,8 @@ def _three_of_each() -> Callable:
 
 # ---- the C interface of XLA's foreign functions ----------------------------------------
 # Field by field as in xla/ffi/api/c_api.h, which jaxlib installs under jax.ffi.include_dir().
-# XLA owns all of these structures, and its minor versions only add fields at their ends, so that
-# the fields after the last one used here are left out.
+# XLA owns these structures, and its minor versions only add fields at their ends. Fields after the
+# last one used here are left out.
 _METADATA_EXTENSION = 1  # XLA_FFI_Extension_Metadata
 _EXECUTE = 3  # XLA_FFI_ExecutionStage_EXECUTE
 
@@ -192,7 +189,7 @@ _Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_CallFrame))
 
 @cache  # also keeps it alive: XLA holds a bare pointer
 def _handler(name: str) -> Any:
-    """A function for XLA to call, which counts under a name; it returns no error."""
+    """A function for XLA to call: it counts under a name and returns no error."""
 
     @_Handler
     def handle(pointer: Any) -> None:
@@ -200,8 +197,8 @@ def _handler(name: str) -> Any:
         extension = frame.extension_start
         if extension and extension.contents.base.type == _METADATA_EXTENSION:
             metadata = extension.contents.metadata.contents
-            # Major version 0 is what the fields above are from; any minor version agrees. Older
-            # releases do not say theirs.
+            # The fields above are of major version 0; any minor version agrees. Older releases do
+            # not tell theirs.
             metadata.api_version.major = 0
             metadata.api_version.minor = frame.api.contents.api_version.minor if frame.api else 1
             metadata.traits = 0

@@ -1,18 +1,24 @@
-"""The fully implicit DAE F(t, w, wdot) = 0 as solvers of other libraries want it."""
+"""The fully implicit DAE F(t, w, wdot) = 0, compiled for solvers of other libraries."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.callbacks import Packed
+from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.trajectories import trajectory_from_states
+from integrators.contract import Trajectory
 from problems.formulations import Layout, consistent_start, dae_layout, dae_residual
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int32
 
 #: Absolute tolerance that takes a variable out of the error test: IDA's own switch for it
 #: (suppressalg) is not reachable through the Python bindings, and others have none.
@@ -20,25 +26,24 @@ _NOT_TESTED = 1e6
 
 
 class SparseJacobian(NamedTuple):
-    """The entries of dF/dw + cj dF/dwdot as compressed columns.
+    """The entries of dF/dw + cj dF/dwdot as compressed columns."""
 
-    ``values(p, t, w, wdot, cj)``
-        values of the entries, column by column
-    ``rows``, ``starts``
-        their rows, and where each column begins, ``(n + 1,)``; int32
-    """
-
-    values: Packed
-    rows: np.ndarray
-    starts: np.ndarray
+    #: Values of the entries at (p, t, w, wdot, cj), column by column.
+    values: PackedFunction
+    #: Rows of the entries.
+    rows: Int32[np.ndarray, " entries"]
+    #: Number of the first entry of each column, and the number of entries at the end.
+    starts: Int32[np.ndarray, " n+1"]
 
 
 @cache
 def equations(
     template: MechatronicSystem, formulation: str
-) -> tuple[Callable, tuple[int | None, ...]]:
-    """F(p, t, w, wdot), traceable, for any parameter values p, an array; and the lengths of its
-    arguments (None for the scalar)."""
+) -> tuple[Callable[..., Any], tuple[int | None, ...]]:
+    """Return F(p, t, w, wdot), traceable, and the lengths of its arguments, None for the scalar.
+
+    p is an array of the scene's parameters, w and wdot are laid out by `dae_layout`.
+    """
     names, n = list(template.parameters()), dae_layout(template.sizes, formulation).size
 
     def residual(p: Any, t: Any, w: Any, wdot: Any) -> Any:
@@ -49,16 +54,18 @@ def equations(
 
 
 @cache
-def packed_residual(template: MechatronicSystem, formulation: str) -> Packed:
-    """F, compiled."""
+def packed_residual(template: MechatronicSystem, formulation: str) -> PackedFunction:
+    """F(p, t, w, wdot), compiled; shape ``(n,)``."""
     residual, lengths = equations(template, formulation)
-    return Packed(residual, *lengths)
+    return PackedFunction(residual, *lengths)
 
 
 @cache
-def packed_jacobian(template: MechatronicSystem, formulation: str) -> Packed:
-    """dF/dw + cj dF/dwdot at (p, t, w, wdot, cj), compiled; transposed: directions give columns,
-    and turning them inside costs as much as computing them."""
+def packed_jacobian(template: MechatronicSystem, formulation: str) -> PackedFunction:
+    """The transpose of dF/dw + cj dF/dwdot at (p, t, w, wdot, cj), compiled; shape ``(n, n)``.
+
+    Directions give columns of the Jacobian; a transposition inside costs as much as the columns.
+    """
     residual, lengths = equations(template, formulation)
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
@@ -66,22 +73,22 @@ def packed_jacobian(template: MechatronicSystem, formulation: str) -> Packed:
         zero = jnp.zeros_like(w)
         return jax.vmap(lambda d: jax.jvp(function, (zero,), (d,))[1])(jnp.eye(len(w)))
 
-    return Packed(values, *lengths, None)
+    return PackedFunction(values, *lengths, None)
 
 
 @cache
 def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
-    """Which entries dF/dw + cj dF/dwdot can have, found by following the program of F.
+    """Find the entries of dF/dw + cj dF/dwdot that can differ from zero, by tracing F.
 
     Raises
     ------
     problems.sparsity.NoPattern
-        If it cannot be followed.
+        If F has an operation whose pattern is not known.
     """
-    residual, lengths = equations(template, formulation)
-    p, n = jnp.array(list(template.parameters().values())), lengths[-1]
-    # Whatever w, wdot and cj are, the pattern is the same; nothing that is known to be zero or
-    # one may hide an entry.
+    residual, _ = equations(template, formulation)
+    n = dae_layout(template.sizes, formulation).size
+    p = jnp.array(list(template.parameters().values()))
+    # The pattern is the same for all w, wdot and cj; a zero or a one might hide an entry.
     w, wdot = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.5, (2, n)))
     return Pattern(_along(residual, p, template.interval[0], w, wdot, 0.7), n)
 
@@ -97,32 +104,47 @@ def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJaco
         return found.values(_along(residual, p, t, w, wdot, cj), jnp.zeros(found.size))[order]
 
     starts = np.searchsorted(found.columns[order], np.arange(found.size + 1)).astype(np.int32)
-    return SparseJacobian(Packed(values, *lengths, None), found.rows[order], starts)
+    return SparseJacobian(PackedFunction(values, *lengths, None), found.rows[order], starts)
 
 
-def _along(residual: Callable, p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Callable:
+def _along(
+    residual: Callable[..., Any], p: Any, t: Any, w: Any, wdot: Any, cj: Any
+) -> Callable[[Any], Any]:
     """F along w and wdot together: one sweep over n directions instead of two."""
     return lambda d: residual(p, t, w + d, wdot + cj * d)
 
 
-def start_vectors(scene: MechatronicSystem, at: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Consistent w and wdot; the rates of lam, y and mu do not enter the equations."""
+def start_vectors(
+    scene: MechatronicSystem, layout: Layout
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Consistent w and wdot; the rates of lam, y and mu are zero, as F does not depend on them."""
     start = consistent_start(scene)
-    w, wdot = np.zeros(at.size), np.zeros(at.size)
+    w, wdot = np.zeros(layout.size), np.zeros(layout.size)
     for name in ("q", "v", "x", "lam", "y"):
-        w[getattr(at, name)] = getattr(start.z, name)
-    wdot[at.q], wdot[at.v], wdot[at.x] = start.z.v, start.z.a, start.xdot
+        w[getattr(layout, name)] = getattr(start.z, name)
+    wdot[layout.q], wdot[layout.v], wdot[layout.x] = start.z.v, start.z.a, start.xdot
     return w, wdot
+
+
+def trajectory_from_vectors(
+    scene: MechatronicSystem,
+    layout: Layout,
+    t: Float[np.ndarray, " k"],
+    w: Float[np.ndarray, "k n"],
+) -> Trajectory:
+    """A trajectory with the solver's q, v, x, lam and y; a and xdot solve the equations there."""
+    completed = trajectory_from_states(scene, t, w[:, layout.q], w[:, layout.v], w[:, layout.x])
+    return replace(completed, lam=w[:, layout.lam], y=w[:, layout.y])
 
 
 def absolute_tolerances(
     sizes: Sizes, formulation: str, atol: float, multipliers_tested: bool
-) -> np.ndarray:
-    """An atol for each entry of w, with which the multipliers are tested or not."""
-    at = dae_layout(sizes, formulation)
-    atols = np.full(at.size, atol)
+) -> Float[np.ndarray, " n"]:
+    """An absolute tolerance for each entry of w, with the multipliers in the error test or not."""
+    layout = dae_layout(sizes, formulation)
+    atols = np.full(layout.size, atol)
     if not multipliers_tested:
-        atols[at.lam] = atols[at.mu] = _NOT_TESTED
+        atols[layout.lam] = atols[layout.mu] = _NOT_TESTED
         if sizes.nl and formulation != "index1":
-            atols[at.y] = _NOT_TESTED
+            atols[layout.y] = _NOT_TESTED
     return atols

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.completion import rows_from_states
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_runs import count_work, right_hand_side
+from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
+from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory
 from integrators.native.step_functions import Reading, StepFunctions
 from integrators.native.step_method import NativeMethod
@@ -20,7 +20,6 @@ from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.adapters.diffrax_methods import DiffraxSolver
     from integrators.native.step_functions import Scalar
     from integrators.native.step_work import StepWork
 
@@ -38,9 +37,9 @@ class State(NamedTuple):
 
 
 @cache
-def _terms(method: type[DiffraxSolver], template: MechatronicSystem, counted: bool) -> Any:
+def _terms(scheme: Scheme, template: MechatronicSystem, counted: bool) -> Any:
     rate = right_hand_side(template)
-    return method.terms(watch(rate) if counted else rate)
+    return scheme.terms(watch(rate) if counted else rate)
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,7 @@ class DiffraxStep(StepFunctions):
     Its numbers are the parameters of the scene, which the right-hand side is handed by diffrax.
     """
 
-    method: type[DiffraxSolver]
-    root_finder: str
+    scheme: Scheme
     template: MechatronicSystem
     counted: bool
     parameters: Any = None
@@ -81,11 +79,11 @@ class DiffraxStep(StepFunctions):
         work.count(converged=result == RESULTS.successful)
         return State(s, handed_on, state.atol)
 
-    def read(self, state: State) -> Reading:
+    def read(self, scene: MechatronicSystem, state: State) -> Reading:
         # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
         # then zeros stand for them, or NaN where the time loop has to see that a state is not
         # finite.
-        nq, nl, _, ny = self.template.sizes
+        nq, nl, _, ny = scene.sizes
         q, v, x = jnp.split(state.s, [nq, 2 * nq])
         nothing = 0 * jnp.sum(state.s)
         lam, y = (jnp.full(n, nothing) for n in (nl, ny))
@@ -93,15 +91,15 @@ class DiffraxStep(StepFunctions):
 
     @property
     def _terms(self) -> Any:
-        return _terms(self.method, self.template, self.counted)
+        return _terms(self.scheme, self.template, self.counted)
 
     def _solver(self, atol: Any) -> Any:
         from optimistix import Newton, max_norm
 
-        if self.root_finder == "none":
-            return self.method.solver()
+        if self.scheme.root_finder == "none":
+            return self.scheme.solver()
         finder = Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm)
-        return self.method.solver(root_finder=finder)
+        return self.scheme.solver(root_finder=finder)
 
 
 @dataclass(frozen=True)
@@ -111,13 +109,12 @@ class DiffraxStepMethod(NativeMethod):
     formulation: ClassVar[str] = "ode"
     states_only: ClassVar[bool] = True
 
-    method: DiffraxSolver
+    scheme: Scheme
     scene: MechatronicSystem
     counted: bool = False
 
     def functions(self) -> StepFunctions:
-        kind, template = type(self.method), self.scene.template()
-        return DiffraxStep(kind, self.method.root_finder, template, self.counted)
+        return DiffraxStep(self.scheme, self.scene.template(), self.counted)
 
     def numbers(self) -> dict[str, float]:
         return self.scene.parameters()
@@ -130,14 +127,14 @@ class ConstantRun(PreparedRun):
     """
 
     def __init__(
-        self, method: DiffraxSolver, scene: MechatronicSystem, t_end: float, resolution: Steps
+        self, scheme: Scheme, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
-        self._method, self._scene = method, scene
+        self._scheme, self._scene = scheme, scene
         self._t_end, self._resolution = float(t_end), resolution
         self._timed = self._prepared(counted=False)
 
     def _prepared(self, counted: bool) -> PreparedRun:
-        method = DiffraxStepMethod(self._method, self._scene, counted)
+        method = DiffraxStepMethod(self._scheme, self._scene, counted)
         return method.prepare(self._scene, self._t_end, self._resolution)
 
     def execute(self) -> Any:
@@ -146,6 +143,6 @@ class ConstantRun(PreparedRun):
     def measure(self) -> Trajectory:
         self.execute()  # the warm-up
         run, counts = run_counted(self._prepared(counted=True).measure)
-        work = count_work(self._method, counts, run.work.steps, 0)
-        rows = rows_from_states(self._scene, run.t, run.q, run.v, run.x)
-        return dataclasses.replace(run, **rows, work=work)
+        work = work_of(self._scheme, counts, run.work.steps or 0, 0)
+        completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
+        return dataclasses.replace(completed, status=run.status, message=run.message, work=work)

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from integrators.adapters.diffrax_adaptive import AdaptiveRun
 from integrators.adapters.diffrax_constant import ConstantRun, DiffraxStepMethod
-from integrators.adapters.diffrax_runs import AdaptiveRun
-from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
+from integrators.adapters.diffrax_scheme import Scheme
+from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
 from problems.runtime import jnp
-from problems.system import MechatronicSystem
+from problems.system import GROUPS, MechatronicSystem
+
+if TYPE_CHECKING:
+    import diffrax
 
 
 def _in_every_group(order: int) -> dict[str, int]:
     # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
-    return dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
+    return dict.fromkeys(GROUPS, order)
 
 
 @dataclass(frozen=True)
 class DiffraxSolver(Integrator):
-    """Base of the diffrax methods: a method only says which solver it is.
+    """Base of the diffrax methods: a method states ``library_class``, its order and its source.
 
     A constrained scene is taken in its ODE form: accelerations and multipliers are solved from
     the index-1 equations in every evaluation of the right-hand side, and the constraints drift.
@@ -39,6 +42,10 @@ class DiffraxSolver(Integrator):
     """
 
     family: ClassVar[str] = "diffrax"
+    #: Name of the solver's class in diffrax.
+    library_class: ClassVar[str]
+    formulation = "ode"
+    #: An option of implicit methods; annotated here, it is the first option in printed names.
     root_finder: ClassVar[str] = "none"
 
     steps: str = option(
@@ -51,10 +58,6 @@ class DiffraxSolver(Integrator):
     )
 
     @property
-    def formulation(self) -> str:
-        return "ode"
-
-    @property
     def controls(self) -> str:
         return "step" if self.steps == "constant" else "tolerance"
 
@@ -62,25 +65,30 @@ class DiffraxSolver(Integrator):
         return replace(self, steps="constant")
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
-        return DiffraxStepMethod(self, scene) if self.controls == "step" else None
+        return DiffraxStepMethod(self.scheme(), scene) if self.controls == "step" else None
+
+    @classmethod
+    def solver(cls, **options: Any) -> diffrax.AbstractSolver:
+        """Make the diffrax solver; ``options`` holds a root finder, or nothing for its default."""
+        import diffrax
+
+        return getattr(diffrax, cls.library_class)(**options)
 
     @staticmethod
-    @abstractmethod
-    def solver(**options: Any) -> Any:
-        """The diffrax solver; ``options`` holds a root finder, or nothing for diffrax's own."""
-
-    @staticmethod
-    def terms(rate: Callable) -> Any:
-        """The right-hand side as the solver takes it."""
+    def terms(rate: Callable) -> diffrax.AbstractTerm:
+        """Make the right-hand side as the solver takes it from a function of (t, s, p)."""
         import diffrax
 
         return diffrax.ODETerm(rate)
 
-    def prepare(
-        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
-    ) -> PreparedRun:
-        run = ConstantRun if self.steps == "constant" else AdaptiveRun
-        return run(self, scene, t_end, resolution)
+    def scheme(self) -> Scheme:
+        """The solver as runs need it."""
+        return Scheme(self.solver, self.terms, self.root_finder)
+
+    def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
+        if self.steps == "constant":
+            return ConstantRun(self.scheme(), scene, t_end, resolution)
+        return AdaptiveRun(self.scheme(), self.max_steps, scene, t_end, resolution)
 
 
 @dataclass(frozen=True)
@@ -88,13 +96,13 @@ class ImplicitDiffraxSolver(DiffraxSolver):
     """Base of the implicit diffrax methods.
 
     ``root_finder=fair`` is Newton's method at the tolerances of the step-size control, or at
-    constant steps until what is left is round-off. diffrax's own default takes "not yet
+    constant steps until the remainder is round-off. diffrax's own default takes "not yet
     converged" for "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6
     KenCarp3 uses up 65,536 steps with it, and 224 with Newton's method. At constant steps diffrax
     has no default.
     """
 
-    root_finder: str = option(
+    root_finder: str = option(  # pyright: ignore[reportIncompatibleVariableOverride]
         "fair",
         "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
         choices=("fair", "library_default"),
@@ -118,68 +126,48 @@ class ImplicitEuler(ImplicitDiffraxSolver):
     one, too: a chord method, which waits until it has converged.
     """
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(1)
-    source: ClassVar[str] = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3"
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.ImplicitEuler(**options)
+    library_class = "ImplicitEuler"
+    orders = _in_every_group(1)
+    source = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3"
 
 
 class _Kvaerno(ImplicitDiffraxSolver):
-    """What Kvaerno's methods share: the paper."""
+    """Base of Kvaerno's methods."""
 
-    source: ClassVar[str] = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
+    source = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
 
 
 @dataclass(frozen=True)
 class Kvaerno3(_Kvaerno):
     """Kvaerno's ESDIRK method 3(2): stiffly accurate, L-stable, four stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(3)
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.Kvaerno3(**options)
+    library_class = "Kvaerno3"
+    orders = _in_every_group(3)
 
 
 @dataclass(frozen=True)
 class Kvaerno4(_Kvaerno):
     """Kvaerno's ESDIRK method 4(3): stiffly accurate, L-stable, five stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(4)
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.Kvaerno4(**options)
+    library_class = "Kvaerno4"
+    orders = _in_every_group(4)
 
 
 @dataclass(frozen=True)
 class Kvaerno5(_Kvaerno):
     """Kvaerno's ESDIRK method 5(4): stiffly accurate, L-stable, seven stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(5)
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.Kvaerno5(**options)
+    library_class = "Kvaerno5"
+    orders = _in_every_group(5)
 
 
 class _KenCarp(ImplicitDiffraxSolver):
-    """What the methods of Kennedy & Carpenter share: all of the right-hand side is implicit."""
+    """Base of Kennedy & Carpenter's methods: all of the right-hand side is implicit."""
 
-    source: ClassVar[str] = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
+    source = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
 
     @staticmethod
-    def terms(rate: Callable) -> Any:
+    def terms(rate: Callable) -> diffrax.AbstractTerm:
         import diffrax
 
         nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
@@ -190,56 +178,33 @@ class _KenCarp(ImplicitDiffraxSolver):
 class KenCarp3(_KenCarp):
     """The implicit part of Kennedy & Carpenter's ARK3(2)4L[2]SA: ESDIRK, L-stable, four stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(3)
-
-    name: ClassVar[str] = "kencarp3"
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.KenCarp3(**options)
+    library_class = "KenCarp3"
+    orders = _in_every_group(3)
+    name = "kencarp3"
 
 
 @dataclass(frozen=True)
 class KenCarp4(_KenCarp):
     """The implicit part of Kennedy & Carpenter's ARK4(3)6L[2]SA: ESDIRK, L-stable, six stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(4)
-
-    name: ClassVar[str] = "kencarp4"
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.KenCarp4(**options)
+    library_class = "KenCarp4"
+    orders = _in_every_group(4)
+    name = "kencarp4"
 
 
 @dataclass(frozen=True)
 class KenCarp5(_KenCarp):
     """The implicit part of Kennedy & Carpenter's ARK5(4)8L[2]SA: ESDIRK, L-stable, eight stages."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(5)
-
-    name: ClassVar[str] = "kencarp5"
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.KenCarp5(**options)
+    library_class = "KenCarp5"
+    orders = _in_every_group(5)
+    name = "kencarp5"
 
 
 @dataclass(frozen=True)
 class Dopri8(DiffraxSolver):
     """Dormand & Prince's explicit method 8(7), 13 stages: the yardstick where nothing is stiff."""
 
-    orders: ClassVar[dict[str, int]] = _in_every_group(8)
-    source: ClassVar[str] = "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3"
-
-    @staticmethod
-    def solver(**options: Any) -> Any:
-        import diffrax
-
-        return diffrax.Dopri8(**options)
+    library_class = "Dopri8"
+    orders = _in_every_group(8)
+    source = "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3"

@@ -7,14 +7,14 @@ import ctypes
 import io
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.adapters import dae
-from integrators.adapters.callbacks import NOT_FINITE, Stop, all_finite, cure
-from integrators.adapters.completion import rows_from_states
+from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, advice, all_finite
+from integrators.adapters.trajectories import early_end_message
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -28,10 +28,10 @@ from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout, is_large
 from problems.system import MechatronicSystem
 
-#: IDA's own limit of steps, out of the way: calls are limited here.
+#: IDA's own limit of steps is never reached: calls are limited here.
 _NO_LIMIT = 2**31 - 1
 
-#: IDA's return flags by what they mean here; any other negative flag is a crash.
+#: Status and reason of IDA's return flags; any other negative flag is a crash.
 _ENDINGS = {
     -1: ("budget_exceeded", "IDA's own limit of steps was reached"),
     -2: ("step_too_small", "the tolerances ask for more than round-off allows"),
@@ -57,11 +57,11 @@ class IDA(Integrator):
     solve the equations of motion at the reported q, v, x: BDF's derivative of v is not used.
 
     Residual calls are counted in the wrapper; a run that uses up ``max_calls`` of them ends
-    with status budget_exceeded and a residual that is not finite ends it as diverged.
+    with status budget_exceeded, and a residual that is not finite ends it as diverged.
     """
 
     family: ClassVar[str] = "ida"
-    controls: ClassVar[str] = "tolerance"
+    controls = "tolerance"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(
@@ -88,22 +88,26 @@ class IDA(Integrator):
         return _IDARun(self, scene, t_end, resolution)
 
 
-class _Equations:
-    """Residual and Jacobian as IDA calls them, counted; one object for each run."""
+class IDAEquations:
+    """Residual and Jacobian as IDA calls them, counted; one object for each run.
 
-    def __init__(self, residual: Callable, jacobian: Callable, max_calls: int) -> None:
+    IDA checks the signatures. The last argument is an array that the method fills.
+    """
+
+    def __init__(
+        self, residual: Callable[..., Any], jacobian: Callable[..., Any], max_calls: int
+    ) -> None:
         self._residual, self._jacobian, self._max_calls = residual, jacobian, max_calls
         self.residuals = self.jacobians = 0
 
-    # IDA checks the signatures and passes t, w, wdot, then what is to be filled in place.
     def residual(self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray) -> None:
         if self.residuals == self._max_calls:
-            raise Stop("budget_exceeded", f"{self._max_calls} residual calls were used up")
+            raise EarlyEnd("budget_exceeded", f"{self._max_calls} residual calls were used up")
         self.residuals += 1
         res[:] = self._residual(t, w, wdot)
-        # IDA would take a NaN for a failed step and try again without end.
+        # After a NaN IDA would repeat the step without end.
         if not all_finite(res):
-            raise Stop("diverged", NOT_FINITE)
+            raise EarlyEnd("diverged", NOT_FINITE)
 
     def jacobian(
         self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
@@ -118,61 +122,61 @@ class _IDARun(PreparedRun):
     ) -> None:
         sizes, form = scene.sizes, method.formulation
         self._method, self._scene, self._t_end = method, scene, float(t_end)
-        self._t0 = scene.interval[0]
-        self._at = dae_layout(sizes, form)
-        self._w, self._wdot = dae.start_vectors(scene, self._at)
+        self.layout = dae_layout(sizes, form)
+        #: Arguments of the residual at the start: t0, w, wdot.
+        self.start = scene.interval[0], *dae.start_vectors(scene, self.layout)
         tested = method.multipliers_in_error_test
         atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
-        self._options = {
+        self.options = {
             "max_order": method.max_order,
             "max_num_steps": _NO_LIMIT,
             "rtol": resolution.rtol,
             "atol": atol,
         }
-        of = scene.template(), form
+        key = scene.template(), form
         p = np.array(list(scene.parameters().values()))
-        if sparsity.is_chosen(method.linear_solver, is_large(scene), lambda: dae.pattern(*of)):
+        if sparsity.is_chosen(method.linear_solver, is_large(scene), lambda: dae.pattern(*key)):
             from scipy.sparse import csc_matrix
 
-            values, rows, starts = dae.sparse_jacobian(*of)
-            entries = csc_matrix((np.ones(len(rows)), rows, starts), 2 * (self._at.size,))
-            self._options |= {"linsolver": "sparse", "sparsity": entries}
+            values, rows, starts = dae.sparse_jacobian(*key)
+            entries = csc_matrix((np.ones(len(rows)), rows, starts), 2 * (self.layout.size,))
+            self.options |= {"linsolver": "sparse", "sparsity": entries}
         else:
-            values = dae.packed_jacobian(*of)
-        self._functions = dae.packed_residual(*of).at(p), values.at(p)
-        self._functions[0](self._t0, self._w, self._wdot)  # compiles
-        self._functions[1](self._t0, self._w, self._wdot, 1.0)
+            values = dae.packed_jacobian(*key)
+        self.functions = dae.packed_residual(*key).bind(p), values.bind(p)
+        self.functions[0](*self.start)  # compiles
+        self.functions[1](*self.start, 1.0)
 
     @contextlib.contextmanager
-    def _solver(self) -> Iterator[tuple[Any, _Equations]]:
+    def _solver(self) -> Iterator[tuple[Any, IDAEquations]]:
         """A new solver at the start: a used one keeps counters and history."""
         from sksundae import ida
 
-        equations = _Equations(*self._functions, self._method.max_calls)
-        # SUNDIALS writes its complaints to standard output; the status says the same.
+        equations = IDAEquations(*self.functions, self._method.max_calls)
+        # SUNDIALS writes its warnings to standard output; the status says the same.
         with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
             with warnings.catch_warnings():
-                # It warns that the sparse Jacobian comes from where it is to come from.
+                # IDA warns that the sparse Jacobian comes from our function, as intended.
                 warnings.simplefilter("ignore")
-                solver = ida.IDA(equations.residual, jacfn=equations.jacobian, **self._options)
-            solver.init_step(self._t0, self._w, self._wdot)
+                solver = ida.IDA(equations.residual, jacfn=equations.jacobian, **self.options)
+            solver.init_step(*self.start)
             try:
                 yield solver, equations
             finally:
-                if "sparsity" in self._options and not equations.jacobians:
+                if "sparsity" in self.options and not equations.jacobians:
                     # SuperLU_MT's memory cannot be freed before its first factorisation: the
                     # process would crash (scikit-sundae 1.2.0).
                     ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
 
     def execute(self) -> Any:
-        with contextlib.suppress(Stop, RuntimeError), self._solver() as (solver, _):
-            # Up to the end, where IDA stops exactly: nothing is interpolated.
+        with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as (solver, _):
+            # IDA stops exactly at the end: nothing is interpolated.
             return solver.step(self._t_end, "normal", self._t_end)
 
     def measure(self) -> Trajectory:
-        """The same steps as ``execute``, asked for one by one so that none is lost in a failure."""
-        t, w = [self._t0], [self._w]
-        flag, failure = 0, None
+        # The steps of ``execute``, one by one: a failure loses none of them.
+        t, w = [self.start[0]], [self.start[1]]
+        flag, early_end = 0, None
         with self._solver() as (solver, equations):
             try:
                 while t[-1] < self._t_end and flag >= 0:
@@ -181,38 +185,33 @@ class _IDARun(PreparedRun):
                     if flag >= 0:
                         t.append(float(step.t))
                         w.append(step.y)
-            except Stop as stop:
-                failure = (stop.status, stop.reason)
+            except EarlyEnd as end:
+                early_end = end.with_traceback(None)  # whose frames would keep the solver alive
             except RuntimeError as error:
-                failure = ("crashed", f"IDA gave up: {error}")
+                early_end = EarlyEnd("crashed", f"IDA gave up: {error}")
         if flag < 0:
-            failure = _ENDINGS.get(flag, ("crashed", f"IDA returned the flag {flag}"))
+            unknown = "crashed", f"IDA returned the flag {flag}"
+            early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))
         work = Work(
             steps=len(t) - 1,
             residuals=equations.residuals,
             jacobians=equations.jacobians,
             factorisations=equations.jacobians,  # IDA factorises each Jacobian once
         )
-        status, message = ("ok", "") if failure is None else (failure[0], self._say(failure, t[-1]))
-        return self._trajectory(np.array(t), np.array(w), status, message, work)
+        keep = spread_rows(len(t) - 1)
+        trajectory = dae.trajectory_from_vectors(
+            self._scene, self.layout, np.array(t)[keep], np.array(w)[keep]
+        )
+        if early_end is None:
+            return replace(trajectory, work=work)
+        status, remedy = early_end.status, self._advice(early_end.status)
+        message = early_end_message(t[-1], self._t_end, early_end.reason, remedy)
+        return replace(trajectory, status=status, message=message, work=work)
 
-    def _trajectory(
-        self, t: np.ndarray, w: np.ndarray, status: str, message: str, work: Work
-    ) -> Trajectory:
-        keep, at = spread_rows(len(t) - 1), self._at
-        t, w = t[keep], w[keep]
-        rows = rows_from_states(self._scene, t, w[:, at.q], w[:, at.v], w[:, at.x])
-        rows |= {"lam": w[:, at.lam], "y": w[:, at.y]}
-        return Trajectory(**rows, status=status, message=message, work=work)
-
-    def _say(self, failure: tuple[str, str], t: float) -> str:
-        """Where and why it ended, and what to try."""
-        status, reason = failure
-        method = self._method
-        if self._scene.has("constraint") and method.formulation in ("index3", "index2"):
-            advice = "use formulation=stabilised_index2"
-        elif self._scene.has("constraint") and method.multipliers_in_error_test:
-            advice = "use multipliers_in_error_test=false"
-        else:
-            advice = cure(status)
-        return f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {advice}."
+    def _advice(self, status: str) -> str:
+        if self._scene.has("constraint"):
+            if self._method.formulation in ("index3", "index2"):
+                return "use formulation=stabilised_index2"
+            if self._method.multipliers_in_error_test:
+                return "use multipliers_in_error_test=false"
+        return advice(status)

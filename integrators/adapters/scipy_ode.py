@@ -5,14 +5,20 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.callbacks import NOT_FINITE, Calls, Packed, Stop, cure
-from integrators.adapters.completion import rows_from_states
+from integrators.adapters.callbacks import (
+    NOT_FINITE,
+    CountedEquations,
+    EarlyEnd,
+    PackedFunction,
+    advice,
+)
+from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import (
     Integrator,
     PreparedRun,
@@ -25,10 +31,13 @@ from problems.formulations import consistent_start, ode_rate
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 
 @dataclass(frozen=True)
 class ScipySolver(Integrator):
-    """Base of scipy's implicit methods: a method only says which solver it is.
+    """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
     accelerations and multipliers are solved from the index-1 equations in every evaluation of
@@ -43,126 +52,131 @@ class ScipySolver(Integrator):
     """
 
     family: ClassVar[str] = "scipy"
-    controls: ClassVar[str] = "tolerance"
+    controls = "tolerance"
+    formulation = "ode"
+    #: Name of the solver's class in scipy.integrate.
+    library_class: ClassVar[str]
 
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
-
-    @property
-    def formulation(self) -> str:
-        return "ode"
-
-    @staticmethod
-    @abstractmethod
-    def solver() -> type:
-        """The class of scipy's solver."""
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        return _ScipyRun(self, scene, t_end, resolution)
+        return _ODERun(self, scene, t_end, resolution)
 
 
 @dataclass(frozen=True)
 class Radau(ScipySolver):
     """scipy's Radau IIA method of order 5: three stages, stiffly accurate, L-stable."""
 
-    source: ClassVar[str] = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.8"
-
-    @staticmethod
-    def solver() -> type:
-        from scipy import integrate
-
-        return integrate.Radau
+    library_class = "Radau"
+    source = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.8"
 
 
 @dataclass(frozen=True)
 class BDF(ScipySolver):
     """scipy's BDF of order 1 to 5 with quasi-constant steps and the NDF modification."""
 
-    source: ClassVar[str] = "Shampine & Reichelt (1997), doi:10.1137/S1064827594276424"
-
-    name: ClassVar[str] = "bdf"
-
-    @staticmethod
-    def solver() -> type:
-        from scipy import integrate
-
-        return integrate.BDF
+    library_class = "BDF"
+    source = "Shampine & Reichelt (1997), doi:10.1137/S1064827594276424"
+    name = "bdf"
 
 
-class SteppedRun(PreparedRun):
-    """A run of a solver of scipy's kind, which is asked for its steps one by one."""
+class ScipyRun(PreparedRun):
+    """A run of a solver of scipy's kind: a loop calls its ``step``."""
 
-    def __init__(self, scene: MechatronicSystem, t_end: float, start: np.ndarray) -> None:
-        self._scene, self._start = scene, start
-        self._t0, self._t_end = scene.interval[0], float(t_end)
+    def __init__(
+        self,
+        solver: type,
+        max_calls: int,
+        scene: MechatronicSystem,
+        t_end: float,
+        packed: tuple[PackedFunction, PackedFunction],
+        tolerances: dict[str, Any],
+        *vectors: Float[np.ndarray, " n"],
+    ) -> None:
+        """``packed`` are the equations and their Jacobian, ``vectors`` the values at the start."""
+        self._solver, self._max_calls, self._tolerances = solver, max_calls, tolerances
+        self._scene, self._t_end = scene, float(t_end)
+        #: Arguments of the equations at the start: time and vectors.
+        self.start = scene.interval[0], *vectors
+        p = np.array(list(scene.parameters().values()))
+        self.functions = packed[0].bind(p), packed[1].bind(p)
+        for function in self.functions:
+            function(*self.start)  # compiles
 
-    @abstractmethod
-    def _calls(self) -> Calls:
+    def counted_equations(self) -> CountedEquations:
         """The equations, with all counters at zero."""
+        return CountedEquations(*self.functions, self._max_calls)
 
-    @abstractmethod
-    def _new(self, calls: Calls) -> Any:
+    def new_solver(self, equations: CountedEquations) -> Any:
         """A new solver at the start; a used one keeps counters and history."""
+        return self._solver(
+            equations.value, *self.start, self._t_end, jac=equations.jacobian, **self._tolerances
+        )
 
     @abstractmethod
-    def _rows(self, t: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
-        """The variables at times t ``(k,)`` from the solver's vectors w ``(k, n)``."""
+    def _trajectory(self, t: Float[np.ndarray, " k"], w: Float[np.ndarray, "k n"]) -> Trajectory:
+        """The trajectory of the solver's vectors w at times t."""
 
-    def _cure(self, status: str) -> str:
-        return cure(status)
+    def _advice(self, status: str) -> str:
+        return advice(status)
 
     def execute(self) -> Any:
-        return self._solve(self._calls(), lambda solver: None, lambda t, w: None)
+        return self._solve(self.counted_equations(), lambda solver: None, lambda t, w: None)
 
     def measure(self) -> Trajectory:
-        t, w, calls = [self._t0], [self._start], self._calls()
+        t, w, equations = [self.start[0]], [self.start[1]], self.counted_equations()
 
         def keep(time: float, values: np.ndarray) -> None:
             t.append(time)
             w.append(values)
 
-        failure = self._solve(calls, calls.watch, keep)
-        status, message = "ok", ""
-        if failure is not None:
-            status = failure.status
-            message = (
-                f"Ended at t={t[-1]:.6g} s of {self._t_end:g} s: {failure.reason}; "
-                f"{self._cure(status)}."
-            )
+        end = self._solve(equations, equations.count_linear_algebra, keep)
         rows = spread_rows(len(t) - 1)
-        values = self._rows(np.array(t)[rows], np.array(w)[rows])
-        return Trajectory(**values, status=status, message=message, work=calls.work(len(t) - 1))
+        trajectory = self._trajectory(np.array(t)[rows], np.array(w)[rows])
+        work = equations.work(len(t) - 1)
+        if end is None:
+            return replace(trajectory, work=work)
+        message = early_end_message(t[-1], self._t_end, end.reason, self._advice(end.status))
+        return replace(trajectory, status=end.status, message=message, work=work)
 
-    def _solve(self, calls: Calls, watch: Callable, keep: Callable) -> Stop | None:
-        """Step to the end; returns why it was not reached, if it was not."""
+    def _solve(
+        self,
+        equations: CountedEquations,
+        prepare: Callable[[Any], None],
+        keep: Callable[[float, np.ndarray], None],
+    ) -> EarlyEnd | None:
+        """Step to the end, after ``prepare(solver)``; return the reason of an early end."""
         # A singular matrix or an overflow on the way to a failure: the status says the same.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             try:
-                solver = self._new(calls)
-                watch(solver)
+                solver = self.new_solver(equations)
+                prepare(solver)
                 while solver.status == "running" and solver.t < self._t_end:
-                    calls.begin_step(solver.t)
+                    equations.begin_step(solver.t)
                     solver.step()
                     if solver.status != "failed":
                         keep(float(solver.t), solver.y)
-            except Stop as stop:
-                return stop
+            except EarlyEnd as end:
+                return end
             except (ValueError, np.linalg.LinAlgError) as error:
-                if calls.finite:
-                    return Stop("newton_failed", f"the linear algebra failed ({error})")
-                return Stop("diverged", NOT_FINITE)
+                if equations.finite:
+                    return EarlyEnd("newton_failed", f"the linear algebra failed ({error})")
+                return EarlyEnd("diverged", NOT_FINITE)
         if solver.t == self._t_end:
             return None
-        if not calls.finite:
-            return Stop("diverged", NOT_FINITE)
-        return Stop("step_too_small", "the step size fell to the spacing of numbers")
+        if not equations.finite:
+            return EarlyEnd("diverged", NOT_FINITE)
+        return EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
 
 
 @cache
-def _compiled(template: MechatronicSystem) -> tuple[Packed, Packed]:
-    """f(p, t, s) and df/ds for any parameter values p, an array."""
+def packed_rate_and_jacobian(
+    template: MechatronicSystem,
+) -> tuple[PackedFunction, PackedFunction]:
+    """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p is an array of the parameters."""
     names = list(template.parameters())
     lengths = len(names), None, 2 * template.sizes.nq + template.sizes.nx
 
@@ -170,35 +184,27 @@ def _compiled(template: MechatronicSystem) -> tuple[Packed, Packed]:
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
         return ode_rate(scene, t, s)
 
-    return Packed(rate, *lengths), Packed(jax.jacfwd(rate, argnums=2), *lengths)
+    return PackedFunction(rate, *lengths), PackedFunction(jax.jacfwd(rate, argnums=2), *lengths)
 
 
-class _ScipyRun(SteppedRun):
+class _ODERun(ScipyRun):
     def __init__(
         self, method: ScipySolver, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
+        from scipy import integrate
+
         z = consistent_start(scene).z
-        super().__init__(scene, t_end, np.concatenate([z.q, z.v, z.x]))
-        self._method, self._resolution = method, resolution
-        p = np.array(list(scene.parameters().values()))
-        self._functions = [f.at(p) for f in _compiled(scene.template())]
-        for function in self._functions:
-            function(self._t0, self._start)  # compiles
-
-    def _calls(self) -> Calls:
-        return Calls(*self._functions, self._method.max_calls)
-
-    def _new(self, calls: Calls) -> Any:
-        return self._method.solver()(
-            calls.value,
-            self._t0,
-            self._start,
-            self._t_end,
-            rtol=self._resolution.rtol,
-            atol=self._resolution.atol,
-            jac=calls.jacobian,
+        super().__init__(
+            getattr(integrate, method.library_class),
+            method.max_calls,
+            scene,
+            t_end,
+            packed_rate_and_jacobian(scene.template()),
+            {"rtol": resolution.rtol, "atol": resolution.atol},
+            np.concatenate([z.q, z.v, z.x]),
         )
 
-    def _rows(self, t: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
+    def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
         nq = self._scene.sizes.nq
-        return rows_from_states(self._scene, t, *np.split(w, [nq, 2 * nq], axis=1))
+        q, v, x = np.split(w, [nq, 2 * nq], axis=1)
+        return trajectory_from_states(self._scene, t, q, v, x)

@@ -103,8 +103,8 @@ class AdaptiveAlphaStep(StepFunctions):
             h,
         )
 
-    def read(self, state: State) -> Reading:
-        return self.step_of.read(state.alpha)
+    def read(self, scene: MechatronicSystem, state: State) -> Reading:
+        return self.step_of.read(scene, state.alpha)
 
     def estimate(self, before: State, after: State, h: Scalar) -> Errors:
         """Local errors of q, v and x; for a and lam the error of a straight line between steps."""

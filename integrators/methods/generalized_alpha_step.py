@@ -331,7 +331,7 @@ class AlphaStep(StepFunctions):
             largest(new - ahead) < _SMOOTH * largest(new - old),
         )  # fmt: skip
 
-    def read(self, state: AlphaState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:
         """The variables, and the step's size and weights."""
         s = state
         return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))

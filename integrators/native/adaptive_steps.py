@@ -223,7 +223,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
         h0 = jnp.maximum(first_step(start, span), smallest)
         state = program.begin(scene, numbers, start, h0)
-        first = program.read(state)
+        first = program.read(scene, state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
         lowest, highest = program.ratios(numbers)
         power = 1 / (order + 1)
@@ -238,10 +238,10 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             h = jnp.where(going(m), fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
-            now = program.read(state)
+            now = program.read(scene, state)
             errors = program.estimate(numbers, m.state, state, h)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))
-            error = size_of(errors, program.read(m.state), now, peaks, span)
+            error = size_of(errors, program.read(scene, m.state), now, peaks, span)
             sane = jnp.isfinite(error) & jnp.isfinite(largest(now.q, now.v, now.a, now.lam))
             solved = sane & report.converged
             accepted = solved & (error <= 1.0)
@@ -293,7 +293,9 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 stride=jnp.asarray(1),
             ),
         )
-        last = jnp.concatenate([jnp.stack([1.0 * m.counts[0], m.t]), flat(program.read(m.state))])
+        last = jnp.concatenate(
+            [jnp.stack([1.0 * m.counts[0], m.t]), flat(program.read(scene, m.state))]
+        )
         program.finish(m.state)
         return m.early, m.spread, last, jnp.stack([m.ending, m.t, *m.counts])
 

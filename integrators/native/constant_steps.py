@@ -144,7 +144,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     ) -> tuple:
         scene = template.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
-        first = program.read(state)
+        first = program.read(scene, state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
 
         def one_step(progress: tuple) -> tuple:
@@ -154,7 +154,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             # made one that Newton's method leaves at once.
             h = jnp.where(ending == _OK, h, jnp.nan)
             state, report = advance(p, numbers, state, t, h)
-            now = program.read(state)
+            now = program.read(scene, state)
             # A comparison with NaN is false: not finite counts as grown beyond the bound.
             sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))
             ending = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
@@ -168,7 +168,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             )
             n, state, ending, _, t = progress
             reached = jnp.where(ending == _OK, n, -1)
-            row = jnp.concatenate([jnp.stack([reached, t]), flat(program.read(state))])
+            row = jnp.concatenate([jnp.stack([reached, t]), flat(program.read(scene, state))])
             return k + 1, kept.at[k].set(row), progress
 
         counts = (jnp.asarray(0),) * len(StepReport._fields)

@@ -1,8 +1,8 @@
-"""Small dense linear algebra that a compiled march keeps to itself.
+"""Dense linear algebra of small matrices, without a call of a library.
 
 A loop that calls a library (LAPACK, or a routine for matrix products) is run piece by piece, and on
-small systems handing over from piece to piece costs far more than the arithmetic. What stands here
-needs no library, so that the whole march becomes one compiled function (see `problems.runtime`).
+small systems handing over from piece to piece costs far more than the arithmetic. The functions here
+call none, so that the whole time loop becomes one compiled function (see `problems.runtime`).
 """
 
 from __future__ import annotations
@@ -143,8 +143,9 @@ def _evaluate(closed: Any, args: list) -> list:
     for equation in jaxpr.eqns:
         given, name = [value(atom) for atom in equation.invars], equation.primitive.name
         params = equation.params
-        if name == "dot_general" and _is_small_product(*given, params["dimension_numbers"]):
-            out = [_as_sum(*given, params["dimension_numbers"])]
+        numbers = params.get("dimension_numbers")
+        if name == "dot_general" and _is_small_product(given[0], given[1], numbers):
+            out = [_as_sum(given[0], given[1], numbers)]
         elif name in _CALLS:
             out = _evaluate(params[_CALLS[name]], given)
         else:

@@ -100,7 +100,7 @@ class StepFunctions(ABC):
         """
 
     @abstractmethod
-    def read(self, state: MethodState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: MethodState) -> Reading:
         """The variables in a state."""
 
     # ---- error control; only methods that choose their steps have it -------------------------

@@ -86,9 +86,9 @@ class StepProgram:
             after = _Carried(after, tuple(work.kept))
         return after, work.report()
 
-    def read(self, state: Any) -> Reading:
+    def read(self, scene: MechatronicSystem, state: Any) -> Reading:
         """The variables in a state."""
-        return self.functions.read(self._of_method(state))
+        return self.functions.read(scene, self._of_method(state))
 
     def estimate(self, numbers: Numbers, before: Any, after: Any, h: Scalar) -> Errors:
         """Estimated errors of the step from one state to the next."""

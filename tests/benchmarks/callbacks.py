@@ -23,7 +23,8 @@ import numpy as np
 
 from integrators import Tolerances
 from integrators.adapters import dae, scipy_ode
-from integrators.adapters.ida import IDA, _Equations
+from integrators.adapters.callbacks import CountedEquations
+from integrators.adapters.ida import IDA, IDAEquations
 from integrators.adapters.scipy_ode import Radau
 from problems.runtime import jax, one_thread
 from problems.scenes.chain import Chain
@@ -64,28 +65,26 @@ class _Case:
     def __init__(self, case: int) -> None:
         scene, method, t_end, rtol = _CASES[case]
         self.run = method.prepare(scene, t_end, Tolerances(rtol))
-        self.p, t = np.array([*scene.parameters().values()]), scene.interval[0]
-        of = scene.template(), scene.sizes
+        self.p = np.array([*scene.parameters().values()])
         if isinstance(method, IDA):
-            at = t, self.run._w, self.run._wdot
-            sparse = "sparsity" in self.run._options
-            form = *of, method.formulation
+            at = self.run.start
+            sparse = "sparsity" in self.run.options
+            form = scene.template(), method.formulation
             values = dae.sparse_jacobian(*form).values if sparse else dae.packed_jacobian(*form)
             self.packed, self.at = (dae.packed_residual(*form), values), (at, (*at, 1e3))
             self.name = f"{scene.spec}, IDA{', sparse' if sparse else ''}"
         else:
-            at = t, self.run._start
-            self.packed, self.at = scipy_ode._compiled(*of), (at, at)
+            at = self.run.start
+            self.packed, self.at = scipy_ode.packed_rate_and_jacobian(scene.template()), (at, at)
             self.name = f"{scene.spec}, {method.name} of scipy"
 
     def callbacks(self) -> tuple[Callable, Callable]:
         """Residual and Jacobian as the library calls them."""
-        functions, (first, second) = self.run._functions, self.at
-        if hasattr(self.run, "_calls"):
-            calls = self.run._calls()
-            calls._max_calls = -1
-            return lambda: calls.value(*first), lambda: np.asarray(calls.jacobian(*second))
-        equations, n = _Equations(*functions, -1), len(self.run._w)
+        functions, (first, second) = self.run.functions, self.at
+        if hasattr(self.run, "counted_equations"):
+            scipy = CountedEquations(*functions, -1)
+            return lambda: scipy.value(*first), lambda: np.asarray(scipy.jacobian(*second))
+        equations, n = IDAEquations(*functions, -1), len(first[1])
         into = np.zeros(n), np.zeros(np.shape(functions[1](*second)))
         *state, cj = second
         return (
@@ -134,7 +133,7 @@ def measure(case: int, kind: str) -> dict[str, Any]:
         jax.config.update("jax_cpu_enable_async_dispatch", True)
     it = _Case(case)
     if kind == "before":
-        it.run._functions = it.plain()
+        it.run.functions = it.plain()
     end = it.run.measure()
     if end.status != "ok":
         raise SystemExit(f"{it.name}: {end.message}")

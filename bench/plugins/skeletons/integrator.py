@@ -45,5 +45,5 @@ class NewIntegrator(StepMethod):
         work.count(residuals=2)  # work is counted where it happens
         return Reading(end.q, end.v, end.a, end.lam, end.x, xdot, end.y)
 
-    def read(self, state):
+    def read(self, scene, state):
         return state  # the variables in a state, as they are reported

@@ -1,53 +1,29 @@
-"""Runs of diffrax's solvers by diffrax's own loop, with adaptive steps."""
+"""Runs of diffrax's solvers at adaptive steps: diffrax's own loop under its step-size control."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.completion import rows_from_states
-from integrators.adapters.counting import Counts, run_counted, watch
-from integrators.contract import (
-    PreparedRun,
-    Tolerances,
-    Trajectory,
-    Work,
-    spread_rows,
-)
-from problems.formulations import compiled, consistent_start, ode_rate
+from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
+from integrators.adapters.trajectories import early_end_message, trajectory_from_states
+from integrators.contract import PreparedRun, Tolerances, Trajectory, spread_rows
+from problems.formulations import compiled, consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
-if TYPE_CHECKING:
-    from integrators.adapters.diffrax_methods import DiffraxSolver
 
-
-def right_hand_side(template: MechatronicSystem) -> Callable:
-    """The ODE form of a scene as a compiled function of (t, s, p)."""
-    return jax.jit(lambda t, s, p: ode_rate(template.with_parameters(p), t, s))
-
-
-def count_work(method: DiffraxSolver, counts: Counts, steps: int, rejected: int) -> Work:
-    """What was counted, by the names of the bench."""
-    work = Work(steps, rejected, residuals=counts.evaluations)
-    work.jacobians = work.factorisations = counts.linearisations
-    if method.root_finder != "library_default":
-        # Each iteration of Newton's method linearises once and gets the value on the way.
-        # diffrax's own root finder discards the value; its iterations cannot be told apart
-        # from explicit evaluations.
-        work.residuals += counts.linearisations
-        work.newton = work.solves = counts.linearisations
-    return work
-
-
-# ---- adaptive steps --------------------------------------------------------------------
 @cache
 def _traced_once(kind: type) -> type:
-    """The same solver with a compiled step, so that JAX remembers its trace: diffrax traces a step
-    three times to find out which of its results are constant. XLA makes the same program of it."""
+    """The same solver with a compiled step, so that JAX keeps its trace.
+
+    diffrax traces a step three times to find its constant results. The program stays the same.
+    """
     import equinox
 
     @equinox.filter_jit
@@ -60,8 +36,8 @@ def _traced_once(kind: type) -> type:
     return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
 
 
-class _Programs(NamedTuple):
-    """The solve to be timed; the solve with all its steps, for `run_counted`."""
+class AdaptivePrograms(NamedTuple):
+    """Compiled solves: one to be timed; one that keeps all steps, for `run_counted`."""
 
     timed: Callable
     counted: Callable
@@ -69,20 +45,17 @@ class _Programs(NamedTuple):
 
 @cache
 def adaptive_programs(
-    method: type[DiffraxSolver],
-    root_finder: str,
-    template: MechatronicSystem,
-    max_steps: int,
-) -> _Programs:
+    scheme: Scheme, template: MechatronicSystem, max_steps: int
+) -> AdaptivePrograms:
     """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the result."""
     import diffrax
     import optimistix
 
     options = {}
-    if root_finder == "fair":
+    if scheme.root_finder == "fair":
         options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-    rate, solver = right_hand_side(template), method.solver(**options)
-    if root_finder != "none":  # the results of an explicit step are constants, and stay so
+    rate, solver = right_hand_side(template), scheme.solver(**options)
+    if scheme.root_finder != "none":  # the results of an explicit step are constants, and stay so
         solver = _traced_once(type(solver))(**options)
 
     def program(rate: Callable, save: Any) -> Callable:
@@ -91,7 +64,7 @@ def adaptive_programs(
             # go on trying ever smaller ones until max_steps.
             smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
             solution = diffrax.diffeqsolve(
-                method.terms(rate),
+                scheme.terms(rate),
                 solver,
                 t0,
                 t_end,
@@ -110,7 +83,7 @@ def adaptive_programs(
 
         return jax.jit(solve)
 
-    return _Programs(
+    return AdaptivePrograms(
         timed=program(rate, diffrax.SaveAt(t1=True)),
         counted=program(watch(rate), diffrax.SaveAt(steps=True)),
     )
@@ -120,13 +93,16 @@ class AdaptiveRun(PreparedRun):
     """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
 
     def __init__(
-        self, method: DiffraxSolver, scene: MechatronicSystem, t_end: float, resolution: Tolerances
+        self,
+        scheme: Scheme,
+        max_steps: int,
+        scene: MechatronicSystem,
+        t_end: float,
+        resolution: Tolerances,
     ) -> None:
-        self._method, self._scene = method, scene
+        self._scheme, self._max_steps, self._scene = scheme, max_steps, scene
         self._t0, self._t_end = scene.interval[0], float(t_end)
-        self._programs = adaptive_programs(
-            type(method), method.root_finder, scene.template(), method.max_steps
-        )
+        self._programs = adaptive_programs(scheme, scene.template(), max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
         arguments = (scene.parameters(), self._s0, self._t0, self._t_end, resolution.rtol,
@@ -153,31 +129,31 @@ class AdaptiveRun(PreparedRun):
         status, message = self._outcome(result, t[-1], s[-1])
         keep, nq = spread_rows(accepted), self._scene.sizes.nq
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
-        rows = rows_from_states(self._scene, t[keep], q, v, x)
-        work = count_work(self._method, counts, accepted, rejected)
-        return Trajectory(**rows, status=status, message=message, work=work)
+        trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
+        work = work_of(self._scheme, counts, accepted, rejected)
+        return replace(trajectory, status=status, message=message, work=work)
 
     def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
-        """Status and message; t and s are the last that were accepted."""
+        """Status and message; t and s are the last accepted time and state."""
         from diffrax import RESULTS
 
         if result == RESULTS.successful and np.isfinite(s).all():
             return "ok", ""
         if not self._defined_after(t, s):
             status, reason = "diverged", "the right-hand side is not finite from here on"
-            cure = "check the scene's equations beyond this time or use a smaller rtol"
+            remedy = "check the scene's equations beyond this time or use a smaller rtol"
         elif result == RESULTS.max_steps_reached:
-            status, reason = "budget_exceeded", f"{self._method.max_steps} steps were used up"
-            cure = "raise max_steps or use a larger rtol"
+            status, reason = "budget_exceeded", f"{self._max_steps} steps were used up"
+            remedy = "raise max_steps or use a larger rtol"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"
-            cure = "use a larger rtol, or a smaller one if the solution changes abruptly here"
+            remedy = "use a larger rtol, or a smaller one if the solution changes abruptly here"
         else:
             status = "newton_failed"
             reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"
-            other = self._method.root_finder == "library_default"
-            cure = f"use {'root_finder=fair or ' if other else ''}another rtol"
-        return status, f"Ended at t={t:.6g} s of {self._t_end:g} s: {reason}; {cure}."
+            other = self._scheme.root_finder == "library_default"
+            remedy = f"use {'root_finder=fair or ' if other else ''}another rtol"
+        return status, early_end_message(t, self._t_end, reason, remedy)
 
     def _defined_after(self, t: float, s: np.ndarray) -> bool:
         """Whether the right-hand side is finite here and a few smallest steps later."""
