@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from bench.stability.matrices import matrices
-from bench.stability.spectra import INFINITY, eigenvalues, radii
+from bench.stability.spectra import INFINITY, ONE_ROOT, eigenvalues, radii
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
@@ -101,7 +101,7 @@ def worst(
     at = np.append(OMEGA_H, INFINITY)
     sizes, turned, last = _largest_roots(method, system, at, pattern)
     if np.isfinite(last).all():  # multiple roots at infinity have lost digits
-        sizes[-1] = max(abs(root) for root, _ in multiple(last))
+        sizes[-1] = max(abs(root) for root, _ in multiple(last, ONE_ROOT))
     best = int(sizes.argmax())
     radius, omega_h = float(sizes[best]), float(at[best])
     brackets = [

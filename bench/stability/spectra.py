@@ -27,6 +27,9 @@ OMEGA_H = np.geomspace(1e-2, 1e4, 181)
 INFINITY = 1e6
 #: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
 GROWTH = 1e-9
+#: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
+#: the k-th root of rounding, and like 1/INFINITY.
+ONE_ROOT = 1e-3
 #: A pair whose imaginary part is below this is real.
 _REAL = 1e-7
 #: Number of first steps in which the overshoot is sought.
@@ -122,7 +125,7 @@ def spectrum(
         bifurcation = _bifurcation(method, system, pattern, at, roots[:count])
         q, v = overshoot(found, system)
         powers = _powers(at, q, v)
-    at_infinity = multiple(roots[-1])
+    at_infinity = multiple(roots[-1], ONE_ROOT)
     return Spectrum(
         integrator=method.spec,
         system=system.spec,
