@@ -122,7 +122,7 @@ class MechatronicSystem:
     ``nominal_step``
         the step size in s from which a convergence study starts
     ``tags``
-        words to search by
+        words to search by; `stepbench check` tries integrators on scenes with "conformance"
     ``difficulties``
         a sentence for each difficulty, and the methods that it concerns
     ``coordinates``

@@ -13,7 +13,7 @@ from test_contributing import EXAMPLES
 from bench.plugins.registry import Registry
 from bench.sweeps.batch import Batch, Run
 from bench.sweeps.ensemble import ensemble
-from bench.sweeps.variation import number, varied
+from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
 from problems import parameter
@@ -80,7 +80,7 @@ def test_every_kind_of_method_and_patterns(problem, integrator, name, values):
     end, pattern = scene.interval[0] + 0.5, (0.3, 0.7)
     h = scene.nominal_step
     found = ensemble(scene, method, {name: values}, Steps(h, pattern), end)
-    owner = number(name, scene, method).owner
+    owner = find_quantity(name, scene, method).owner
     for k, value in enumerate(values):
         bases = scene.spec, method.spec
         specs = [
@@ -136,7 +136,7 @@ def test_members_that_choose_their_steps_are_single_runs(problem, vary):
         tolerances = Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
         specs = {"scene": scene.spec, "integrator": method.name}
         for name, value in settings.items():
-            specs[number(name, scene, method).owner] += f"[{name}={value}]"
+            specs[find_quantity(name, scene, method).owner] += f"[{name}={value}]"
         single = REGISTRY.integrator(specs["integrator"])
         run = single.prepare(REGISTRY.problem(specs["scene"]), 0.5, tolerances).measure()
         check_member(found, k, run, 1e-8)
@@ -185,7 +185,7 @@ def test_ok_means_finite_values_in_every_group(monkeypatch):
 def test_blocks_are_bounded_and_hold_runs_of_like_length():
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     steps = np.random.default_rng(0).permutation(np.geomspace(0.01, 0.1, 40))
-    runs = varied(scene, method, Steps(0.1), {number("h", scene, method): steps})
+    runs = runs_with(scene, method, Steps(0.1), {find_quantity("h", scene, method): steps})
     batch = Batch(runs, 1.35, lanes=16)
     blocks = list(batch.blocks(jobs=2))
     assert sorted(len(block.members) for block in blocks) == [8, 16, 16]
@@ -311,14 +311,16 @@ def test_names_that_stand_for_two_things_need_their_owner():
 
     scene, method = Shared(), REGISTRY.integrator("newmark")
     with pytest.raises(SpecError, match=r"write scene.beta or integrator.beta"):
-        number("beta", scene, method)
-    assert number("scene.beta", scene, method).owner == "scene"
-    runs = varied(scene, method, Steps(0.1), {number("integrator.beta", scene, method): [0.2, 0.3]})
+        find_quantity("beta", scene, method)
+    assert find_quantity("scene.beta", scene, method).owner == "scene"
+    runs = runs_with(
+        scene, method, Steps(0.1), {find_quantity("integrator.beta", scene, method): [0.2, 0.3]}
+    )
     assert [(run.scene.beta, run.method.beta) for run in runs] == [(1.0, 0.2), (1.0, 0.3)]
     car = REGISTRY.problem("full_car")  # h is a height of it
     with pytest.raises(SpecError, match=r"write step.h or scene.h"):
-        number("h", car, method)
-    assert number("step.h", car, method).owner == "step"
+        find_quantity("h", car, method)
+    assert find_quantity("step.h", car, method).owner == "step"
 
 
 def test_different_programs_are_refused():

@@ -15,7 +15,7 @@ from planted import Document
 from bench.plugins.registry import Registry
 from bench.running.measure import relative_errors
 from bench.sweeps.outcome_map import OUTCOMES, outcome_map
-from bench.sweeps.variation import axis
+from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.reference import Reference
 from reports.charts.outcome_map import axis_ticks, blend, map_image
@@ -26,8 +26,8 @@ ADAPTIVE = "generalized_alpha_adaptive[newton=modified]"
 
 def made(problem, integrator, over, counts, **more):
     scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
-    axes = tuple(axis(name, scene, method, ends) for name, ends in over.items())
-    return outcome_map(scene, method, axes, counts, **more)
+    ranges = tuple(find_range(name, scene, method, ends) for name, ends in over.items())
+    return outcome_map(scene, method, ranges, counts, **more)
 
 
 def step_of(scene, settings):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from bench.commands.plugins import _class_name
 from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
@@ -72,5 +73,7 @@ def test_nothing_is_overwritten(stepbench, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["rk4", "a_b", "x_2", "my_method", "bdf_2_fixed"])
-def test_a_class_is_named_so_that_it_is_found_by_the_name_given(name):
-    assert snake_case(_class_name(name)) == name
+def test_a_class_is_named_so_that_it_is_found_by_the_name_given(stepbench, tmp_path, name):
+    assert stepbench("new", "integrator", name).exit_code == 0
+    (cls,) = re.findall(r"^class (\w+)", (tmp_path / f"{name}.py").read_text(), re.M)
+    assert snake_case(cls) == name

@@ -1,1 +1,1 @@
-"""The failure atlas: executable experiments that show where methods fail, and what helps."""
+"""The failure atlas: experiments that show failures of methods, and remedies."""

@@ -16,12 +16,26 @@ _BETA = 0.25
 
 
 def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
-    """Condition number of the tangent of Newton's method in (q, lam) at a scene's start.
+    """Return the condition number of Newton's tangent in (q, lam) at a scene's start.
 
-    With q'' = q/(beta h^2) + ... the tangent is [[M/(beta h^2), Phi_q^T], [Phi_q, 0]] (terms that
-    vanish with h are left out). ``scaling`` divides by 1/(beta h^2): nothing ("none"), the
-    constraint rows ("rows"), or these and the multipliers ("both"); after Bottasso, Dopico &
-    Trainelli (2008), On the optimal scaling of index three DAEs in multibody dynamics.
+    With q'' = q/(beta h^2) + ... the tangent is [[M/(beta h^2), Phi_q^T], [Phi_q, 0]]; terms that
+    vanish with h are left out. After Bottasso, Dopico & Trainelli (2008), On the optimal scaling
+    of index three DAEs in multibody dynamics.
+
+    Parameters
+    ----------
+    scene
+        A scene with constraints.
+    h
+        Step size in s.
+    scaling
+        Divided by 1/(beta h^2) are: "none" of the rows and columns, the constraint "rows", or
+        "both" these and the columns of the multipliers.
+
+    Raises
+    ------
+    SpecError
+        If there is no such scaling.
     """
     if scaling not in ("none", "rows", "both"):
         raise SpecError(f"There is no scaling {scaling!r}; there are none, rows and both.")
@@ -29,11 +43,11 @@ def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
     mass = np.asarray(scene.mass(z.q))
     zero = jnp.zeros(len(z.lam))
     columns = np.asarray(jax.jacfwd(lambda lam: constraint_force(scene, z.q, z.t, lam))(zero))
-    large = 1 / (_BETA * h * h)
-    rows = columns.T * (large if scaling != "none" else 1.0)
-    columns = columns * (large if scaling == "both" else 1.0)
+    factor = 1 / (_BETA * h * h)
+    rows = columns.T * (factor if scaling != "none" else 1.0)
+    columns = columns * (factor if scaling == "both" else 1.0)
     nothing = np.zeros((len(z.lam), len(z.lam)))
-    return float(np.linalg.cond(np.block([[mass * large, columns], [rows, nothing]])))
+    return float(np.linalg.cond(np.block([[mass * factor, columns], [rows, nothing]])))
 
 
 def conditions(worker: Worker, problem: str, steps: tuple[float, ...], scaling: str) -> list[float]:

@@ -1,7 +1,7 @@
-"""Experiments as data: TOML files that say what is run, what is measured and what is predicted.
+"""Experiments as data: TOML files with runs, measures and predicted numbers.
 
-An experiment has parts; a part measures one number by one rule for several cases. What a part
-says of the scene, the sweep and the number holds for all its cases, and a case may say otherwise.
+An experiment has parts; a part measures one number by one rule for several cases. The settings of
+a part hold for all its cases; a case may have other settings of its own.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
 
-#: What a number can be made of ...
+#: Quantities that a sweep measures ...
 MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "condition", "linear")
-#: ... and how the values of a sweep become one number.
+#: ... and rules that make one number of the values of a sweep.
 TAKES = ("last", "largest", "growth", "slope")
 
 
 class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """What is run and measured.
+    """The runs of a case and the number that is measured.
 
     The sweep goes over ``steps`` (each with ``pattern``; ``count`` steps each, if given) or over
     ``rtol``, as the integrator wants it; over ``values`` of the scene's parameter ``over``, at the
@@ -91,7 +91,7 @@ class Part(Settings, kw_only=True, forbid_unknown_fields=True):
 
 
 class Experiment(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A failure: what is claimed, why, where that is published, what helps, and its parts."""
+    """A failure: the claim, the remedy, the source, and the parts that show it."""
 
     number: int
     title: str
@@ -104,7 +104,7 @@ class Experiment(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a case runs: its settings, the axis ``x`` that is swept, and the cells over it."""
+    """The runs of a case: settings, values ``x`` of the quantity ``axis``, and a cell for each."""
 
     settings: Settings
     axis: str
@@ -113,7 +113,7 @@ class Sweep:
 
 
 def built_in_experiments() -> dict[str, Path]:
-    """The files of all experiments by name, in the order of their numbers."""
+    """Return the files of all experiments by name, in the order of their numbers."""
     folder = Path(str(resources.files("bench.atlas"))) / "experiments"
     return {file.stem[3:]: file for file in sorted(folder.glob("*.toml"))}
 
@@ -139,7 +139,7 @@ def read_experiment(path: Path) -> Experiment:
     Raises
     ------
     SpecError
-        If it cannot be read, or says something that is not known.
+        If it cannot be read, or has an unknown key or value.
     """
     try:
         made = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Experiment)
@@ -155,7 +155,7 @@ def read_experiment(path: Path) -> Experiment:
 
 
 def merged(part: Part, case: Case | None = None) -> Settings:
-    """The settings of a case: its own where it has them, else those of the part."""
+    """Return the settings of a case: its own where it has them, else those of the part."""
     own = {f: getattr(case, f, None) for f in Settings.__struct_fields__}
     return Settings(**{f: getattr(part, f) if value is None else value for f, value in own.items()})
 
@@ -176,12 +176,13 @@ def _one_of(value: str | None, known: Sequence[str], what: str) -> None:
 
 
 def sweep_of(s: Settings, integrator: Integrator | None, registry: Registry) -> Sweep:
-    """What these settings make an integrator do.
+    """Return the runs of an integrator (None for the measure "condition") with these settings.
 
     Raises
     ------
     SpecError
-        If it takes steps (or tolerances) and the settings have none, or they say too little.
+        If the integrator takes steps (or tolerances) and the settings have none, or the scene or
+        the integrator is missing.
     """
     if s.measure in ("linear", "condition"):
         x = s.omega_h if s.measure == "linear" else s.steps

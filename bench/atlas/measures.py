@@ -1,4 +1,4 @@
-"""From the records of a sweep to one number."""
+"""One number from the records of a sweep."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.results.records import Record, Rows
 
 
 def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
-    """What is measured of one run; None if the run does not have it."""
+    """Return the measured value of one run; None if the run does not have it."""
     if s.measure == "reached":
         if record.status == "ok":
             return 1.0
@@ -33,7 +33,10 @@ def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
 
 
 def number_of(take: str, x: Sequence[float], y: Sequence[float | None]) -> float | None:
-    """One number of a sweep's values; None if one of them is missing."""
+    """Make one number of a sweep: ``take`` is "last", "largest", "growth" or "slope".
+
+    None if one of the values ``y`` over ``x`` is missing.
+    """
     known = [v for v in y if v is not None and math.isfinite(v)]
     if not y or len(known) < len(y):
         return None
@@ -49,7 +52,7 @@ def number_of(take: str, x: Sequence[float], y: Sequence[float | None]) -> float
 
 
 def quantity(s: Settings) -> str:
-    """What is measured, in words."""
+    """Return the measured quantity in words."""
     norms = {"max": "largest", "end": "at the end", "rms": "rms", "settled": "after the transient"}
     return {
         "error": f"relative error of {s.group}, {norms[s.norm or 'max']}",
@@ -64,7 +67,7 @@ def quantity(s: Settings) -> str:
 
 
 def history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
-    """Times and values of a component such as "lam1" or of a note such as "gamma"."""
+    """Return times in s and values of a component such as "lam1" or of a note such as "gamma"."""
     match = re.fullmatch(r"(q|v|a|lam|x|y)(\d+)", show)
     if match and match[1] in rows.values:
         return rows.t, [row[int(match[2]) - 1] for row in rows.values[match[1]]]

@@ -1,4 +1,4 @@
-"""Running experiments: their cells go through the same workers as those of a suite."""
+"""Runs of experiments: their cells go through the same workers as those of a suite."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from bench.atlas.conditioning import conditions
-from bench.atlas.experiments import Case, Experiment, Part, Sweep, merged, sweep_of
+from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
 from bench.atlas.measures import history, number_of, quantity, value_of, within
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
@@ -29,17 +29,15 @@ from problems.spec import SpecError
 
 @dataclass(frozen=True)
 class _Trial:
-    """A case to be run: of the part, or of a method that was added (nothing is predicted)."""
+    """A case to be run; nothing is predicted for a method that was added."""
 
     case: Case
     integrator: Integrator | None
-    sweep: Sweep | None
+    sweep: Sweep
     predicted: bool
     message: str = ""
 
     def tasks(self) -> list[Task]:
-        if self.sweep is None:
-            return []
         s, x = self.sweep.settings, self.sweep.x
         if s.measure == "condition":
             return [Task(conditions, (s.problem, x, s.name))]
@@ -57,10 +55,28 @@ def run_experiments(
     progress: Progress,
     memory_gib: float = 4.0,
 ) -> Iterator[ExperimentResult]:
-    """Yield what came out of each experiment.
+    """Run experiments and yield the result of each.
 
-    ``added`` are integrators that go through every part beside those that it names: for them
-    nothing is predicted, but whether they are spared is told.
+    Parameters
+    ----------
+    experiments
+        As `bench.atlas.experiments.read_experiments` returns them.
+    added
+        Integrators that go through every part beside its own. Nothing is predicted for them; the
+        result says whether they are spared.
+    registry
+        Makes scenes and integrators; its plugin files are loaded in every worker.
+    jobs
+        Worker processes.
+    budget_s, memory_gib
+        Limits of one run.
+    progress
+        Shows the experiment in work.
+
+    Raises
+    ------
+    SpecError
+        If a name or an option is not known, or a case does not fit its integrator.
     """
     progress.phase("failure atlas", len(experiments))
     with Runner(registry.paths, jobs, budget_s, memory_gib) as runner:
@@ -79,9 +95,10 @@ def complete(
     progress: Progress,
     budget_s: float = 60.0,
 ) -> list[ExperimentResult]:
-    """Run the experiments that the store does not have as they are now; returns all of them.
+    """Run the experiments whose current results the store lacks; return the results of all.
 
-    Each result is stored before the next experiment begins.
+    Each result is stored before the next experiment begins. Parameters are those of
+    `run_experiments`.
     """
     stored = store.experiments()
     missing = [
@@ -97,7 +114,7 @@ def complete(
 
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Registry) -> str:
-    """Changes with the experiment and with the source of all scenes and integrators in it."""
+    """Return a digest of the experiment and the source of all scenes and integrators in it."""
     parts = [msgspec.json.encode((experiment, list(added)))]
     for part in experiment.part:
         for case in part.case:
@@ -119,7 +136,7 @@ def _run(
         for trial in trials:
             for task in trial.tasks():
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[_problem(trial), shared]
+                group = groups[trial.sweep.settings.problem, shared]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -129,10 +146,6 @@ def _run(
         digest=digest(experiment, added, registry),
         parts=[_part(part, trials, answers, registry) for part, trials in plans],
     )
-
-
-def _problem(trial: _Trial) -> str | None:
-    return trial.sweep.settings.problem if trial.sweep else None
 
 
 def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial]:
@@ -146,10 +159,11 @@ def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial
         method = registry.integrator(name)
         if method.spec in there:
             continue
-        case, sweep, message = Case(predicted=(-math.inf, math.inf), integrator=name), None, ""
+        case = Case(predicted=(-math.inf, math.inf), integrator=name)
+        sweep, message = Sweep(Settings(), "", ()), ""
         try:
             sweep = sweep_of(merged(part), method, registry)
-        except SpecError as error:  # it is refined in a way that this part does not have
+        except SpecError as error:  # the part has no resolutions for it
             message = str(error)
         trials.append(_Trial(case, method, sweep, False, message))
     return trials
@@ -187,15 +201,14 @@ def _case(
             messages.append(answer.message)
         else:
             y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
-    x = list(sweep.x) if sweep else []
+    x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    own = sweep.settings.take if sweep else None
-    number = number_of(own or take, x, y)
+    number = number_of(sweep.settings.take or take, x, y)
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
         family=(method.family or method.name) if method else "",
-        axis=sweep.axis if sweep else "",
+        axis=sweep.axis,
         x=x,
         y=y,
         number=number,

@@ -1,24 +1,31 @@
-"""What the commands share: options, the reading of their values, and short errors."""
+"""Options and arguments that several commands share, and short error messages."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.plugins.registry import Registry
 from bench.results.store import StoreError
+from bench.running.plan import check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from bench.sweeps.variation import Range
+
+#: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 
 
 class ShortErrors(click.Group):
-    """A command group whose unknown commands name the nearest one, and whose errors are short."""
+    """A command group that names the nearest command and shows errors in one sentence."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
@@ -49,7 +56,10 @@ class ShortErrors(click.Group):
             ) from error
 
 
-def numbers(_: click.Context, parameter: click.Parameter, text: str | None) -> Any:
+# ---- values of options -------------------------------------------------------------------
+def numbers(
+    context: click.Context, parameter: click.Parameter, text: str | None
+) -> tuple[float, ...] | None:
     """Read "0.1,0.05" as a tuple of floats."""
     if text is None:
         return None
@@ -59,7 +69,9 @@ def numbers(_: click.Context, parameter: click.Parameter, text: str | None) -> A
         raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
 
 
-def name_values(_: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict:
+def name_values(
+    context: click.Context, parameter: click.Parameter, items: Sequence[str]
+) -> dict[str, str]:
     """Read name=value pairs, each name once."""
     pairs: dict[str, str] = {}
     for item in items:
@@ -72,11 +84,29 @@ def name_values(_: click.Context, parameter: click.Parameter, items: Sequence[st
     return pairs
 
 
-def not_nan(_: click.Context, parameter: click.Parameter, value: float) -> float:
+def not_nan(context: click.Context, parameter: click.Parameter, value: float) -> float:
     """Refuse NaN, which every comparison with a limit lets through."""
     if math.isnan(value):
         raise click.BadParameter("nan is not a number of seconds.")
     return value
+
+
+def usable_registry(plugins: Sequence[str]) -> Registry:
+    """Load all plugins; raise PluginError if a file named with --plugins cannot be used."""
+    registry = Registry(plugins)
+    registry.require_files()
+    return registry
+
+
+def end_time(scene: MechatronicSystem, t_end: float | None) -> float:
+    """Return the end time in s: the given one or the scene's own.
+
+    Raises
+    ------
+    SpecError
+        If it does not lie after the start.
+    """
+    return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
 
 
 def resolution(
@@ -87,7 +117,14 @@ def resolution(
     rtol: float | None,
     atol: float | None,
 ) -> Steps | Tolerances:
-    """The steps or tolerances of a run, as far as the options of the other kind are not given."""
+    """Return the steps or tolerances of a run.
+
+    Raises
+    ------
+    SpecError
+        If options of the other kind are given: steps to a method that chooses its own, or
+        tolerances to a method with fixed steps.
+    """
 
     def refuse(takes: str, **given: Any) -> None:
         for option, value in given.items():
@@ -101,18 +138,66 @@ def resolution(
     return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)
 
 
-with_plugins = click.option(
-    "--plugins",
-    multiple=True,
-    metavar="FILE_OR_FOLDER",
-    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
-)
-with_pattern = click.option(
-    "--pattern",
-    callback=numbers,
-    metavar="F1,F2,...",
-    help="Divide each macro step into these fractions, for example 0.3,0.7.",
-)
+def unvaried_resolution(
+    scene: MechatronicSystem,
+    method: Integrator,
+    given: dict[str, Any],
+    t_end: float | None,
+    ranges: Iterable[Range],
+) -> Steps | Tolerances:
+    """Return the step, pattern or tolerances that are the same in all runs of a sweep.
+
+    ``given`` holds the values of --step, --pattern, --rtol and --atol; ``ranges`` vary.
+
+    Raises
+    ------
+    SpecError
+        If an option is given whose quantity varies, or a step in the ranges does not fit.
+    """
+    end = end_time(scene, t_end)
+    for varied in ranges:
+        _, owner, field = varied.quantity
+        option = {"step": "step", "tolerance": field}.get(owner, "")
+        if given.get(option) is not None:
+            raise SpecError(f"The {owner} varies itself; leave --{option} out.")
+        if owner == "step":
+            for h in (varied.low, varied.high):
+                Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
+    return resolution(scene, method, **given)
+
+
+# ---- options -----------------------------------------------------------------------------
+#: Folder of `stepbench run`, which other commands read if none is named.
+RESULTS = "stepbench-results"
+with_results = click.argument("folder", type=click.Path(path_type=Path), default=RESULTS)
+
+
+def with_folder(default: str, words: str) -> Callable:
+    """Add --out for a folder with a default name."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        default=default,
+        show_default=True,
+        help=words,
+    )
+
+
+def with_file(words: str) -> Callable:
+    """Add --out for a file."""
+    return click.option("--out", "-o", type=click.Path(path_type=Path), help=words)
+
+
+def with_integrators(words: str) -> Callable:
+    """Add -i, which may be repeated."""
+    return click.option("-i", "--integrator", "integrators", multiple=True, help=words)
+
+
+def with_jobs(words: str) -> Callable:
+    """Add --jobs."""
+    return click.option(
+        "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help=words
+    )
 
 
 def with_tolerances(command: Callable) -> Callable:
@@ -125,6 +210,19 @@ def with_tolerances(command: Callable) -> Callable:
     return command
 
 
+with_fresh = click.option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
+with_plugins = click.option(
+    "--plugins",
+    multiple=True,
+    metavar="FILE_OR_FOLDER",
+    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
+)
+with_pattern = click.option(
+    "--pattern",
+    callback=numbers,
+    metavar="F1,F2,...",
+    help="Divide each macro step into these fractions, for example 0.3,0.7.",
+)
 with_t_end = click.option(
     "--t-end", type=float, help="End time in s; the scene's own if not given."
 )

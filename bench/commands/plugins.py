@@ -1,4 +1,4 @@
-"""The commands for those who add scenes and integrators: `stepbench check` and `stepbench new`."""
+"""The commands for scenes and integrators themselves: `stepbench list`, `check` and `new`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,45 @@ _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
 _WORDS = {"problems": "scene", "integrators": "integrator"}
 
 
+@click.command("list")
+@click.argument("kind", type=click.Choice(["problems", "integrators", "all"]), default="all")
+@options.with_plugins
+@options.with_as_json
+def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
+    """List the scenes and integrators, with those that are unavailable and why.
+
+    \b
+    Examples:
+      stepbench list
+      stepbench list integrators --json
+    """
+    registry = Registry(plugins)
+    kinds = list(_WORDS) if kind == "all" else [kind]
+    listed = {k: list(getattr(registry, k).values()) for k in kinds}
+    if as_json:
+        rows = {
+            k: [
+                {
+                    "name": p.name,
+                    "summary": p.summary,
+                    "origin": p.origin,
+                    "available": p.cls is not None,
+                    "reason": p.reason,
+                    "options": p.options,
+                }
+                for p in found
+            ]
+            for k, found in listed.items()
+        }
+        click.echo(json.dumps(rows, indent=2))
+        return
+    from bench.commands.terminal import show
+    from bench.commands.terminal_tables import plugin_table
+
+    for k, found in listed.items():
+        show(plugin_table(k, found))
+
+
 @click.command()
 @click.argument("names", nargs=-1, metavar="NAME_OR_FILE...")
 @click.option("--all", "everything", is_flag=True, help="Check all scenes and integrators.")
@@ -31,10 +70,10 @@ def check(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Check that scenes and integrators hold to what is asked of them.
+    """Check that scenes and integrators keep the rules for them.
 
     A name may have options; of a Python file everything in it is checked. One line per check
-    says what was found, and what to mend where it fails. The exit code is 1 if one fails.
+    tells the result, and how to mend a fault. The exit code is 1 if a check fails.
 
     \b
     Examples:
@@ -42,7 +81,8 @@ def check(
       stepbench check my_method.py my_scene.py
       stepbench check --all --json
     """
-    from bench.commands.terminal import finding_line, say
+    from bench.commands.terminal import say
+    from bench.commands.terminal_tables import check_line
     from bench.conformance.checker import FAILED, Checker, chosen, is_file
 
     registry = Registry([*plugins, *(name for name in names if is_file(name))])
@@ -52,15 +92,17 @@ def check(
         for kind, text in subjects:
             if not as_json:
                 say(f"{_WORDS[kind]} {text}")
-            findings = []
-            for finding in checker.check(kind, text):
-                findings.append(vars(finding))
-                count += 1
-                failed += finding.verdict == FAILED
+            results = []
+            for result in checker.check(kind, text):
+                results.append(result)
                 if not as_json:
-                    say(finding_line(finding))
-            good = all(finding["verdict"] != FAILED for finding in findings)
-            answers.append({"name": text, "kind": _WORDS[kind], "passed": good, "checks": findings})
+                    say(check_line(result))
+            wrong = sum(result.verdict == FAILED for result in results)
+            count, failed = count + len(results), failed + wrong
+            checks = [vars(result) for result in results]
+            answers.append(
+                {"name": text, "kind": _WORDS[kind], "passed": not wrong, "checks": checks}
+            )
     if as_json:
         click.echo(json.dumps(answers, indent=2))
     if failed:
@@ -74,7 +116,7 @@ def check(
 @click.argument("name")
 @click.option("--out", type=click.Path(path_type=Path), help="File; NAME.py if not given.")
 def new(kind: str, name: str, out: Path | None) -> None:
-    """Write a small scene or integrator that runs at once, to be changed.
+    """Write a small scene or integrator, which runs at once.
 
     \b
     Examples:
@@ -114,7 +156,7 @@ def _require_free(name: str) -> None:
 
 
 def _class_name(name: str) -> str:
-    """A class name that the tool reads back as this name."""
+    """The name of a class that the registry lists under this name."""
     parts = [part.capitalize() for part in name.split("_")]
     joined = "".join(parts)
     return joined if snake_case(joined) == name else "_".join(parts)

@@ -1,23 +1,51 @@
-"""The commands for results that are there: `compare`, `merge`, `open` and `figure`."""
+"""The commands for stored results: `export`, `compare`, `merge`, `open` and `figure`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
 from bench.commands import options
-from bench.commands.scenes import view
+from bench.commands.pages import view
+from bench.results.csv_text import csv_text
+from bench.results.records import flatten
+from bench.results.store import Store
 from problems.spec import SpecError
 
-#: Where `stepbench run` puts its results, and the page that it makes of them.
-DEFAULT_OUT = "stepbench-results"
+#: The page in a folder of results.
 _PAGE = "report.html"
-#: So many regressions are named on the screen.
+#: Most regressions that are named on the screen.
 _NAMED = 10
 
 
-def _limits(_: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
+@click.command()
+@options.with_results
+@click.option("--csv", "form", flag_value="csv", default=True, help="Comma-separated (default).")
+@click.option("--json", "form", flag_value="json", help="A JSON array of flat rows.")
+@options.with_file("File; the screen if not given.")
+def export(folder: Path, form: str, out: Path | None) -> None:
+    """Write all records as flat rows, for pandas.
+
+    \b
+    Examples:
+      stepbench export stepbench-results --csv -o records.csv
+      stepbench export --json > records.json
+    """
+    with Store(folder) as store:
+        rows = [flatten(record) for record in store.records().values()]
+    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
+    if out:
+        out.write_text(text, encoding="utf-8")
+        click.echo(f"{len(rows)} records in {out}")
+    else:
+        click.echo(text, nl=False)
+
+
+def _limits(
+    context: click.Context, parameter: click.Parameter, text: str | None
+) -> dict[str, float]:
     from bench.results.compare import read_limits
 
     return read_limits(text) if text is not None else {}
@@ -35,17 +63,12 @@ def _limits(_: click.Context, parameter: click.Parameter, text: str | None) -> d
     "error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with 'vanished', also if "
     "NEW lacks a run.",
 )
-@click.option(
-    "--out",
-    "-o",
-    type=click.Path(path_type=Path),
-    help="Folder for comparison.html and comparison.md; no pages if not given.",
-)
+@options.with_file("Folder for comparison.html and comparison.md; no pages if not given.")
 @options.with_as_json
 def compare(
     old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
 ) -> None:
-    """Say what changed from the results in OLD to those in NEW, run by run.
+    """Compare the results in OLD and NEW, run by run.
 
     Errors and counts are compared as they are, times where the samples of both do not overlap
     and the ratio is beyond the noise. Times from different machines or versions are shown, but
@@ -106,7 +129,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
 
 
 @click.command("open")
-@click.argument("folder", type=click.Path(path_type=Path), default=DEFAULT_OUT)
+@options.with_results
 def open_(folder: Path) -> None:
     """Open the report in FOLDER (or a page that is named itself) in the browser.
 
@@ -137,15 +160,10 @@ def open_(folder: Path) -> None:
 @click.option(
     "--component", metavar="GROUP:PLACE", help="What a trajectory shows, as a:Y; q:1 if not given."
 )
-@click.option(
-    "-i", "--integrator", "integrators", multiple=True, help="Only this integrator; repeatable."
-)
+@options.with_integrators("Only this integrator; repeatable.")
 @click.option("--t-end", type=float, help="End time in s, if the scene is there over several.")
-@click.option(
-    "--out",
-    "-o",
-    type=click.Path(path_type=Path),
-    help="File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given.",
+@options.with_file(
+    "File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given."
 )
 def figure(
     folder: Path,

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import click
 
 from bench.commands import options
-from bench.plugins.registry import Registry, explain
-from bench.running.plan import check_end
+from bench.commands.pages import view
+from bench.plugins.registry import explain
 from problems.spec import SpecError
 
-#: Pictures of an animation: enough for 12 s of smooth motion.
+#: Number of pictures in an animation: enough for 12 s of smooth motion.
 _FRAMES = 240
 
 
 @click.command()
 @click.argument("problem")
-@click.option(
-    "--out", "-o", type=click.Path(path_type=Path), help="File; NAME.svg or NAME.html if not given."
-)
+@options.with_file("File; NAME.svg or NAME.html if not given.")
 @click.option("--animate", is_flag=True, help="Write a page that plays the motion, offline.")
 @options.with_t_end
 @options.with_set
@@ -45,10 +41,8 @@ def show(
     from bench.running.scene_records import GHOSTS, drawings
     from problems.reference import Reference
 
-    registry = Registry(plugins)
-    registry.require_files()
-    scene = registry.problem(problem, **settings)
-    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+    scene = options.usable_registry(plugins).problem(problem, **settings)
+    end = options.end_time(scene, t_end)
     path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
     try:
         pictures = drawings(scene, Reference(scene, end), _FRAMES if animate else GHOSTS)
@@ -56,26 +50,20 @@ def show(
     except OSError:
         raise
     except Exception as error:  # the scene may be a plugin, which may do anything
-        said = str(error) if type(error).__name__ == "NoPicture" else explain(error)
+        said = str(error) if isinstance(error, SpecError) else explain(error)
         raise SpecError(f"{scene.spec} cannot be shown: {said}") from error
     click.echo(f"Picture: {written}")
 
 
 @click.command()
 @click.argument("names", nargs=-1, metavar="[PROBLEM]...")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default="stepbench-catalogue",
-    show_default=True,
-    help="Folder of the pages.",
-)
+@options.with_folder("stepbench-catalogue", "Folder of the pages.")
 @options.with_budget
 @options.with_plugins
 def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[str, ...]) -> None:
     """Write a catalogue (HTML and Markdown) of all scenes, or of those that are named.
 
-    With a picture of each, its equations, sizes, stiffness along the motion, and its truth.
+    It shows a picture of each, its equations, sizes, stiffness along the motion, and reference.
 
     \b
     Examples:
@@ -85,8 +73,7 @@ def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[s
     from bench.commands.terminal import RunProgress
     from bench.running.session import describe_scenes
 
-    registry = Registry(plugins)
-    registry.require_files()
+    registry = options.usable_registry(plugins)
     usable = [name for name, plugin in registry.problems.items() if plugin.cls]
     scenes = [registry.problem(name) for name in names or usable]
     with RunProgress() as progress:
@@ -95,9 +82,3 @@ def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[s
         raise SpecError("No scene could be described.")
     for page in view("catalogue")(records, out):
         click.echo(f"Catalogue: {page}")
-
-
-def view(name: str) -> Any:
-    """What draws; found by entry point, as the reports are, because the bench imports none."""
-    (entry,) = entry_points(group="stepbench.views", name=name)
-    return entry.load()

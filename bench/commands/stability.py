@@ -1,15 +1,15 @@
-"""The command of the stability laboratory: `stepbench stability`."""
+"""The command `stepbench stability`."""
 
 from __future__ import annotations
 
 import json
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import click
 
 from bench.commands import options
-from bench.plugins.registry import Registry, explain
+from bench.commands.pages import view
+from bench.plugins.registry import explain
 from problems.spec import SpecError, build
 
 _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
@@ -18,7 +18,7 @@ _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 @click.command()
 @click.argument("names", nargs=-1, required=True, metavar="INTEGRATOR...")
 @click.option(
-    "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to be told."
+    "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to report."
 )
 @options.with_pattern
 @click.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given.")
@@ -37,13 +37,7 @@ _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
     help="Patterns in which the largest safe step ratio is sought: two steps in turns, which takes "
     "seconds, or any of up to six, which takes a minute.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default="stepbench-stability",
-    show_default=True,
-    help="Folder of the page.",
-)
+@options.with_folder("stepbench-stability", "Folder of the page.")
 @options.with_plugins
 @options.with_as_json
 def stability(
@@ -76,8 +70,7 @@ def stability(
             raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
     if zeta is not None and system != _SYSTEMS[0]:
         raise SpecError(f"--zeta damps the oscillator; the system {system} has no such number.")
-    registry = Registry(plugins)
-    registry.require_files()
+    registry = options.usable_registry(plugins)
     methods = [registry.integrator(name) for name in names]
     specs = [method.spec for method in methods]
     twice = next((spec for spec in specs if specs.count(spec) > 1), None)
@@ -85,21 +78,20 @@ def stability(
         raise SpecError(f"{twice} is named twice.")
 
     from bench.commands.terminal import show
-    from bench.stability.analysis import SYSTEMS, findings
-    from bench.stability.tables import tables
+    from bench.commands.terminal_tables import stability_tables
+    from bench.stability.analysis import SYSTEMS, analyse
 
     scene = build(SYSTEMS[system], {} if zeta is None else {"zeta": zeta}, system)
-    found = []
+    results = []
     for method in methods:
         try:
-            found.append(findings(method, scene, pattern or (1.0,), at or (), ratios))
+            results.append(analyse(method, scene, pattern or (1.0,), at or (), ratios))
         except SpecError:
             raise
         except Exception as error:  # the method may be a plugin, which may do anything
             raise SpecError(f"{method.spec} cannot be analysed: {explain(error)}") from error
     if as_json:
-        click.echo(json.dumps(found, indent=2, allow_nan=False))
+        click.echo(json.dumps(results, indent=2, allow_nan=False))
         return
-    show(tables(found))
-    (entry,) = entry_points(group="stepbench.views", name="stability")
-    click.echo(f"Page: {entry.load()(found, out)}")
+    show(stability_tables(results))
+    click.echo(f"Page: {view('stability')(results, out)}")

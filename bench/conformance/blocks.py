@@ -168,7 +168,7 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
 
 
 def _unmoved(scene: MechatronicSystem, other: MechatronicSystem) -> bool:
-    """Whether starts, actuation and pictures are the same."""
+    """Whether initial states, actuation and pictures are the same."""
     one, two = scene.initial_state(), other.initial_state()
     pairs: list[tuple[Any, Any]] = list(zip(one, two, strict=True))
     if scene.has("actuation"):

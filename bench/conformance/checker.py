@@ -1,6 +1,6 @@
 """The conformance kit: runs the checks that every scene and integrator has to pass.
 
-A check is a function of a registry and a plugin. It returns a sentence on its finding, or raises
+A check is a function of a registry and a plugin. It returns a sentence on the result, or raises
 ``Failed`` with a sentence on the fault. It runs in a process of its own, so that a plugin that
 hangs or crashes fails its check and no other.
 """
@@ -17,9 +17,9 @@ from bench.conformance.verdicts import (
     FAILED,
     NOT_APPLICABLE,
     PASSED,
+    CheckResult,
     DoesNotApply,
     Failed,
-    Finding,
     shortly,
 )
 from bench.plugins.registry import Plugin, Registry
@@ -34,17 +34,17 @@ CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
 }
 
 
-def examine(registry: Registry, kind: str, text: str, check: str) -> Finding:
+def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult:
     """Run one check on the plugin written as ``text``, in this process."""
     try:
         make = registry.problem if kind == "problems" else registry.integrator
-        return Finding(check, PASSED, CHECKS[kind][check](registry, make(text)))
+        return CheckResult(check, PASSED, CHECKS[kind][check](registry, make(text)))
     except DoesNotApply as reason:
-        return Finding(check, NOT_APPLICABLE, str(reason))
+        return CheckResult(check, NOT_APPLICABLE, str(reason))
     except (Failed, SpecError) as fault:
-        return Finding(check, FAILED, str(fault))
+        return CheckResult(check, FAILED, str(fault))
     except (Exception, SystemExit) as error:  # a plugin may do anything
-        return Finding(check, FAILED, f"It raised {shortly(error)}")
+        return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 
 
 def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:
@@ -102,11 +102,11 @@ class Checker:
         if self._process:
             self._process.end()
 
-    def check(self, kind: str, text: str) -> Iterator[Finding]:
-        """Yield the finding of each check of this kind on the plugin written as ``text``."""
+    def check(self, kind: str, text: str) -> Iterator[CheckResult]:
+        """Yield the result of each check of this kind on the plugin written as ``text``."""
         plugin = self._plugin(kind, text)
         if plugin.cls is None:
-            yield Finding("loads", FAILED, f"It is unavailable: {plugin.reason}")
+            yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
         for name in CHECKS[kind]:
             if self._process is None or not self._process.alive:
@@ -120,7 +120,7 @@ class Checker:
                         f"It did not end within {self._budget_s:g} s; end such a run with the "
                         f"status budget_exceeded or step_too_small, or raise --budget."
                     )
-                answer = Finding(name, FAILED, fault)
+                answer = CheckResult(name, FAILED, fault)
             yield answer
 
     def _plugin(self, kind: str, text: str) -> Plugin:

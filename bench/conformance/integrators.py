@@ -19,7 +19,6 @@ from bench.conformance.trials import (
     names_of,
     prepared,
     resolution,
-    size_of,
     spoilt,
     step_count,
     trial_end,
@@ -35,12 +34,12 @@ from problems.system import MechatronicSystem
 
 #: A power of two: adding it to a time loses as few digits as possible.
 _SHIFT = 64.0
-#: How deep numbers are looked for in what execute() returns.
+#: Depth to which numbers are looked for in nested results of execute().
 _DEEPEST = 4
 
 
 def check_scenes(registry: Registry, method: Integrator) -> str:
-    """It takes at least one scene, and says in a sentence why it refuses another."""
+    """It takes at least one scene, and refuses others with a reason in one sentence."""
     taken, refused = [], []
     for name, plugin in registry.problems.items():
         if plugin.cls is None:
@@ -71,7 +70,7 @@ def check_rows(registry: Registry, method: Integrator) -> str:
         run, (t0, t_end) = measured(method, scene), (scene.interval[0], trial_end(scene))
         k, t = len(run.t), np.asarray(run.t)
         for group in GROUPS:
-            shape, wanted = np.shape(getattr(run, group)), (k, size_of(scene, group))
+            shape, wanted = np.shape(getattr(run, group)), (k, scene.sizes.of(group))
             if shape != wanted:
                 raise Failed(f"Rows of {group} on {scene.spec} have shape {shape}, not {wanted}.")
         if k < 2 or t[0] != t0 or t[-1] != t_end:
@@ -123,7 +122,7 @@ def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
 
 
 def check_execute(registry: Registry, method: Integrator) -> str:
-    """What is timed is what is measured, however often."""
+    """A timed run gives the same results as a measured one, every time."""
     scenes, silent = trials(registry, method), []
     for scene in scenes:
         run = prepared(method, scene)
@@ -146,7 +145,7 @@ def check_execute(registry: Registry, method: Integrator) -> str:
 
 
 def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
-    """All numbers in what a run returned, which may be anything."""
+    """Yield all numbers in a result of execute(), which may be anything."""
     if hasattr(value, "__array__") or isinstance(value, int | float):
         array = np.asarray(value)
         if array.dtype.kind in "fiu":
@@ -161,10 +160,8 @@ def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
 
 def check_work(registry: Registry, method: Integrator) -> str:
     """Work is counted, and grows with the number of steps."""
-    scenes, pair = (
-        trials(registry, method),
-        (1.0, 2.0) if method.controls == "step" else (0.01, 1.0),
-    )
+    scenes = trials(registry, method)
+    pair = (1.0, 2.0) if method.controls == "step" else (0.01, 1.0)
     for scene in scenes:
         coarse, fine = (measured(method, scene, factor).work for factor in pair)
         for name, value in (vars(coarse) | vars(fine)).items():
@@ -187,7 +184,7 @@ def check_work(registry: Registry, method: Integrator) -> str:
 
 
 def check_start_time(registry: Registry, method: Integrator) -> str:
-    """A scene that starts later gives the same motion, later."""
+    """A later start of the scene gives the same motion, later."""
     scenes = trials(registry, method)
     allowed = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL
     for scene in scenes:
@@ -204,7 +201,7 @@ def check_start_time(registry: Registry, method: Integrator) -> str:
 
 
 def check_empty_interval(registry: Registry, method: Integrator) -> str:
-    """No time to go is one row or a clear refusal."""
+    """An interval of length zero gives one row or a clear refusal."""
     scene = trials(registry, method)[0]
     t0 = scene.interval[0]
     try:

@@ -1,11 +1,11 @@
-"""The checks of accuracy: the claimed order at constant steps, and what a tolerance promises."""
+"""The checks of accuracy: the claimed order at constant steps, and errors under a tolerance."""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
 
-from bench.conformance.trials import reference, size_of
+from bench.conformance.trials import reference
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
 from bench.results.quantities import TRUST
@@ -38,7 +38,7 @@ Levels = list[tuple[float, float]]
 
 
 def check_order(method: Integrator, trials: list[Trial]) -> str:
-    """The order in every group is what ``claims`` says, after the start transient.
+    """The order in every group is the claimed one, after the start transient.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     for scene, t_end in trials:
         if steady.supports(scene):
             continue
-        claims = {g: p for g, p in steady.claims(scene).items() if size_of(scene, g)}
+        claims = {g: p for g, p in steady.claims(scene).items() if scene.sizes.of(g)}
         if not claims:
             continue
         levels, floors = _refine(steady, scene, t_end, claims)
@@ -62,10 +62,10 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
         for group, claimed in claims.items():
             fit = _fit(levels[group], floors[group], claimed)
             if fit.order is None and _at_round_off(levels[group], floors[group]):
-                continue  # exact, or too good to be told
+                continue  # exact, or too accurate to show an order
             if fit.order is None or abs(fit.order - claimed) > _allowed(claimed):
-                told = _told(fit, levels[group])
-                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {told}")
+                measured = _in_words(fit, levels[group])
+                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
             seen[group] = claimed
         if seen:
             found.append(f"{_words(seen)} on {scene.spec}")
@@ -86,24 +86,25 @@ def _words(claims: dict[str, int]) -> str:
 def _refine(
     method: Integrator, scene: MechatronicSystem, t_end: float, claims: dict[str, int]
 ) -> tuple[dict[str, Levels], dict[str, float]]:
-    """Errors at ever smaller steps until every order shows or errors are round-off; floors, too."""
+    """Return errors and floors of round-off at ever smaller steps, until every order shows."""
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length, known = t_end - scene.interval[0], reference(scene, t_end)
     levels: dict[str, Levels] = {group: [] for group in claims}
-    floors, count, trouble = dict.fromkeys(claims, 0.0), float(_FEWEST), ""
-    while count <= _MOST:
+    floors, count = dict.fromkeys(claims, 0.0), float(_FEWEST)
+    while True:
         steps = round(count)
         count *= ratio
         run = method.prepare(scene, t_end, Steps(length / steps)).measure()
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
-        if trouble:  # coarse steps may be too coarse
-            continue
-        errors, own = relative_errors(run, known)
-        for group in claims:
-            error = errors[group][_NORM]
-            floors[group] = max(floors[group], own[group][_NORM])
-            levels[group].append((length / steps, math.inf if error is None else error))
-        if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+        if not trouble:  # coarse steps may be too coarse
+            errors, own = relative_errors(run, known)
+            for group in claims:
+                error = errors[group][_NORM]
+                floors[group] = max(floors[group], own[group][_NORM])
+                levels[group].append((length / steps, math.inf if error is None else error))
+            if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+                return levels, floors
+        if count > _MOST:
             break
     if trouble:
         raise Failed(f"On {scene.spec} at h={length / steps:.2g} s it ends with {trouble}")
@@ -115,7 +116,7 @@ def _at_round_off(levels: Levels, floor: float) -> bool:
 
 
 def _shown(levels: Levels, floor: float, claimed: int) -> bool:
-    """Whether smaller steps would tell nothing new."""
+    """Whether the order shows, or errors are round-off."""
     if _at_round_off(levels, floor):
         return True
     order = _fit(levels, floor, claimed).order
@@ -128,9 +129,9 @@ def _allowed(claimed: int) -> float:
 
 
 def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
-    """The order by the rule of the bench; a high order from the last steps above round-off."""
+    """Fit a low order by the rule of the bench, a high one to the last errors above round-off."""
     if claimed <= _LOW:
-        return fit_order(*zip(*levels, strict=True), floor)
+        return fit_order([h for h, _ in levels], [error for _, error in levels], floor)
     last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
     slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
     if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
@@ -139,7 +140,7 @@ def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
     return Fit(sum(slopes) / len(slopes), window, len(last), "converges")
 
 
-def _told(fit: Fit, levels: Levels) -> str:
+def _in_words(fit: Fit, levels: Levels) -> str:
     if fit.order is not None and fit.window:
         coarse, fine = fit.window
         return f"is {fit.order:.2f} (h = {coarse:.2g} to {fine:.2g} s)"

@@ -1,4 +1,4 @@
-"""The checks that every scene has to pass; those of its blocks' derivatives stand apart."""
+"""The checks that every scene has to pass; `blocks` has those of derivatives."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
 
 
 def _check_closed_form(scene: MechatronicSystem) -> None:
-    """It starts where the scene starts, q' = v, v' = a, and the forces agree."""
+    """It begins at the initial state, q' = v, v' = a, and the forces agree."""
     t, values = _along(scene)
     needed = [g for g, n in (("lam", scene.sizes.nl), ("x", scene.sizes.nx)) if n]
     closed = scene.exact(t)
@@ -225,6 +225,7 @@ def check_drawing(registry: Registry, scene: MechatronicSystem) -> str:
     if not scene.has("draw"):
         raise DoesNotApply("It draws nothing; state `draw` to show the motion in reports.")
     _, values = _along(scene)
+    lines: list[np.ndarray] = []
     for q in values["q"]:
         lines = [np.asarray(line) for line in scene.draw(q)]
         for number, line in enumerate(lines):

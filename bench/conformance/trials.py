@@ -1,9 +1,10 @@
-"""What integrators are tried on: scenes of the kit's own, those of the registry, and runs."""
+"""Trial scenes and trial runs, on which integrators are checked."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,13 @@ from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Tra
 from problems import MechatronicSystem, State, jnp
 from problems.reference import Reference
 
-#: Scenes of the registry on which integrators are tried, beside the kit's own: a controller that
-#: feeds accelerations back, and a constraint. One that is not there is left out.
-TRIALS = ("spring_mass", "pendulum")
+#: The tag by which a scene says that integrators are checked on it, beside the scene below.
+TAG = "conformance"
 #: A trial run takes this many nominal steps of its scene.
 TRIAL_STEPS = 50
 TRIAL_RTOL = 1e-6
-#: The groups of a trajectory, with the size of each.
-GROUPS = {"q": "nq", "v": "nq", "a": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+#: The groups of a trajectory.
+GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
 
 # ---- trial scenes ----------------------------------------------------------------------
@@ -67,12 +67,12 @@ class FiniteTimeBlowUp(MechatronicSystem):
 
 
 def moved(scene: MechatronicSystem, by: float) -> MechatronicSystem:
-    """The same motion, ``by`` seconds later."""
+    """Return the scene with the same motion ``by`` seconds later."""
     return _as(_moved_class(type(scene), by), scene)
 
 
 def spoilt(scene: MechatronicSystem, at: float) -> MechatronicSystem:
-    """The same scene, whose force is NaN after the time ``at``."""
+    """Return the scene with a force that is NaN after the time ``at``, in s."""
     return _as(_spoilt_class(type(scene), at), scene)
 
 
@@ -100,37 +100,41 @@ def _spoilt_class(cls: type, at: float) -> type:
 
 
 def _as(cls: type, scene: MechatronicSystem) -> MechatronicSystem:
-    """An instance of another class with the scene's parameters."""
+    """Return an instance of another class with the scene's parameters."""
     return MechatronicSystem.with_parameters(object.__new__(cls), vars(scene))
 
 
 @cache
 def reference(scene: MechatronicSystem, t_end: float) -> Reference:
-    """The reference of a scene, made once for all checks."""
+    """Return the reference of a scene up to t_end in s, made once for all checks."""
     return Reference(scene, t_end)
 
 
 # ---- trial runs -----------------------------------------------------------------------
 def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
-    """The trial scenes that a method takes; the first other scene that it takes if there is none.
+    """Return the trial scenes that a method takes, or the first other scene that it takes.
+
+    Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance".
 
     Raises
     ------
     DoesNotApply
         If it takes no scene at all.
     """
-    names = [name for name, plugin in registry.problems.items() if plugin.cls]
-    known = [registry.problem(name) for name in TRIALS if name in names]
-    taken = [s for s in (ForcedOscillator(), *known) if method.supports(s) is None]
-    others = (registry.problem(name) for name in names)
-    taken = taken or [s for s in others if method.supports(s) is None][:1]
+    # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
+    classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
+    tagged = [name for name, cls in classes.items() if TAG in vars(cls).get("tags", ())]
+    tried = ForcedOscillator(), *map(registry.problem, tagged)
+    taken = [scene for scene in tried if method.supports(scene) is None]
+    others = (scene for scene in map(registry.problem, classes) if method.supports(scene) is None)
+    taken = taken or list(islice(others, 1))
     if not taken:
         raise DoesNotApply("It takes no scene.")
     return taken
 
 
 def trial_end(scene: MechatronicSystem) -> float:
-    """Where a trial run ends."""
+    """Return the end time of a trial run, in s."""
     t0, t_end = scene.interval
     return min(t_end, t0 + TRIAL_STEPS * scene.nominal_step)
 
@@ -138,14 +142,14 @@ def trial_end(scene: MechatronicSystem) -> float:
 def resolution(
     method: Integrator, scene: MechatronicSystem, finer: float = 1.0
 ) -> Steps | Tolerances:
-    """What a trial run is given, or something finer by a factor."""
+    """Return the step or tolerances of a trial run, ``finer`` by a factor."""
     if method.controls == "step":
         return Steps(scene.nominal_step / finer)
     return Tolerances(TRIAL_RTOL / finer)
 
 
 def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> PreparedRun:
-    """A trial run, ready to go."""
+    """Prepare a trial run."""
     return method.prepare(scene, trial_end(scene), resolution(method, scene, finer))
 
 
@@ -167,7 +171,7 @@ def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -
 
 
 def words(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> str:
-    """The resolution of a trial run in words."""
+    """Return the resolution of a trial run in words."""
     refined = resolution(method, scene, finer)
     if isinstance(refined, Steps):
         return f"h={refined.h:g} s"
@@ -175,15 +179,10 @@ def words(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> s
 
 
 def names_of(scenes: list[MechatronicSystem]) -> str:
-    """Scenes by name, for a sentence."""
+    """Return the names of scenes for a sentence."""
     return ", ".join(scene.spec for scene in scenes)
 
 
 def step_count(scene: MechatronicSystem) -> int:
-    """Steps of a trial run at fixed steps."""
+    """Return the number of fixed steps in a trial run."""
     return Steps(scene.nominal_step).count(scene.interval[0], trial_end(scene))
-
-
-def size_of(scene: MechatronicSystem, group: str) -> int:
-    """Entries of a group of a trajectory on this scene."""
-    return getattr(scene.sizes, GROUPS[group])

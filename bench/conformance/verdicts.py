@@ -1,4 +1,4 @@
-"""What the checks of both kinds share: verdicts, and the round trip of names."""
+"""Verdicts of checks, and the check of names, which scenes and integrators share."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What a check found: its name, a verdict (one of the three above), and a sentence."""
+class CheckResult:
+    """The result of a check: its name, a verdict (one of the three above), and a sentence."""
 
     check: str
     verdict: str
@@ -23,20 +23,27 @@ class Finding:
 
 
 class Failed(Exception):
-    """A check failed; the message says what to mend."""
+    """A check failed; the message says how to mend the plugin."""
 
 
 class DoesNotApply(Exception):
-    """A check has nothing to look at; the message says why."""
+    """A check does not apply to the plugin; the message says why."""
 
 
 def shortly(error: BaseException) -> str:
-    """The first sentence on an exception: JAX explains itself at length."""
+    """Return the first sentence on an exception; messages of JAX are long."""
     return explain(error).split(". ")[0].rstrip(".") + "."
 
 
 def round_trip(make: Callable[[str], Any], subject: Any) -> str:
-    """Write every option with every notable value and read it back.
+    """Check that every option is read back as it is written.
+
+    Parameters
+    ----------
+    make
+        Makes an object from its printed name.
+    subject
+        A scene or an integrator; its options take their default, choices and limits in turn.
 
     Raises
     ------
@@ -83,11 +90,12 @@ def _notable_values(subject: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
         meta = field.metadata
         if "type" not in meta:
             continue
-        values = [field.default, *(meta.get("choices") or ())]
+        values: list[Any] = [field.default, *(meta.get("choices") or ())]
         limits = [value for value in (meta.get("low"), meta.get("high")) if value is not None]
         values += [meta["type"](limit) for limit in limits]
         if meta["type"] is bool:
             values += [False, True]
         if meta["type"] is float:
-            values.append(sum(limits) / 3 if len(limits) == 2 else (field.default or 1.0) / 0.7)
+            default: Any = field.default or 1.0
+            values.append(sum(limits) / 3 if len(limits) == 2 else default / 0.7)
         yield from ((field, value) for value in dict.fromkeys(values))

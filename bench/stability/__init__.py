@@ -1,1 +1,1 @@
-"""The stability laboratory: what a step does to linear systems, and where it starts to amplify."""
+"""Stability analysis: amplification matrices of steps on linear systems, and their spectra."""

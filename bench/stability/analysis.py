@@ -1,4 +1,4 @@
-"""All that the laboratory finds out about one integrator, as plain values for a page or JSON."""
+"""The complete analysis of one integrator, as plain values for a page or JSON."""
 
 from __future__ import annotations
 
@@ -17,24 +17,43 @@ from integrators.native.step_method import NativeMethod
 from problems.spec import SpecError
 
 SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
-#: omega h at which numbers are told if none are asked for.
-TOLD = (0.1, 0.5, 1.0, 10.0, 100.0)
+#: omega h at which numbers are reported if none are asked for.
+REPORTED = (0.1, 0.5, 1.0, 10.0, 100.0)
 #: Grids of the maps: omega h, values of an option, ratios of steps.
 _ACROSS, _VALUES = np.geomspace(1e-2, 1e4, 43), 31
 _RATIOS = np.geomspace(1.0, 5.0, 31)
 
 
-def findings(
+def analyse(
     method: Integrator,
     system: LinearSystem,
     pattern: Sequence[float] = (1.0,),
     at: Sequence[float] = (),
     ratios: str = "alternating",
 ) -> dict[str, Any]:
-    """Spectrum, theory, maps and safe ratios of a method.
+    """Analyse the stability of a method on a linear test system.
 
-    Maps and ratios are found for methods that are step functions; runs would take minutes.
-    ``ratios`` says in which patterns the largest safe ratio is sought: none, alternating, any.
+    Parameters
+    ----------
+    method
+        An integrator with constant steps. Maps and safe ratios need a step function; they would
+        take minutes by running other methods.
+    system
+        The test system; time is measured in its own unit, so that a step is omega h.
+    pattern
+        Fractions of the macro step, which sum to 1.
+    at
+        Values of omega h to report; `REPORTED` if there are none.
+    ratios
+        Patterns in which the largest safe ratio of steps is sought: "none", "alternating" for two
+        steps in turns, or "any" for up to six.
+
+    Returns
+    -------
+    dict
+        The fields of `Spectrum`; "at", columns over the reported omega h; "theory", multistep
+        formulas; "maps", radii over omega h and an option or a ratio of steps; "safe", ratios.
+        NaN and infinity are None.
 
     Raises
     ------
@@ -42,26 +61,27 @@ def findings(
         As `bench.stability.matrices.matrices` does.
     """
     method = steppable(method)
-    told = tuple(at) or TOLD
-    found = spectrum(method, system, pattern, told)
-    places = nearest(found, told)
+    reported = tuple(at) or REPORTED
+    found = spectrum(method, system, pattern, reported)
+    places = nearest(found, reported)
     columns = ("omega_h", "radius", "damping", "period_error", "overshoot_q", "overshoot_v")
     plain = summary(found)
-    steppers = isinstance(method, NativeMethod)
+    maps, safe = [], {}
+    if isinstance(method, NativeMethod):
+        maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
+        safe = {} if found.growing else _safe_ratios(method, system, ratios)
     return plain | {
         "family": method.family or method.name,
         "at": {name: [plain[name][k] for k in places] for name in columns},
         "first_steps": FIRST_STEPS,
         "theory": _theory(method) if len(pattern) == 1 else None,
-        "maps": [*_option_map(method, system, pattern), _ratio_map(method, system)]
-        if steppers
-        else [],
-        "safe": _safe(method, system, ratios) if steppers and not found.growing else {},
+        "maps": maps,
+        "safe": safe,
     }
 
 
-def _safe(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
-    """Safe ratios by kind of pattern; a method that grows at constant steps has none."""
+def _safe_ratios(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
+    """Safe ratios by kind of pattern."""
     tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.words()}
     kinds = list(tried)[: ["none", *tried].index(ratios)]
     return {kind: vars(patterns.safe_ratio(method, tried[kind], system)) for kind in kinds}
@@ -70,8 +90,8 @@ def _safe(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, 
 def _radii(
     method: Integrator, system: LinearSystem, pattern: Sequence[float]
 ) -> list[float | None]:
-    sizes = radii(eigenvalues(matrices(method, system, _ACROSS, pattern).a))
-    return [float(size) if np.isfinite(size) else None for size in sizes]
+    found = radii(eigenvalues(matrices(method, system, _ACROSS, pattern).a))
+    return [float(radius) if np.isfinite(radius) else None for radius in found]
 
 
 def _option_map(
@@ -79,21 +99,19 @@ def _option_map(
 ) -> list[dict[str, Any]]:
     """Radii over omega h and the option that a method shows first, if that is a bounded number."""
     for field in dataclasses.fields(method):
-        low, high = field.metadata.get("low"), field.metadata.get("high")
-        if field.metadata.get("always") and field.metadata["type"] is float and None not in (
-            low, high,
-        ):  # fmt: skip
-            break
-    else:
-        return []
-    rows = []
-    for value in np.linspace(low, high, _VALUES):
-        try:
-            member = dataclasses.replace(method, **{field.name: float(value)})
-        except SpecError:  # not every value goes with the other options
+        meta = field.metadata
+        low, high = meta.get("low"), meta.get("high")
+        if low is None or high is None or not meta.get("always") or meta["type"] is not float:
             continue
-        rows.append({"value": float(value), "radii": _radii(member, system, pattern)})
-    return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
+        rows = []
+        for value in np.linspace(low, high, _VALUES):
+            try:
+                member = dataclasses.replace(method, **{field.name: float(value)})
+            except SpecError:  # not every value goes with the other options
+                continue
+            rows.append({"value": float(value), "radii": _radii(member, system, pattern)})
+        return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
+    return []
 
 
 def _ratio_map(method: NativeMethod, system: LinearSystem) -> dict[str, Any]:
@@ -111,7 +129,7 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
     if form is None:
         return None
 
-    def told(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
+    def plain(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
         return [{"re": root.real, "im": root.imag, "times": count} for root, count in roots]
 
     formulas = {
@@ -120,9 +138,9 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
             "sigma": formula.sigma.tolist(),
             "power": formula.power,
             "order": formula.order,
-            "zero_roots": told(formula.zero_roots),
+            "zero_roots": plain(formula.zero_roots),
             "zero_stable": formula.zero_stable,
-            "infinity_roots": told(formula.infinity_roots),
+            "infinity_roots": plain(formula.infinity_roots),
             "infinity_stable": formula.infinity_stable,
         }
         for group, formula in (("q", form.q), ("v", form.v), ("x", form.x))

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from problems.formulations import Start, with_rates
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 #: Entries of a matrix below this size are rounding, at steps of about one time unit.
 _NOISE = 1e-9
@@ -45,21 +48,30 @@ _MEMORYLESS, _TOLERATED = 1e-6, 1e-7
 
 @dataclass(frozen=True)
 class Matrices:
-    """What a pattern of steps does to deviations, for k macro steps.
+    """Matrices of a pattern of steps for k macro steps.
 
-    ``a`` ``(k, n, n)`` maps what is handed on from pattern to pattern, ``b`` ``(k, n, m)`` gives
-    it at the start for the m unit deviations of the system, and ``c`` ``(k, r, n)`` reads [q, v, x]
-    after the next pattern. NaN where Newton's method failed, infinite where a run overflowed.
+    NaN where Newton's method failed, infinite where a run overflowed.
+
+    Attributes
+    ----------
+    steps
+        The macro steps.
+    a
+        The amplification matrices: they advance the n numbers of a state by one pattern.
+    b
+        States at the start, for the m unit deviations of the system.
+    c
+        Readings of the r values in [q, v, x] after the next pattern, from a state.
     """
 
-    steps: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
+    steps: Float[np.ndarray, " k"]
+    a: Float[np.ndarray, "k n n"]
+    b: Float[np.ndarray, "k n m"]
+    c: Float[np.ndarray, "k r n"]
 
 
 def steppable(method: Integrator) -> Integrator:
-    """The method at constant steps.
+    """Return the method at constant steps.
 
     Raises
     ------
@@ -78,10 +90,22 @@ def steppable(method: Integrator) -> Integrator:
 def matrices(
     method: Integrator,
     system: LinearSystem,
-    steps: Sequence[float],
+    steps: Sequence[float] | np.ndarray,
     pattern: Sequence[float] = (1.0,),
 ) -> Matrices:
-    """The amplification matrices of one pattern of steps for each macro step.
+    """Find the amplification matrices of a pattern of steps for each macro step.
+
+    Parameters
+    ----------
+    method
+        An integrator with constant steps: a method with a step function, or one that hands on
+        nothing but q, v and x.
+    system
+        A linear test system; time is measured in its own unit.
+    steps
+        Macro steps, k of them.
+    pattern
+        Fractions of the macro step, which sum to 1.
 
     Raises
     ------
@@ -122,13 +146,13 @@ def _by_stepping(
 
 def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Numbers of a state that a deviation reaches and that act on such numbers later on."""
-    acts = (np.abs(np.nan_to_num(a)) > _NOISE).any(axis=0)
-    reached = (np.abs(np.nan_to_num(b)) > _NOISE).any(axis=(0, 2))
+    acts = np.any(np.abs(np.nan_to_num(a)) > _NOISE, axis=0)
+    reached = np.any(np.abs(np.nan_to_num(b)) > _NOISE, axis=(0, 2))
     for _ in range(len(acts)):
-        reached = reached | acts[:, reached].any(axis=1)
+        reached = reached | np.any(acts[:, reached], axis=1)
     kept = reached
     for _ in range(len(acts)):
-        kept = kept & acts[kept].any(axis=0)
+        kept = kept & np.any(acts[kept], axis=0)
     return np.flatnonzero(kept)
 
 
@@ -181,9 +205,10 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
         return a.T, b.T, c.T, converged
 
     @jax.jit
-    def each(*arguments: Any) -> tuple:
-        *fixed, macros = arguments
-        return jax.lax.map(lambda macro: one(*fixed, macro), macros)
+    def each(
+        p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macros: Any
+    ) -> tuple:
+        return jax.lax.map(lambda macro: one(p, numbers, deviations, pattern, slots, macro), macros)
 
     return each
 

@@ -1,9 +1,9 @@
-"""Varying steps: growth over one period of a pattern, and the largest ratio of steps that is safe.
+"""Varying steps: growth over one period of a pattern, and the largest safe ratio of steps.
 
 A method that is stable at every constant step need not be stable when steps of different size take
-turns: a product of matrices with radius below 1 can have one above. Patterns are written as words
-of exponents, one letter a step: with ratio r, (1, -1) is a step r times the one before and then one
-1/r times it. The exponents of a word sum to zero, so that the pattern repeats itself.
+turns: a product of matrices with radii below 1 can have a radius above 1. Patterns are written as
+words of exponents, one letter a step: with ratio r, (1, -1) is a step r times the one before and
+then one 1/r times it. The exponents of a word sum to zero, so that the pattern repeats itself.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from functools import cache
 import numpy as np
 
 from bench.stability.matrices import matrices
-from bench.stability.spectra import INFINITY, eigenvalues, radii
+from bench.stability.spectra import INFINITY, ONE_ROOT, eigenvalues, radii
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
 
 Word = tuple[int, ...]
 
-#: omega H at which patterns are looked at: with 1e6 for infinity they fill two blocks.
+#: omega H at which patterns are analysed; with infinity they fill two blocks of `matrices`.
 OMEGA_H = np.geomspace(1e-2, 1e4, 120)
 #: Growth in a period that is more than rounding.
 _GROWTH = 1e-10
-#: Letters in the longest words that are tried.
+#: Letters in the longest words.
 LONGEST = 6
-#: Ratios beyond this are not looked for; ratios are found to this relative accuracy.
+#: The largest ratio that is tried, and the relative accuracy of a safe ratio.
 LARGEST_RATIO, _ACCURACY = 10.0, 1e-3
 _SCAN = np.geomspace(1.0, LARGEST_RATIO, 49)[1:]
-#: How a resonance is narrowed down: so many of each kind, by so many points at a time, so often.
+#: Search for a resonance: most peaks of each kind, points in a refinement, refinements.
 _MOST_PEAKS, _POINTS, _REFINEMENTS = 6, 5, 8
 _REAL = 1e-9
 ALTERNATING: Word = (1, -1)
@@ -40,8 +40,10 @@ ALTERNATING: Word = (1, -1)
 
 @dataclass(frozen=True)
 class Safe:
-    """The largest ratio up to which no pattern grows (None: none found up to LARGEST_RATIO), and
-    what grows just beyond it: the word, omega H, and the radius over its period."""
+    """The largest ratio up to which no pattern grows; None if none grows up to LARGEST_RATIO.
+
+    ``word``, ``omega_h`` and ``radius`` describe the pattern that grows just beyond it.
+    """
 
     ratio: float | None
     word: Word | None = None
@@ -50,14 +52,14 @@ class Safe:
 
 
 def fractions(word: Sequence[float], ratio: float) -> tuple[float, ...]:
-    """The pattern of a word: fractions of the macro step, which sum to 1."""
+    """Return the pattern of a word: fractions of the macro step, which sum to 1."""
     sizes = float(ratio) ** np.cumsum([0.0, *word[:-1]])
     return tuple(sizes / sizes.sum())
 
 
 @cache
 def words(longest: int = LONGEST) -> tuple[Word, ...]:
-    """All cyclic words of the letters -1, 0, 1 that sum to zero, each once, the shortest first."""
+    """Return all cyclic words of -1, 0 and 1 that sum to zero, each once, the shortest first."""
     found: dict[Word, None] = {}
     for length in range(2, longest + 1):
         for word in itertools.product((1, 0, -1), repeat=length):
@@ -70,17 +72,36 @@ def words(longest: int = LONGEST) -> tuple[Word, ...]:
 def worst(
     method: Integrator, pattern: Sequence[float], system: LinearSystem | None = None
 ) -> tuple[float, float]:
-    """The largest radius over a period, and the omega H at which it is met.
+    """Find the largest radius over a period and its omega H.
 
     Growth is often a resonance: a pair of eigenvalues meets on the real axis, and one of the two
     leaves the unit circle, in a range of omega H that may be a thousandth wide. Such ranges lie
-    where the largest eigenvalue comes next to the real axis, and are looked for there.
+    where the largest eigenvalue comes next to the real axis; the search refines them there.
+
+    Parameters
+    ----------
+    method
+        An integrator with constant steps.
+    pattern
+        Fractions of the macro step, which sum to 1.
+    system
+        The test system; the undamped oscillator if not given.
+
+    Returns
+    -------
+    tuple of float
+        The radius and omega H.
+
+    Raises
+    ------
+    SpecError
+        As `bench.stability.matrices.matrices` does.
     """
     system = system or Oscillator()
     at = np.append(OMEGA_H, INFINITY)
-    sizes, turned, last = _looks(method, system, at, pattern)
+    sizes, turned, last = _largest_roots(method, system, at, pattern)
     if np.isfinite(last).all():  # multiple roots at infinity have lost digits
-        sizes[-1] = max(abs(root) for root, _ in multiple(last))
+        sizes[-1] = max(abs(root) for root, _ in multiple(last, ONE_ROOT))
     best = int(sizes.argmax())
     radius, omega_h = float(sizes[best]), float(at[best])
     brackets = [
@@ -90,7 +111,7 @@ def worst(
     ]
     for _ in range(_REFINEMENTS if brackets else 0):
         points = np.array([np.linspace(a, b, _POINTS + 2)[1:-1] for a, b, _ in brackets])
-        sizes, turned, _ = _looks(method, system, points.ravel(), pattern)
+        sizes, turned, _ = _largest_roots(method, system, points.ravel(), pattern)
         sizes, turned = sizes.reshape(points.shape), turned.reshape(points.shape)
         narrower = []
         for (a, b, resonance), row, size, turn in zip(brackets, points, sizes, turned, strict=True):
@@ -105,29 +126,36 @@ def worst(
     return radius, omega_h
 
 
-def _looks(
+def _largest_roots(
     method: Integrator, system: LinearSystem, at: np.ndarray, pattern: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Radii, how far the largest eigenvalue is turned from the real axis (0 to 1), last roots."""
+    """Radii; the largest eigenvalues' distance from the real axis, 0 to 1; the roots at the last
+    omega H."""
     roots = eigenvalues(matrices(method, system, at, pattern).a)
     sizes = radii(roots)
     largest = roots[np.arange(len(at)), np.abs(roots).argmax(axis=1)]
     with np.errstate(all="ignore"):
-        turned = np.nan_to_num(np.abs(largest.imag) / np.abs(largest))
+        turned = np.nan_to_num(np.abs(np.imag(largest)) / np.abs(largest))
     return np.where(np.isnan(sizes), np.inf, sizes), turned, roots[-1]
 
 
 def _peaks(values: np.ndarray, sizes: np.ndarray) -> list[int]:
-    """Inner maxima, a few of the largest radii: the others have farthest to go to grow."""
+    """Return the inner maxima with the largest radii, which are nearest to growth."""
     inner = values[1:-1]
     peaks = np.flatnonzero((inner >= values[:-2]) & (inner > values[2:])) + 1
-    return sorted(peaks, key=lambda k: -sizes[k])[:_MOST_PEAKS]
+    return sorted(peaks.tolist(), key=lambda k: -sizes[k])[:_MOST_PEAKS]
 
 
 def safe_ratio(
     method: Integrator, tried: Sequence[Word] = (ALTERNATING,), system: LinearSystem | None = None
 ) -> Safe:
-    """The largest ratio up to which none of the patterns grows."""
+    """Find the largest ratio up to which none of the patterns ``tried`` grows.
+
+    Raises
+    ------
+    SpecError
+        As `bench.stability.matrices.matrices` does.
+    """
 
     def grows(ratio: float) -> Safe | None:
         for word in tried:

@@ -1,4 +1,4 @@
-"""What the eigenvalues of amplification matrices say of a method on the test oscillator.
+"""Properties of a method from the eigenvalues of its amplification matrices.
 
 Conventions of Hughes (1987), The Finite Element Method, ch. 9: an eigenvalue r exp(i phi) of the
 principal pair is a numerical oscillation of damping ratio -ln(r)/phi and of period 2 pi h/phi.
@@ -6,11 +6,10 @@ principal pair is a numerical oscillation of damping ratio -ln(r)/phi and of per
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,18 +18,21 @@ from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
 
+if TYPE_CHECKING:
+    from jaxtyping import Complex, Float
+
 #: omega h of the charts, 30 to a decade.
 OMEGA_H = np.geomspace(1e-2, 1e4, 181)
-#: Taken for infinite: what is left of finite frequency is below rounding in a mean of roots.
+#: Taken for infinite: the effect of the finite frequency is below rounding in a mean of roots.
 INFINITY = 1e6
 #: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
 GROWTH = 1e-9
 #: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
 #: the k-th root of rounding, and like 1/INFINITY.
-_ONE_ROOT = 1e-3
+ONE_ROOT = 1e-3
 #: A pair whose imaginary part is below this is real.
 _REAL = 1e-7
-#: Steps among the first of which the overshoot is the largest value.
+#: Number of first steps in which the overshoot is sought.
 FIRST_STEPS = 10
 _ORDER_STEPS = 2.0 ** -np.arange(8.0)
 _SECTIONS = 16
@@ -38,25 +40,40 @@ _SECTIONS = 16
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What is known of a method on a test system; arrays are over ``omega_h`` ``(k,)``.
+    """Properties of a method on a test system; arrays are over ``omega_h``.
 
-    ``damping`` and ``period_error`` (relative, beyond those of the exact solution) are NaN where
-    there is no oscillation; they belong to the pattern's macro step. ``growing`` holds the ranges
-    of omega h in which the radius is above 1, ``bifurcation`` is where the principal pair turns
-    real (None: nowhere). ``overshoot`` is the largest |q| and |v| of the first steps relative to a
-    start of amplitude 1; ``overshoot_orders`` are the powers of omega h by which it grows.
-    ``roots_at_infinity`` are (root, multiplicity).
+    Attributes
+    ----------
+    integrator, system, pattern
+        Printed names, and the fractions of the macro step to which all numbers belong.
+    radius
+        Spectral radius of the amplification matrix.
+    damping, period_error
+        Numerical damping ratio and relative period error, beyond those of the exact solution; NaN
+        where there is no oscillation.
+    overshoot_q, overshoot_v
+        Largest |q| and |v| of the first steps, relative to a start of amplitude 1.
+    growing
+        Ranges of omega h in which the radius is above 1.
+    bifurcation
+        omega h where the principal pair turns real; None if it does not.
+    order
+        Order of the principal root.
+    overshoot_orders
+        Powers of omega h by which the overshoot of q and of v grows.
+    radius_at_infinity, roots_at_infinity
+        Radius at infinite omega h, and the roots there with their multiplicities.
     """
 
     integrator: str
     system: str
     pattern: tuple[float, ...]
-    omega_h: np.ndarray
-    radius: np.ndarray
-    damping: np.ndarray
-    period_error: np.ndarray
-    overshoot_q: np.ndarray
-    overshoot_v: np.ndarray
+    omega_h: Float[np.ndarray, " k"]
+    radius: Float[np.ndarray, " k"]
+    damping: Float[np.ndarray, " k"]
+    period_error: Float[np.ndarray, " k"]
+    overshoot_q: Float[np.ndarray, " k"]
+    overshoot_v: Float[np.ndarray, " k"]
     growing: list[tuple[float, float]]
     bifurcation: float | None
     order: int | None
@@ -66,7 +83,7 @@ class Spectrum:
 
     @property
     def limit(self) -> float:
-        """Smallest omega h at which deviations grow; infinite if there is none."""
+        """The smallest omega h at which deviations grow; infinite if there is none."""
         return self.growing[0][0] if self.growing else math.inf
 
 
@@ -76,7 +93,18 @@ def spectrum(
     pattern: Sequence[float] = (1.0,),
     omega_h: Sequence[float] = (),
 ) -> Spectrum:
-    """Analyse a method; ``omega_h`` are values of omega h to be looked at beside OMEGA_H.
+    """Analyse a method.
+
+    Parameters
+    ----------
+    method
+        An integrator with constant steps.
+    system
+        The test system; the undamped oscillator if not given.
+    pattern
+        Fractions of the macro step, which sum to 1.
+    omega_h
+        Values of omega h to be analysed beside `OMEGA_H`.
 
     Raises
     ------
@@ -89,15 +117,15 @@ def spectrum(
     found = matrices(method, system, every, pattern)
     roots, count = eigenvalues(found.a), len(at)
     sizes = radii(roots)
-    nothing, oscillates = np.full(count, np.nan), isinstance(system, Oscillator)
-    damping = period = nothing
-    bifurcation = order = None
-    if oscillates:
+    damping = period = q = v = np.full(count, np.nan)
+    bifurcation = order = powers = None
+    if isinstance(system, Oscillator):
         damping, period = oscillation(roots[:count], at, system.zeta)
         order = order_of(roots[count:-1], system.zeta)
         bifurcation = _bifurcation(method, system, pattern, at, roots[:count])
-    q, v = overshoot(found, system) if oscillates else (nothing, nothing)
-    at_infinity = multiple(roots[-1])
+        q, v = overshoot(found, system)
+        powers = _powers(at, q, v)
+    at_infinity = multiple(roots[-1], ONE_ROOT)
     return Spectrum(
         integrator=method.spec,
         system=system.spec,
@@ -111,15 +139,18 @@ def spectrum(
         growing=growing(method, system, pattern, at, sizes[:count]),
         bifurcation=bifurcation,
         order=order,
-        overshoot_orders=_powers(at, q, v) if oscillates else None,
+        overshoot_orders=powers,
         radius_at_infinity=max((abs(root) for root, _ in at_infinity), default=math.inf),
         roots_at_infinity=at_infinity,
     )
 
 
 # ---- roots -------------------------------------------------------------------------------
-def eigenvalues(a: np.ndarray) -> np.ndarray:
-    """Eigenvalues ``(k, n)`` of matrices ``(k, n, n)``: as they are where those are not finite."""
+def eigenvalues(a: Float[np.ndarray, "k n n"]) -> Complex[np.ndarray, "k n"]:
+    """Return the eigenvalues of matrices.
+
+    They are NaN where a matrix has a NaN, and infinite where it is infinite.
+    """
     good = np.isfinite(a).all(axis=(1, 2))
     roots = np.full(a.shape[:2], np.nan, dtype=complex)
     roots[np.isinf(a).any(axis=(1, 2))] = np.inf
@@ -127,15 +158,26 @@ def eigenvalues(a: np.ndarray) -> np.ndarray:
     return roots
 
 
-def radii(roots: np.ndarray) -> np.ndarray:
-    """Spectral radii ``(k,)``."""
+def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
+    """Return spectral radii from eigenvalues."""
     return np.abs(roots).max(axis=1)
 
 
-def principal(roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0) -> np.ndarray:
-    """The eigenvalue of the principal pair with positive imaginary part ``(k,)``, NaN if none.
+def principal(
+    roots: Complex[np.ndarray, "k n"], omega_h: Float[np.ndarray, " k"], zeta: float = 0.0
+) -> Complex[np.ndarray, " k"]:
+    """Return the principal eigenvalue with positive imaginary part, NaN if there is none.
 
     It is the complex one next to the exact solution's where omega h < 1, beyond that the largest.
+
+    Parameters
+    ----------
+    roots
+        Eigenvalues.
+    omega_h
+        Of each row of roots.
+    zeta
+        Damping ratio of the oscillator.
     """
     exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * omega_h)
     found = np.full(len(roots), complex(np.nan, np.nan))
@@ -148,9 +190,13 @@ def principal(roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0) -> np.n
 
 
 def oscillation(
-    roots: np.ndarray, omega_h: np.ndarray, zeta: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Numerical damping ratio and relative period error ``(k,)``, beyond the exact solution's."""
+    roots: Complex[np.ndarray, "k n"], omega_h: Float[np.ndarray, " k"], zeta: float = 0.0
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return numerical damping ratios and relative period errors, beyond the exact ones.
+
+    Parameters are those of `principal`; both are NaN where there is no oscillation. Conventions of
+    Hughes (1987), ch. 9.
+    """
     if zeta >= 1:
         return np.full(len(roots), np.nan), np.full(len(roots), np.nan)
     z, swing = principal(roots, omega_h, zeta), math.sqrt(1 - zeta**2)
@@ -158,8 +204,11 @@ def oscillation(
     return 0.0 - np.log(np.abs(z)) / angle - zeta / swing, swing * omega_h / angle - 1
 
 
-def order_of(roots: np.ndarray, zeta: float = 0.0) -> int | None:
-    """Order of the principal root at steps 1, 1/2, 1/4 ...: |z - exact| = O((omega h)^(p+1))."""
+def order_of(roots: Complex[np.ndarray, "8 n"], zeta: float = 0.0) -> int | None:
+    """Return the order p of the principal root: |z - exact| = O((omega h)^(p+1)).
+
+    ``roots`` belong to omega h = 1, 1/2, 1/4 ...; None if the errors are rounding.
+    """
     exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * _ORDER_STEPS)
     errors = np.abs(principal(roots, _ORDER_STEPS, zeta) - exact)
     seen = errors[np.isfinite(errors) & (errors > 1e-11)]
@@ -174,7 +223,10 @@ def growing(
     at: np.ndarray,
     sizes: np.ndarray,
 ) -> list[tuple[float, float]]:
-    """Ranges of omega h where the radius is above 1; a NaN counts as growth."""
+    """Return the ranges of omega h where the radius is above 1; a NaN counts as growth.
+
+    ``sizes`` are the radii at the omega h in ``at``; the ends of ranges are refined between them.
+    """
 
     def grows(sizes: np.ndarray) -> np.ndarray:
         return ~(sizes <= 1 + GROWTH)
@@ -201,7 +253,7 @@ def _bifurcation(
     roots: np.ndarray,
 ) -> float | None:
     def real(roots: np.ndarray) -> np.ndarray:
-        return ~(roots.imag > _REAL).any(axis=1)
+        return ~np.any(np.imag(roots) > _REAL, axis=1)
 
     def again(steps: np.ndarray) -> np.ndarray:
         return real(eigenvalues(matrices(method, system, steps, pattern).a))
@@ -212,7 +264,7 @@ def _bifurcation(
 
 
 def _edge(again: Callable, low: float, high: float) -> float:
-    """Where a property that differs at two steps changes, by sections of many points at once."""
+    """Return the step between two at which a property changes, by sections of many points."""
     was = again(np.array([low]))[0]
     while high - low > 1e-11 * high:
         points = np.linspace(low, high, _SECTIONS + 2)
@@ -223,9 +275,14 @@ def _edge(again: Callable, low: float, high: float) -> float:
 
 
 # ---- the first steps ---------------------------------------------------------------------
-def overshoot(found: Matrices, system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Largest |q| and |v| in the first steps, over starts q = 1 and v = 1 (Hilber & Hughes 1978,
-    doi:10.1002/eqe.4290060111: overshoot is what exceeds the exact amplitude of 1)."""
+def overshoot(
+    found: Matrices, system: LinearSystem
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the largest |q| and |v| in the first steps, over starts q = 1 and v = 1.
+
+    Overshoot is the excess over the exact amplitude of 1 (Hilber & Hughes 1978,
+    doi:10.1002/eqe.4290060111).
+    """
     nq, states, largest = system.size[0], found.b, []
     with np.errstate(all="ignore"):
         for _ in range(FIRST_STEPS):
@@ -236,19 +293,23 @@ def overshoot(found: Matrices, system: LinearSystem) -> tuple[np.ndarray, np.nda
     return q, v
 
 
-def _powers(at: np.ndarray, *values: np.ndarray) -> tuple[int, ...] | None:
-    """Powers of omega h by which values grow over the last decade; None where they overflow."""
+def _powers(at: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[int, int] | None:
+    """Powers of omega h by which q and v grow over the last decade; None where they overflow."""
     last = len(at) - 1
     before = int(np.abs(at - at[last] / 10).argmin())
     span = math.log10(at[last] / at[before])
-    with np.errstate(all="ignore"):
-        powers = [math.nan if not v[last] > 0 else np.log10(v[last] / v[before]) / span
-                  for v in values]  # fmt: skip
-    return tuple(max(0, round(p)) for p in powers) if np.isfinite(powers).all() else None
+
+    def power(values: np.ndarray) -> float:
+        with np.errstate(all="ignore"):
+            return np.log10(values[last] / values[before]) / span if values[last] > 0 else math.nan
+
+    of_q, of_v = power(q), power(v)
+    finite = math.isfinite(of_q) and math.isfinite(of_v)
+    return (max(0, round(of_q)), max(0, round(of_v))) if finite else None
 
 
 def summary(found: Spectrum) -> dict[str, Any]:
-    """The spectrum as plain values for JSON: None for what is not a number or infinite."""
+    """Return the spectrum as plain values for JSON; NaN and infinity are None."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray | list | tuple):
@@ -265,5 +326,5 @@ def summary(found: Spectrum) -> dict[str, Any]:
 
 
 def nearest(found: Spectrum, omega_h: Sequence[float]) -> list[int]:
-    """Where values of omega h stand in a spectrum."""
-    return [int(np.abs(found.omega_h - w).argmin()) for w in itertools.chain(omega_h)]
+    """Return the places in a spectrum next to values of omega h."""
+    return [int(np.abs(found.omega_h - w).argmin()) for w in omega_h]

@@ -1,4 +1,4 @@
-"""Linear test systems; time is measured in their own unit, so that a step is omega h at once.
+"""Linear test systems; time is measured in their own unit, so that a step is omega h.
 
 All of them rest at zero, where a step maps a deviation linearly to the next one.
 """
@@ -6,27 +6,30 @@ All of them rest at zero, where a step maps a deviation linearly to the next one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jnp, parameter
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 
 class LinearSystem(MechatronicSystem):
-    """Base of the test systems; ``excited`` names the entries of [q, v, x] that are looked at."""
+    """Base of the test systems; ``excited`` are the places in [q, v, x] of unit deviations."""
 
-    #: All entries if none; what they never reach does not take part in the spectrum.
+    #: All entries if None; entries that they never reach take no part in the spectrum.
     excited: ClassVar[tuple[int, ...] | None] = None
     size: ClassVar[tuple[int, int]] = (1, 0)
     deviation: np.ndarray | None = None
 
     def from_deviation(self, s: np.ndarray) -> Self:
-        """The same system, started from s = [q, v, x] instead of rest."""
+        """Return the same system, started from s = [q, v, x] instead of rest."""
         return self.with_parameters({"deviation": np.asarray(s, dtype=float)})
 
-    def deviations(self) -> np.ndarray:
-        """Unit deviations of the excited entries, shape ``(k, 2 nq + nx)``."""
+    def deviations(self) -> Float[np.ndarray, "k n"]:
+        """Return unit deviations of the excited entries of [q, v, x], as rows."""
         nq, nx = self.size
         units = np.eye(2 * nq + nx)
         return units if self.excited is None else units[list(self.excited)]
@@ -52,9 +55,9 @@ class Oscillator(LinearSystem):
 
 @dataclass(frozen=True)
 class Relaxation(LinearSystem):
-    """x' = -x: the test equation of the controller; a mass at rest beside it is not looked at."""
+    """x' = -x: the test equation of the controller; a mass beside it stays at rest."""
 
-    excited: ClassVar[tuple[int, ...]] = (2,)
+    excited: ClassVar[tuple[int, ...] | None] = (2,)
     size: ClassVar[tuple[int, int]] = (1, 1)
 
     def mass(self, q: Any) -> Any:

@@ -176,7 +176,7 @@ class Batch:
         if self._states_only:
             values |= self._completed(scene, t, values)
         last = [v[np.arange(self._lanes), row_counts - 1] for v in values.values()]
-        finite = np.isfinite(np.concatenate(last, axis=1)).all(axis=1)
+        finite = np.all(np.isfinite(np.concatenate(last, axis=1)), axis=1)
         endings = [self._ending(*e) for e in zip(members, ends, finite, strict=False)]
         if self._every_row:
             t, values, row_counts = self._with_start(scene, t, values, row_counts)
@@ -199,7 +199,7 @@ class Batch:
         names = sorted(self._template.parameters())  # as JAX sorts the keys of a dictionary
         parameters = dict(zip(names, self._parameters[scene].T, strict=True))
         state = (values[name] for name in ("q", "v", "x"))
-        z, xdot = _completion(self._template, self._sizes)(parameters, *state, t)
+        z, xdot = _completion(self._template)(parameters, *state, t)
         found = z._asdict() | {"xdot": xdot}
         return {name: np.asarray(found[name]) for name in ("a", "lam", "y", "xdot")}
 

@@ -1,4 +1,4 @@
-"""Ensembles: many members of one scene and integrator, run in one compiled program."""
+"""Ensembles: many runs of one scene and integrator in one compiled program."""
 
 from __future__ import annotations
 
@@ -6,46 +6,65 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, Block, refuse
-from bench.sweeps.variation import apart_from, number, usual, varied
+from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 _OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """What the members did; arrays have one entry per member, in their order.
+    """Results of an ensemble, with one entry per member in the order of the values.
 
-    ``problem`` and ``integrator`` are printed names without what varies.
-    ``vary`` holds the numbers in which the members differ, ``ends`` the values at t_end of q, v, a,
-    lam, x, xdot and y, each ``(members, n)`` and NaN where a run failed, ``t`` the time that was
-    reached, and ``work`` the counts. ``status`` and ``message`` are those of single runs.
+    Attributes
+    ----------
+    problem, integrator
+        Printed names, without the quantities that vary.
+    t_end
+        End time in s.
+    vary
+        The values of each quantity that varies, by name.
+    status, message
+        As of a single run.
+    t
+        The time that was reached, in s.
+    ends
+        Values of q, v, a, lam, x, xdot and y at t_end; NaN where a run failed.
+    work
+        Counts of steps, residuals and so on.
+    compile_s, run_s
+        Seconds for preparing and for running.
     """
 
     problem: str
     integrator: str
     t_end: float
-    vary: dict[str, np.ndarray]
+    vary: dict[str, Float[np.ndarray, " members"]]
     status: list[str]
     message: list[str]
-    t: np.ndarray
-    ends: dict[str, np.ndarray]
-    work: dict[str, np.ndarray]
+    t: Float[np.ndarray, " members"]
+    ends: dict[str, Float[np.ndarray, "members n"]]
+    work: dict[str, Int[np.ndarray, " members"]]
     compile_s: float
     run_s: float
 
     def rows(self) -> list[dict[str, Any]]:
-        """A flat row per member, for pandas: ``member, h, k, status, t, q1, q2, ..., work_steps``;
-        None where there is no number."""
-        columns: dict[str, Sequence[Any]] = {
+        """Return a flat row per member for pandas; None stands for NaN.
+
+        Columns are ``member, h, k, status, message, t, q1, q2, ..., work_steps, ...``.
+        """
+        columns: dict[str, Sequence[Any] | np.ndarray] = {
             "member": range(len(self.status)),
             **self.vary,
             "status": self.status,
@@ -65,7 +84,7 @@ class Ensemble:
         ]
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Least, median and largest of each end value over the members that are ok."""
+        """Return "min", "median" and "max" of each end value over the members that are ok."""
         good = np.array([status == "ok" for status in self.status])
         if not good.any():
             return {}
@@ -79,7 +98,7 @@ class Ensemble:
         }
 
     def statuses(self) -> dict[str, int]:
-        """How many members ended how."""
+        """Return the number of members by status."""
         return dict(Counter(self.status))
 
     def _end_columns(self) -> dict[str, np.ndarray]:
@@ -93,23 +112,26 @@ class Ensemble:
 def ensemble(
     scene: MechatronicSystem,
     method: Integrator,
-    vary: Mapping[str, Sequence[float]],
+    vary: Mapping[str, Sequence[float] | np.ndarray],
     resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
     budget: float = float("inf"),
     jobs: int | None = None,
 ) -> Ensemble:
-    """Run as many members as ``vary`` has values, which has to be the same number for every name.
+    """Run the members of an ensemble.
 
     Parameters
     ----------
+    scene, method
+        Parameters and options that do not vary are taken from them.
     vary
-        Values by name: ``h`` for the step, ``rtol`` or ``atol`` of a method that chooses its steps,
-        a float parameter of the scene or option of the integrator; ``step.h``, ``scene.NAME``,
-        ``integrator.NAME`` where one stands for two things.
+        Values by name, equally many for every name; one member each. Names are ``h`` for the step
+        in s, ``rtol`` or ``atol`` of a method that chooses its steps, a float parameter of the
+        scene, or a float option of the integrator; ``step.h``, ``scene.NAME``, ``integrator.NAME``
+        where a name stands for two things.
     resolution
-        The step or the tolerances of members where they do not vary; if not given, the scene's
-        nominal step, or rtol=1e-6.
+        The step or the tolerances, as far as they do not vary; the scene's nominal step or
+        rtol=1e-6 if not given.
     t_end
         End time in s; the scene's own if not given.
     budget
@@ -117,10 +139,16 @@ def ensemble(
     jobs
         Threads; one per processor if not given.
 
+    Returns
+    -------
+    Ensemble
+        A member that failed has its status and message there, and does not stop the others.
+
     Raises
     ------
     SpecError
-        If a name or a value is not allowed, or the integrator cannot run many as one program.
+        If a name or a value is not allowed, or the integrator cannot run many members as one
+        program.
     """
     refuse(method, scene)
     values = {name: np.asarray(v, dtype=float) for name, v in vary.items()}
@@ -131,16 +159,17 @@ def ensemble(
     if not np.isfinite(np.concatenate(list(values.values()))).all():
         raise SpecError("A value of an ensemble is not a finite number.")
     started = time.perf_counter()
-    numbers = {number(name, scene, method): v for name, v in values.items()}
-    batch = Batch(varied(scene, method, resolution or usual(scene, method), numbers), end)
+    quantities = {find_quantity(name, scene, method): v for name, v in values.items()}
+    fixed = resolution or default_resolution(scene, method)
+    batch = Batch(runs_with(scene, method, fixed, quantities), end)
     batch.warm()
     compiled = time.perf_counter()
     count = shape[0]
     status, message = ["budget_exceeded"] * count, [_OUT_OF_TIME] * count
     t, ends, work = np.full(count, scene.interval[0]), {}, {}
-    for block in within(budget, batch.blocks(jobs)):
-        for k, *said in zip(block.members, block.status, block.message, strict=True):
-            status[k], message[k] = said
+    for block in within_budget(budget, batch.blocks(jobs)):
+        for k, *ending in zip(block.members, block.status, block.message, strict=True):
+            status[k], message[k] = ending
         t[block.members] = block.t_last
         for name, rows in block.values.items():
             last = rows[:, -1]
@@ -149,14 +178,14 @@ def ensemble(
             work.setdefault(name, np.zeros(count, dtype=np.int64))[block.members] = counts
     done = time.perf_counter()
     return Ensemble(
-        apart_from(scene, numbers), apart_from(method, numbers), end, values, status, message, t,
-        {name: table for name, table in ends.items() if table.shape[1]}, work,
+        spec_without(scene, quantities), spec_without(method, quantities), end, values, status,
+        message, t, {name: table for name, table in ends.items() if table.shape[1]}, work,
         compiled - started, done - compiled,
     )  # fmt: skip
 
 
-def within(budget: float, blocks: Iterator[Block]) -> Iterator[Block]:
-    """Blocks until so many seconds are over; the first one is always given."""
+def within_budget(budget: float, blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks until the budget in s is used up; the first one is always given."""
     begun = time.perf_counter()
     for block in blocks:
         yield block

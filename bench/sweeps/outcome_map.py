@@ -1,11 +1,11 @@
-"""Maps of outcomes: a method on a scene over a grid of two numbers, as one batched program."""
+"""Maps of outcomes: a method on a scene over a grid of two quantities, as one program."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,14 +13,17 @@ from bench.results.quantities import GROUPS, group_and_norm
 from bench.running import measure
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, Block, Run, refuse
-from bench.sweeps.ensemble import within
-from bench.sweeps.variation import Axis, apart_from, usual, varied
+from bench.sweeps.ensemble import within_budget
+from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.reference import Reference
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: What can come of a point; the last are points that say nothing of the method.
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+#: Outcomes of a point; the last two say nothing of the method.
 OUTCOMES = (
     "ok", "inaccurate", "newton_failed", "step_too_small", "budget_exceeded", "diverged", "not_run",
     "no_reference",
@@ -28,41 +31,55 @@ OUTCOMES = (
 
 
 @dataclass(frozen=True)
-class Map:
-    """Outcomes and errors over a grid; tables have a row per value of the second axis.
+class OutcomeMap:
+    """Outcomes and errors over a grid; tables have a row per value of the second range.
 
-    ``problem`` and ``integrator`` are printed names without what varies.
-    ``outcome`` holds places in `OUTCOMES`, ``error`` the relative errors of ``group`` in ``norm``,
-    NaN where a run did not reach the end. ``reasons`` gives, for each outcome but ok, what one of
-    its runs said.
+    Attributes
+    ----------
+    problem, integrator
+        Printed names, without the quantities that vary.
+    t_end
+        End time in s.
+    ranges, values
+        The two quantities and their values on the grid.
+    group, norm, threshold
+        The relative error of this group in this norm; above the threshold it is inaccurate.
+    outcome
+        Places in `OUTCOMES`.
+    error
+        Relative errors, NaN where a run did not reach the end.
+    reasons
+        The message of one run for each outcome but ok.
+    compile_s, run_s
+        Seconds for preparing and for running.
     """
 
     problem: str
     integrator: str
     t_end: float
-    axes: tuple[Axis, Axis]
-    values: tuple[np.ndarray, np.ndarray]
+    ranges: tuple[Range, Range]
+    values: tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]]
     group: str
     norm: str
     threshold: float
-    outcome: np.ndarray
-    error: np.ndarray
+    outcome: Int[np.ndarray, "ny nx"]
+    error: Float[np.ndarray, "ny nx"]
     reasons: dict[str, str]
     compile_s: float
     run_s: float
 
     def counts(self) -> dict[str, int]:
-        """How many points came out how, without what did not occur."""
+        """Return the number of points by outcome, for outcomes that occur."""
         found = Counter(self.outcome.ravel().tolist())
         return {name: found[k] for k, name in enumerate(OUTCOMES) if found[k]}
 
-    def plain(self) -> dict[str, Any]:
-        """The map as plain values, for JSON and for the page; log10 of the errors."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return the map as plain values for JSON and for the page, with log10 of the errors."""
         with np.errstate(divide="ignore"):
             logs = np.log10(self.error)
         x, y = (
-            {"name": axis.number.name, "values": v.tolist(), "log": axis.logarithmic}
-            for axis, v in zip(self.axes, self.values, strict=True)
+            {"name": varied.quantity.name, "values": v.tolist(), "log": varied.logarithmic}
+            for varied, v in zip(self.ranges, self.values, strict=True)
         )
         return {
             "problem": self.problem,
@@ -82,23 +99,20 @@ class Map:
 
 
 def read_error(text: str, scene: MechatronicSystem) -> tuple[str, str]:
-    """Read "a:end" as a group of the scene and a norm.
+    """Read text such as "a:end" as a group of the scene and a norm ("end" if none is given).
 
     Raises
     ------
     SpecError
         If the scene has no such group, or there is no such norm.
     """
-    sizes = scene.sizes
-    there = {"q": sizes.nq, "v": sizes.nq, "a": sizes.nq, "lam": sizes.nl, "x": sizes.nx,
-             "y": sizes.ny}  # fmt: skip
-    return group_and_norm(text, [name for name in GROUPS if there[name]])
+    return group_and_norm(text, [group for group in GROUPS if scene.sizes.of(group)])
 
 
 def outcome_map(
     scene: MechatronicSystem,
     method: Integrator,
-    axes: tuple[Axis, Axis],
+    ranges: tuple[Range, Range],
     counts: tuple[int, int],
     resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
@@ -106,18 +120,23 @@ def outcome_map(
     threshold: float = 0.1,
     budget: float = float("inf"),
     jobs: int | None = None,
-) -> Map:
-    """Run a method on a scene at every point of a grid of two numbers.
+) -> OutcomeMap:
+    """Run a method on a scene at every point of a grid over two quantities.
 
     Parameters
     ----------
-    axes, counts
-        The two numbers with their ranges, and how many values of each.
+    scene, method
+        Parameters and options that do not vary are taken from them.
+    ranges, counts
+        The two quantities with their ranges (`bench.sweeps.variation.find_range`), and the number
+        of values of each.
     resolution
-        The step or the tolerances where they are no axis; if not given, the scene's nominal step,
-        or rtol=1e-6.
+        The step or the tolerances, as far as they do not vary; the scene's nominal step or
+        rtol=1e-6 if not given.
+    t_end
+        End time in s; the scene's own if not given.
     error
-        Group and norm of the relative error that is looked at, as `relative_errors` measures it.
+        Group and norm of the relative error, as `bench.running.measure.relative_errors` takes it.
     threshold
         A run with a larger error is inaccurate.
     budget
@@ -128,7 +147,8 @@ def outcome_map(
     Raises
     ------
     SpecError
-        If a number or a name is not allowed, or the integrator cannot run many as one program.
+        If a value or a name is not allowed, or the integrator cannot run many members as one
+        program.
     """
     refuse(method, scene)
     group, norm = read_error(error, scene)
@@ -136,20 +156,19 @@ def outcome_map(
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     started = time.perf_counter()
-    values = tuple(axis.even(count) for axis, count in zip(axes, counts, strict=True))
-    grid = dict(
-        zip((a.number for a in axes), (g.ravel() for g in np.meshgrid(*values)), strict=True)
-    )
-    runs = varied(scene, method, resolution or usual(scene, method), grid)
+    x, y = (varied.even(count) for varied, count in zip(ranges, counts, strict=True))
+    points = (table.ravel() for table in np.meshgrid(x, y))
+    grid = dict(zip((varied.quantity for varied in ranges), points, strict=True))
+    runs = runs_with(scene, method, resolution or default_resolution(scene, method), grid)
     batch = Batch(runs, end, every_row=norm != "end")
     batch.warm()
     compiled = time.perf_counter()
     outcome = np.full(len(runs), OUTCOMES.index("not_run"))
     errors = np.full(len(runs), np.nan)
     reasons: dict[str, str] = {}
-    judge = _Judge(runs, end, group, norm)
-    for block in within(budget, batch.blocks(jobs)):
-        errors[block.members], failed = judge.errors(block)
+    meter = _ErrorMeter(runs, end, group, norm)
+    for block in within_budget(budget, batch.blocks(jobs)):
+        errors[block.members], failed = meter.errors(block)
         for k, member in enumerate(block.members):
             name, reason = block.status[k], block.message[k]
             if name == "ok" and k in failed:
@@ -162,16 +181,16 @@ def outcome_map(
             outcome[member] = OUTCOMES.index(name)
             if name != "ok":
                 reasons.setdefault(name, reason)
-    shape, names = counts[::-1], [apart_from(base, grid) for base in (scene, method)]
-    return Map(
-        *names, end, axes, values, group, norm, threshold,
-        outcome.reshape(shape), errors.reshape(shape), reasons,
+    shape = counts[::-1]
+    return OutcomeMap(
+        spec_without(scene, grid), spec_without(method, grid), end, ranges, (x, y), group, norm,
+        threshold, outcome.reshape(shape), errors.reshape(shape), reasons,
         compiled - started, time.perf_counter() - compiled,
     )  # fmt: skip
 
 
-class _Judge:
-    """Errors of blocks; the reference is evaluated once for every scene and set of times."""
+class _ErrorMeter:
+    """Measures errors of blocks; evaluates the reference once for every scene and set of times."""
 
     def __init__(self, runs: list[Run], t_end: float, group: str, norm: str) -> None:
         self._runs, self._t_end, self._group, self._norm = runs, t_end, group, norm
@@ -179,11 +198,11 @@ class _Judge:
         self._exact: dict[tuple[MechatronicSystem, bytes], np.ndarray | str] = {}
 
     def errors(self, block: Block) -> tuple[np.ndarray, dict[int, str]]:
-        """Relative errors of the members ``(k,)``, NaN for those that are not ok; for those that
-        have no reference, why."""
+        """Return relative errors ``(k,)`` of the members of a block, NaN for those that are not
+        ok; and the reasons by place for those that have no reference."""
         found, failed = np.full(len(block.members), np.nan), {}
         together: dict[tuple[MechatronicSystem, bytes], list[int]] = {}
-        for k in np.flatnonzero(np.array(block.status) == "ok"):
+        for k in (k for k, status in enumerate(block.status) if status == "ok"):
             times = block.t[k, : block.rows[k]].tobytes()
             together.setdefault((self._runs[block.members[k]].scene, times), []).append(k)
         for (scene, times), places in together.items():

@@ -1,4 +1,4 @@
-"""What can differ between many runs: step or tolerance, parameters of the scene, options."""
+"""Quantities that vary between many runs: step, tolerances, parameters and options."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
 
-#: What varies of the time of a run, by the owner of its name, and tolerances' usual ranges.
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+#: Names of a step and of tolerances, by owner, and the default ranges of tolerances.
 _TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}
 _TOLERANCES = {"rtol": (1e-6, 1e-1), "atol": (1e-8, 1e-2)}
 #: A range whose ends differ by this factor is divided evenly in its logarithm.
@@ -23,8 +26,12 @@ _LOGARITHMIC = 10.0
 _RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
 
 
-class Number(NamedTuple):
-    """A number that varies: its name as written, whose it is, and its field there."""
+class Quantity(NamedTuple):
+    """A number that varies.
+
+    ``name`` is the name as written, ``owner`` one of "scene", "integrator", "step" and
+    "tolerance", ``field`` the name at its owner.
+    """
 
     name: str
     owner: str
@@ -32,38 +39,43 @@ class Number(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Axis:
-    """A number over a range."""
+class Range:
+    """A quantity over the interval from ``low`` to ``high``, in the quantity's unit."""
 
-    number: Number
+    quantity: Quantity
     low: float
     high: float
 
     @property
     def logarithmic(self) -> bool:
-        """Whether equal factors are equal distances; for steps and tolerances they always are."""
+        """Whether values are spread evenly in the logarithm: steps, tolerances, wide ranges."""
         wide = self.low > 0 and self.high >= _LOGARITHMIC * self.low
-        return wide or (self.number.owner in _TIME and self.low > 0)
+        return wide or (self.quantity.owner in _TIME and self.low > 0)
 
-    def even(self, count: int) -> np.ndarray:
-        """``count`` values from end to end."""
+    def even(self, count: int) -> Float[np.ndarray, " count"]:
+        """Return values at even distances, both ends included."""
         if self.logarithmic:
             values = np.geomspace(self.low, self.high, count)
             values[[0, -1]] = self.low, self.high
             return values
         return np.linspace(self.low, self.high, count)
 
-    def random(self, count: int, generator: np.random.Generator) -> np.ndarray:
-        """``count`` values drawn evenly from the range."""
+    def random(self, count: int, generator: np.random.Generator) -> Float[np.ndarray, " count"]:
+        """Return values of a uniform random draw."""
         if self.logarithmic:
             return np.exp(generator.uniform(math.log(self.low), math.log(self.high), count))
         return generator.uniform(self.low, self.high, count)
 
 
-def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
-    """The number of a name: ``h``, or for a method that chooses its steps ``rtol`` or ``atol``, a
-    float parameter or option, or one with its owner in front, as ``step.h``, ``tolerance.rtol``,
-    ``scene.gamma`` and ``integrator.gamma``.
+def find_quantity(name: str, scene: MechatronicSystem, method: Integrator) -> Quantity:
+    """Find a quantity by its name.
+
+    Parameters
+    ----------
+    name
+        ``h``; for a method that chooses its steps ``rtol`` or ``atol``; a float parameter of the
+        scene; a float option of the integrator. Its owner may stand in front: ``step.h``,
+        ``tolerance.rtol``, ``scene.gamma``, ``integrator.gamma``.
 
     Raises
     ------
@@ -74,7 +86,7 @@ def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
     numbers = time | {"scene": numbers_of(type(scene)), "integrator": numbers_of(type(method))}
     owner, dot, field = name.partition(".")
     if dot and field in numbers.get(owner, ()):
-        return Number(name, owner, field)
+        return Quantity(name, owner, field)
     owners = [owner for owner, fields in numbers.items() if name in fields]
     if len(owners) > 1:
         raise SpecError(
@@ -88,51 +100,62 @@ def number(name: str, scene: MechatronicSystem, method: Integrator) -> Number:
             f"float parameter of {scene.name}, and no float option of {method.name}; "
             f"{suggest(name, known)}."
         )
-    return Number(name, owners[0], name)
+    return Quantity(name, owners[0], name)
 
 
-def axis(
+def find_range(
     name: str,
     scene: MechatronicSystem,
     method: Integrator,
     ends: tuple[float, float] | None = None,
-) -> Axis:
-    """The axis of a name, over the range that is given or a sensible one.
+) -> Range:
+    """Find a quantity by its name and return it over a range.
 
-    A step goes from a twentieth of the scene's nominal one to its fifteenfold, or a third of the
-    interval; rtol from 1e-6 to 1e-1; an option over the values that are allowed; a parameter of the
-    scene from a tenth of its value to tenfold.
+    Parameters
+    ----------
+    name
+        As in `find_quantity`.
+    ends
+        Low and high end. Without them a step goes from a twentieth of the scene's nominal step to
+        its fifteenfold, or to a third of the interval; rtol from 1e-6 to 1e-1; an option over all
+        allowed values; a parameter of the scene from a tenth of its value to its tenfold.
 
     Raises
     ------
     SpecError
         If the name is not known or stands for two things, or the range is not allowed.
     """
-    found = number(name, scene, method)
-    low, high = ends or _default_range(found, scene, method)
+    quantity = find_quantity(name, scene, method)
+    low, high = ends or _default_range(quantity, scene, method)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise SpecError(
             f"The range {low:g}..{high:g} of {name} is not allowed; give two finite numbers, the "
             f"smaller one first."
         )
-    varied(scene, method, usual(scene, method), {found: [low, high]})  # says what is wrong
-    return Axis(found, low, high)
+    # Refuses ends that the scene or the integrator does not allow.
+    runs_with(scene, method, default_resolution(scene, method), {quantity: [low, high]})
+    return Range(quantity, low, high)
 
 
-def usual(scene: MechatronicSystem, method: Integrator) -> Steps | Tolerances:
-    """The steps or tolerances of a run to which none are given."""
+def default_resolution(scene: MechatronicSystem, method: Integrator) -> Steps | Tolerances:
+    """Return the step or tolerances of a run to which none are given."""
     return Steps(scene.nominal_step) if method.controls == "step" else Tolerances()
 
 
-def varied(
+def runs_with(
     scene: MechatronicSystem,
     method: Integrator,
     resolution: Steps | Tolerances,
-    values: Mapping[Number, Sequence[float]],
+    values: Mapping[Quantity, Sequence[float] | np.ndarray],
 ) -> list[Run]:
-    """The runs with these values, of which each number has as many as there are runs.
+    """Return one run for each place in the values.
 
-    Where rtol varies and atol is rtol/100, it stays so.
+    Parameters
+    ----------
+    scene, method, resolution
+        Everything that does not vary. Where rtol varies and atol is rtol/100, it stays so.
+    values
+        Values of each quantity, equally many.
 
     Raises
     ------
@@ -156,28 +179,34 @@ def varied(
     return runs
 
 
-def apart_from(base: MechatronicSystem | Integrator, numbers: Iterable[Number]) -> str:
-    """The printed name without what varies."""
+def spec_without(base: MechatronicSystem | Integrator, quantities: Iterable[Quantity]) -> str:
+    """Return the printed name without the quantities."""
     owner = "scene" if isinstance(base, MechatronicSystem) else "integrator"
-    varies = {n.field for n in numbers if n.owner == owner}
+    varies = {quantity.field for quantity in quantities if quantity.owner == owner}
     name, settings = split_spec(base.spec)
     fixed = [f"{key}={value}" for key, value in settings.items() if key not in varies]
     return f"{name}[{','.join(fixed)}]" if fixed else name
 
 
 def read_ranges(items: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
-    """Read "k:0.8..1.2" as the ends of a range by name."""
+    """Read items such as "k:0.8..1.2" as ends of ranges by name; ``option`` is for messages.
+
+    Raises
+    ------
+    SpecError
+        If an item has another form or names a quantity twice.
+    """
     ranges: dict[str, tuple[float, float]] = {}
     for item in items:
         match = _RANGE.fullmatch(item.replace(" ", ""))
         try:
-            name, *ends = match.groups() if match else ()
-            low, high = map(float, ends)
+            name, low, high = match.groups() if match else ("", "", "")
+            ends = float(low), float(high)
         except ValueError:
             raise SpecError(f"{option} {item!r} is not of the form NAME:LOW..HIGH.") from None
         if name in ranges:
             raise SpecError(f"{option} names {name!r} twice.")
-        ranges[name] = low, high
+        ranges[name] = ends
     return ranges
 
 
@@ -194,9 +223,9 @@ def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
 
 
 def _default_range(
-    found: Number, scene: MechatronicSystem, method: Integrator
+    quantity: Quantity, scene: MechatronicSystem, method: Integrator
 ) -> tuple[float, float]:
-    name, owner, field = found
+    name, owner, field = quantity
     if owner == "step":
         length = scene.interval[1] - scene.interval[0]
         return scene.nominal_step / 20, min(15 * scene.nominal_step, length / 3)

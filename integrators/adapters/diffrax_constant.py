@@ -20,7 +20,7 @@ from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import Scalar
+    from integrators.native.step_functions import Scalar, Time
     from integrators.native.step_work import StepWork
 
 #: Newton's tolerance, relative to the size of states and rates. Every iteration linearises anew,
@@ -57,7 +57,7 @@ class DiffraxStep(StepFunctions):
     def with_numbers(self, numbers: dict[str, Scalar]) -> DiffraxStep:
         return replace(self, parameters=numbers)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> State:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
         z, p = start.z, self.parameters
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
@@ -69,7 +69,7 @@ class DiffraxStep(StepFunctions):
         return State(s, handed_on, atol)
 
     def step(
-        self, scene: MechatronicSystem, state: State, t: Scalar, h: Scalar, work: StepWork
+        self, scene: MechatronicSystem, state: State, t: Time, h: Time, work: StepWork
     ) -> State:
         from diffrax import RESULTS
 

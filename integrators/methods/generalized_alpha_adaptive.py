@@ -39,7 +39,7 @@ from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import Scalar
+    from integrators.native.step_functions import Scalar, Time
     from integrators.native.step_work import StepWork
 
 #: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps
@@ -82,13 +82,13 @@ class AdaptiveAlphaStep(StepFunctions):
     def with_numbers(self, numbers: Numbers) -> AdaptiveAlphaStep:
         return replace(self, step_of=self.step_of.with_numbers(numbers.scheme), own=numbers)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> State:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
         zero = 0.0 * h
         alpha = self.step_of.begin(scene, start, h)
         return State(alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero)
 
     def step(
-        self, scene: MechatronicSystem, state: State, t: Scalar, h: Scalar, work: StepWork
+        self, scene: MechatronicSystem, state: State, t: Time, h: Time, work: StepWork
     ) -> State:
         s, before = self.own.scheme, state.alpha
         alpha = self.step_of.step(scene, before, t, h, work)
@@ -106,7 +106,7 @@ class AdaptiveAlphaStep(StepFunctions):
     def read(self, scene: MechatronicSystem, state: State) -> Reading:
         return self.step_of.read(scene, state.alpha)
 
-    def estimate(self, before: State, after: State, h: Scalar) -> Errors:
+    def estimate(self, before: State, after: State, h: Time) -> Errors:
         """Local errors of q, v and x; for a and lam the error of a straight line between steps."""
         s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
         bend, bend_x = bends_before(s, before, h)

@@ -41,7 +41,7 @@ from problems.system import MechatronicSystem, Variables
 if TYPE_CHECKING:
     from jax import Array
 
-    from integrators.native.step_functions import Scalar
+    from integrators.native.step_functions import Scalar, Time
     from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
@@ -286,7 +286,7 @@ class AlphaStep(StepFunctions):
     def with_numbers(self, numbers: Scheme) -> AlphaStep:
         return replace(self, scheme=numbers)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> AlphaState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AlphaState:
         """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
 
         On index 3 the shift alone leaves a first-order transient in lambda. It is gone with
@@ -311,7 +311,7 @@ class AlphaStep(StepFunctions):
         )  # fmt: skip
 
     def step(
-        self, scene: MechatronicSystem, state: AlphaState, t: Scalar, h: Scalar, work: StepWork
+        self, scene: MechatronicSystem, state: AlphaState, t: Time, h: Time, work: StepWork
     ) -> AlphaState:
         s = self.scheme
         w = weights(s, state, h)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     #: A number, which may be traced.
     Scalar: TypeAlias = Float[Array, ""] | float
+    #: A time or a step in s.
+    Time: TypeAlias = Float[Array, ""]
     #: A pytree of arrays that only the method itself looks into.
     MethodState: TypeAlias = Any
 
@@ -79,7 +81,7 @@ class StepFunctions(ABC):
         """A copy that holds these numbers, a pytree of floats, which may be traced."""
 
     @abstractmethod
-    def begin(self, scene: MechatronicSystem, start: Start, h: Scalar) -> MethodState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> MethodState:
         """Make the method's state at t0, before a first step of size h in s.
 
         Parameters
@@ -91,7 +93,7 @@ class StepFunctions(ABC):
 
     @abstractmethod
     def step(
-        self, scene: MechatronicSystem, state: MethodState, t: Scalar, h: Scalar, work: StepWork
+        self, scene: MechatronicSystem, state: MethodState, t: Time, h: Time, work: StepWork
     ) -> MethodState:
         """Advance the state by h, in s, to time t.
 
@@ -107,7 +109,7 @@ class StepFunctions(ABC):
     #: Order p of the method, by which the controller chooses steps.
     order: int
 
-    def estimate(self, before: MethodState, after: MethodState, h: Scalar) -> Errors:
+    def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
         """Estimate the errors that the step of size h from one state to the next has made."""
         raise NotImplementedError
 

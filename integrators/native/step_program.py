@@ -18,7 +18,7 @@ from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import MethodState, Scalar
+    from integrators.native.step_functions import MethodState, Scalar, Time
 
 
 class Numbers(NamedTuple):
@@ -60,7 +60,7 @@ class StepProgram:
     keeps_tangents: bool = False
     patterns: tuple[Pattern, ...] = ()
 
-    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Scalar) -> Any:
+    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Any:
         """The state at t0, before a first step of size h."""
         functions = self.functions.with_numbers(numbers.method)
         state = functions.begin(scene, start, h)
@@ -75,7 +75,7 @@ class StepProgram:
         return _Carried(state, tuple(kept))
 
     def step(
-        self, scene: MechatronicSystem, numbers: Numbers, state: Any, t: Scalar, h: Scalar
+        self, scene: MechatronicSystem, numbers: Numbers, state: Any, t: Time, h: Time
     ) -> tuple[Any, StepReport]:
         """The state after a step of size h to time t, and the work that was done."""
         before, kept = state if self.keeps_tangents else (state, None)
@@ -90,7 +90,7 @@ class StepProgram:
         """The variables in a state."""
         return self.functions.read(scene, self._of_method(state))
 
-    def estimate(self, numbers: Numbers, before: Any, after: Any, h: Scalar) -> Errors:
+    def estimate(self, numbers: Numbers, before: Any, after: Any, h: Time) -> Errors:
         """Estimated errors of the step from one state to the next."""
         functions = self.functions.with_numbers(numbers.method)
         return functions.estimate(self._of_method(before), self._of_method(after), h)

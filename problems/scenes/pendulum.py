@@ -22,7 +22,7 @@ class Pendulum(MechatronicSystem):
 
     interval = (0.35, 1.35)
     nominal_step = 0.02
-    tags = ("constrained", "index 3", "closed form", "conservative")
+    tags = ("constrained", "index 3", "closed form", "conservative", "conformance")
     difficulties = (
         "index 3: undamped methods leave a and lam oscillating",
         "the plain start leaves a first-order transient in a and lam",

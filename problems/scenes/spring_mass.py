@@ -22,7 +22,7 @@ class SpringMass(MechatronicSystem):
 
     interval = (0.0, 20.0)
     nominal_step = 0.1
-    tags = ("mechatronic", "smooth", "nonlinear output")
+    tags = ("mechatronic", "smooth", "nonlinear output", "conformance")
     difficulties = (
         "the acceleration is fed back in the step: a first-order one spoils everything",
     )

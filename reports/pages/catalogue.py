@@ -10,6 +10,7 @@ from typing import Any
 import vl_convert
 
 from bench.results.records import SceneRecord
+from problems.spec import SpecError
 from reports.charts.mechanism import mechanism
 from reports.charts.vega_lite import short
 from reports.formatting import number, paragraphs
@@ -19,7 +20,7 @@ from reports.text.scene_tables import parameters_table, scene_facts
 PICTURES = "catalogue_figures"
 
 
-class NoPicture(ValueError):
+class NoPicture(SpecError):
     """The scene has nothing to draw, or the format is not known."""
 
 

@@ -17,7 +17,7 @@ import pytest
 from bench.plugins.registry import Registry
 from bench.sweeps.batch import Batch
 from bench.sweeps.outcome_map import outcome_map
-from bench.sweeps.variation import axis, number, varied
+from bench.sweeps.variation import find_quantity, find_range, runs_with
 from integrators import Steps
 
 REGISTRY = Registry()
@@ -41,12 +41,12 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
     value = getattr(scene, name)
     values = np.random.default_rng(0).uniform(0.8 * value, 1.2 * value, MEMBERS)
     end, steps = scene.interval[1], Steps(scene.nominal_step)
-    axis_of = number(name, scene, method)
-    batch = Batch(varied(scene, method, steps, {axis_of: values}), end)
+    axis_of = find_quantity(name, scene, method)
+    batch = Batch(runs_with(scene, method, steps, {axis_of: values}), end)
     batch.warm()
 
     def made(value):
-        (run,) = varied(scene, method, steps, {axis_of: [value]})
+        (run,) = runs_with(scene, method, steps, {axis_of: [value]})
         return method.prepare(run.scene, end, steps)
 
     singles = [made(value) for value in values[:ALONE]]
@@ -60,7 +60,7 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
             made(value).execute()
 
     def whole_ensemble(jobs=None):
-        runs = varied(scene, method, steps, {axis_of: values})
+        runs = runs_with(scene, method, steps, {axis_of: values})
         return list(Batch(runs, end).blocks(jobs=jobs))
 
     # Before any time is taken: members end where single runs end.
@@ -93,8 +93,11 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
 
 def test_a_map_of_200_by_200(benchmark, capsys):
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
-    axes = axis("h", scene, method, (1e-3, 0.3)), axis("rho_inf", scene, method)
-    found = benchmark.pedantic(lambda: outcome_map(scene, method, axes, (200, 200)), rounds=1)
+    ranges = (
+        find_range("h", scene, method, (1e-3, 0.3)),
+        find_range("rho_inf", scene, method),
+    )
+    found = benchmark.pedantic(lambda: outcome_map(scene, method, ranges, (200, 200)), rounds=1)
     assert sum(found.counts().values()) == 40_000
     with capsys.disabled():
         print(

@@ -1,0 +1,155 @@
+"""The commands for runs of one integrator on one scene: `stepbench solve` and `stepbench order`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from bench.commands import ensemble as ensembles
+from bench.commands import options
+from bench.results import summary
+from bench.running.plan import DEFAULT_HALVINGS, Cell
+from integrators.contract import Steps
+from problems.spec import SpecError
+
+
+@click.command()
+@click.argument("problem")
+@click.argument("integrator")
+@click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
+@options.with_pattern
+@options.with_tolerances
+@options.with_t_end
+@options.with_set
+@ensembles.with_ensemble
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
+def solve(
+    problem: str,
+    integrator: str,
+    step: float | None,
+    pattern: tuple[float, ...] | None,
+    rtol: float | None,
+    atol: float | None,
+    t_end: float | None,
+    settings: dict[str, str],
+    ensemble: int | None,
+    vary: tuple[str, ...],
+    seed: int | None,
+    out: Path | None,
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Run one integrator on one scene and show the end values, errors and work.
+
+    With --ensemble, run many members; --vary says how they differ.
+
+    \b
+    Examples:
+      stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
+      stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
+      stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
+    """
+    registry = options.usable_registry(plugins)
+    scene = registry.problem(problem, **settings)
+    method = registry.integrator(integrator)
+    if ensemble is not None:
+        given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
+        ensembles.solve_ensemble(
+            scene, method, given, t_end, ensemble, vary, seed, budget, out, as_json
+        )
+        return
+    ensembles.refuse_alone(vary, seed, out)
+    end = options.end_time(scene, t_end)
+    resolution = options.resolution(scene, method, step, pattern, rtol, atol)
+    if isinstance(resolution, Steps):
+        count = resolution.count(scene.interval[0], end)
+        used = (end - scene.interval[0]) / count
+        if abs(used - resolution.h) > 1e-9 * used:
+            click.echo(
+                f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
+                f"{used:.9g} s are taken.",
+                err=True,
+            )
+    from bench.running.session import solve_cells
+
+    cell = Cell(scene.spec, method.spec, end, resolution)
+    ((record, rows),) = solve_cells([cell], registry, samples=5, budget_s=budget)
+    if as_json:
+        click.echo(json.dumps(summary.solution(record, rows), indent=2))
+    else:
+        from bench.commands.terminal import show
+        from bench.commands.terminal_tables import solution_table
+
+        show(solution_table(record, rows))
+    if record.status != "ok":
+        raise click.ClickException(f"{record.status}: {record.message}")
+
+
+@click.command()
+@click.argument("problem")
+@click.argument("integrator")
+@click.option(
+    "--steps",
+    callback=options.numbers,
+    metavar="H1,H2,...",
+    help="Step sizes in s; five halvings of the scene's nominal step if not given.",
+)
+@options.with_pattern
+@options.with_t_end
+@options.with_set
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
+def order(
+    problem: str,
+    integrator: str,
+    steps: tuple[float, ...] | None,
+    pattern: tuple[float, ...] | None,
+    t_end: float | None,
+    settings: dict[str, str],
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Fit the order of convergence of a fixed-step integrator, per group and norm.
+
+    \b
+    Examples:
+      stepbench order pendulum "generalized_alpha[rho_inf=0.9]" --steps 0.01,0.005,0.0025,0.00125
+      stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
+    """
+    registry = options.usable_registry(plugins)
+    scene = registry.problem(problem, **settings)
+    method = registry.integrator(integrator)
+    if method.controls != "step":
+        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
+    end = options.end_time(scene, t_end)
+    sizes = steps or tuple(scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS))
+    if len(sizes) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
+    cells = []
+    for h in sizes:
+        resolution = Steps(h, pattern or (1.0,))
+        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
+        cells.append(Cell(scene.spec, method.spec, end, resolution))
+    from bench.running.session import solve_cells
+
+    records = [record for record, _ in solve_cells(cells, registry, samples=0, budget_s=budget)]
+    orders = summary.orders(records)
+    if as_json:
+        click.echo(json.dumps(orders, indent=2))
+    else:
+        from bench.commands.terminal import show
+        from bench.commands.terminal_tables import order_table
+
+        show(order_table(records, orders))
+    failed = [record for record in records if record.status != "ok"]
+    for record in failed:
+        click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
+    if len(failed) == len(records):
+        raise click.ClickException("No run succeeded.")

@@ -1,0 +1,88 @@
+"""The commands for whole suites: `stepbench run` and `stepbench report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bench.commands import options
+from bench.commands.pages import write_reports
+from bench.results.store import Store
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
+
+
+@click.command()
+@click.argument("profile", default="quick")
+@click.option("-p", "--problem", "problems", multiple=True, help="Only this scene; repeatable.")
+@options.with_integrators(
+    "Only this integrator; repeatable. One that the profile lacks is added.",
+)
+@options.with_folder(options.RESULTS, "Folder of the results.")
+@options.with_fresh
+@options.with_jobs("Worker processes; timing is done by one at a time.")
+@click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
+)
+@options.with_plugins
+def run(
+    profile: str,
+    problems: tuple[str, ...],
+    integrators: tuple[str, ...],
+    out: Path,
+    fresh: bool,
+    jobs: int,
+    cluster: str | None,
+    plugins: tuple[str, ...],
+) -> None:
+    """Run a suite and write its report.
+
+    PROFILE is the name of a built-in profile (quick, paper) or a TOML file. A run that was
+    stopped goes on where it stopped when the same command is given again.
+
+    \b
+    Examples:
+      stepbench run
+      stepbench run paper --out paper-results
+      stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
+      stepbench run full --cluster tcp://head:8786
+    """
+    from bench.atlas.experiments import read_experiments
+    from bench.atlas.runs import complete
+    from bench.commands.terminal import RunProgress
+    from bench.running.session import measure_suite, runner_for, time_suite
+    from bench.stability import damping
+
+    registry = options.usable_registry(plugins)
+    suite = make_suite(*read_profile(profile), registry, problems, integrators)
+    chosen = suite.atlas if isinstance(suite.atlas, list) else []
+    experiments = read_experiments(chosen) if suite.atlas else []
+    with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        with runner_for(suite, registry, jobs, cluster) as runner:
+            measured = measure_suite(suite, store, registry, runner, progress)
+            damping.complete(suite, store, registry, runner, progress)
+            time_suite(suite, store, runner, progress)
+        stored = store.records()
+        results = complete(experiments, [], store, registry, jobs, progress)
+    records = [stored[key] for key in suite.cells]
+    good = sum(record.status == "ok" for record in records)
+    click.echo(
+        f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
+        f"{measured} measured now, {len(records) - measured} kept from before."
+    )
+    if results:
+        held = sum(result.as_predicted for result in results)
+        click.echo(f"{len(results)} experiments of the failure atlas: {held} as predicted.")
+    write_reports(out)
+
+
+@click.command()
+@options.with_results
+def report(folder: Path) -> None:
+    """Make the report pages anew from the results in FOLDER."""
+    with Store(folder):
+        pass  # says clearly if there is none
+    write_reports(folder)
