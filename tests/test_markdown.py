@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 from planted import edited, everything, plant
 
@@ -64,9 +65,8 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
     bare = edited(folder, tmp_path / "bare", lambda record: None)
     with Store(bare, create=True) as store:
         plan = store.plan()
-        for study in plan.studies:
-            study.title = study.problem
-        store.save_plan(plan)
+        studies = [msgspec.structs.replace(s, title=s.problem) for s in plan.studies]
+        store.save_plan(msgspec.structs.replace(plan, studies=studies))
     path = write_markdown_report(bare)
     assert faults(path) == []
     assert "### Accuracy and cost" in path.read_text(encoding="utf-8")
