@@ -22,11 +22,10 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     str
         The table, every line ended by a line feed.
     """
-    names = (
-        list(dict.fromkeys(name for row in rows for name in row)) if columns is None else columns
-    )
+    if columns is None:
+        columns = list(dict.fromkeys(name for row in rows for name in row))
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, names, lineterminator="\n")
+    writer = csv.DictWriter(buffer, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return buffer.getvalue()
