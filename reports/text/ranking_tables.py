@@ -123,7 +123,7 @@ def winners_table(found: Sequence[Winners], ids: Mapping[str, str]) -> Table | N
 
 
 def pareto_table(scenes: Mapping[str, Sequence[Series]], ids: Mapping[str, str]) -> Table | None:
-    """Integrators with runs on the Pareto front of the acceleration; ``ids`` as above."""
+    """Integrators with runs on the Pareto front of the acceleration; ``ids`` are anchors by key."""
     rows, links = [], {}
     for scene, series in compared_scenes(scenes).items():
         cells = []
