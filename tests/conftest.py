@@ -19,6 +19,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 #: Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530.
 MOST_MAPPINGS = 30_000
 
+QUICKLY_COMPILED = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false"
+)
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile for the tests before JAX is loaded; processes that tests start inherit this.
@@ -31,8 +36,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     from problems import runtime  # noqa: F401  it sets the flags of the project
 
-    quick = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-    os.environ["XLA_FLAGS"] += f" {quick}"
+    os.environ["XLA_FLAGS"] += f" {QUICKLY_COMPILED}"
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -85,8 +85,8 @@ def test_acceleration_stands_beside_position(series, looks):
 def test_only_what_varies_is_drawn_over_time(looks):
     label = next(iter(looks))
     rows = curves(1.0, {"q": 1})
-    count = len(sampling.t)
-    sampling.notes = {
+    count = len(rows.t)
+    rows.notes = {
         "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
         "gamma": [None, *[0.6] * (count - 1)],
         "position": [0.0, *(1e-12 * k for k in range(1, count))],
@@ -96,7 +96,7 @@ def test_only_what_varies_is_drawn_over_time(looks):
     assert drawn == ["h", "position"]
     values = [row["h"] for row in table(chart["datasets"]["histories"])]
     assert values[0] == ""  # no step led to the start
-    assert [float(v) for v in values[1:]] == pytest.approx(sampling.notes["h"][1:])
+    assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
     assert studies.histories([(label, curves(1.0, {"q": 1}))], looks) is None
 
 
@@ -109,7 +109,7 @@ def test_a_study_chooses_what_is_drawn_over_time(looks):
     fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert fields == ["q4", "x0"]
     first = table(chart["datasets"]["runs"])[0]
-    assert float(first["q4"]) == pytest.approx(sampling.values["q"][0][4], rel=1e-4)
+    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
     assert "q0" not in first
 
 
