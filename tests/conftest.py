@@ -19,6 +19,24 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 #: Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530.
 MOST_MAPPINGS = 30_000
 
+SLOWEST = (
+    "test_atlas",
+    "test_full_car",
+    "test_diffrax_solvers",
+    "test_ensemble",
+    "test_maps",
+    "test_resume",
+    "test_isolation",
+    "test_conformance",
+    "test_scenes_solutions",
+    "test_stability_spectra",
+    "test_adaptive",
+    "test_kernel_counts",
+    "test_contributing",
+    "test_tutorial",
+    "test_cli",
+)
+
 QUICKLY_COMPILED = (
     "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
     "--xla_cpu_use_fusion_emitters=false"
@@ -37,6 +55,12 @@ def pytest_configure(config: pytest.Config) -> None:
     from problems import runtime  # noqa: F401  it sets the flags of the project
 
     os.environ["XLA_FLAGS"] += f" {QUICKLY_COMPILED}"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that parallel processes end together."""
+    places = {name: place for place, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
 
 
 @pytest.fixture(scope="module", autouse=True)
