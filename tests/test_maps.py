@@ -10,6 +10,7 @@ import zlib
 
 import numpy as np
 import pytest
+from helpers import long
 from planted import Document
 
 from bench.plugins.registry import Registry
@@ -47,7 +48,7 @@ def tolerances_of(scene, settings):
         ("spring_mass", "newmark", {"k": (0.5, 20.0), "m": (0.5, 2.0)}, "a:rms"),
         ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end"),
         ("pendulum", ADAPTIVE, {"rtol": (1e-5, 1e-2), "th0": (0.5, 3.0)}, "a:end"),
-        ("pendulum", ADAPTIVE, {"th0": (0.5, 3.0), "rtol": (1e-5, 1e-2)}, "lam:rms"),
+        *long(("pendulum", ADAPTIVE, {"th0": (0.5, 3.0), "rtol": (1e-5, 1e-2)}, "lam:rms")),
         ("soft_impact", ADAPTIVE, {"rtol": (1e-5, 1e-2), "atol": (1e-6, 1e-2)}, "q:max"),
     ],
 )
