@@ -32,4 +32,4 @@ bench: .venv/installed  ## our march against C, exudyn and other solvers; micros
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 clean:
-	rm -rf .venv build *.egg-info stepbench-*
+	rm -rf .venv .cache build *.egg-info stepbench-*
