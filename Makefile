@@ -2,7 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test bench lint clean
+TESTS := $(BIN)/python -m pytest -q -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+.PHONY: run test test-long bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -13,9 +15,13 @@ BIN := .venv/bin
 run: .venv/installed  ## run the quick suite and write its report
 	$(BIN)/stepbench run quick
 
-test: .venv/installed  ## check the style and pass the tests
+test: .venv/installed  ## check style and types, and pass the tests; five minutes
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -q -n logical --maxprocesses 4 --dist loadfile
+	$(BIN)/pyright
+	$(TESTS)
+
+test-long: .venv/installed  ## further scenes, members and sweeps of what `make test` proves
+	$(TESTS) -m long
 
 bench: .venv/installed  ## our march against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
@@ -26,4 +32,4 @@ bench: .venv/installed  ## our march against C, exudyn and other solvers; micros
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 clean:
-	rm -rf .venv build *.egg-info stepbench-*
+	rm -rf .venv .cache build *.egg-info stepbench-*

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -9,19 +10,69 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-sys.path.insert(0, str(Path(__file__).parent))
+TESTS = Path(__file__).resolve().parent
+sys.path.insert(0, str(TESTS))
 
 # Shells start background jobs with Ctrl-C ignored, which the processes under test would inherit.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+#: Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530.
+MOST_MAPPINGS = 30_000
+
+SLOWEST = (
+    "test_atlas",
+    "test_full_car",
+    "test_diffrax_solvers",
+    "test_ensemble",
+    "test_maps",
+    "test_resume",
+    "test_isolation",
+    "test_conformance",
+    "test_scenes_solutions",
+    "test_stability_spectra",
+    "test_adaptive",
+    "test_kernel_counts",
+    "test_contributing",
+    "test_tutorial",
+    "test_cli",
+)
+
+QUICKLY_COMPILED = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false"
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile for the tests before JAX is loaded; processes that tests start inherit this.
+
+    Programs are kept between runs in a cache of the tests' own. They are compiled quickly and run
+    slowly, except in benchmarks. Settings of the user win.
+    """
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(TESTS.parent / ".cache" / "jax"))
+    if "XLA_FLAGS" in os.environ or config.getoption("--benchmark-only"):
+        return
+    from problems import runtime  # noqa: F401  it sets the flags of the project
+
+    os.environ["XLA_FLAGS"] += f" {QUICKLY_COMPILED}"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that parallel processes end together."""
+    places = {name: place for place, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _forget_programs():
-    """Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530:
-    all tests in one process would come to more, and it ends with a segmentation fault."""
+    """Forget the compiled programs in time: a process without mappings ends with a segmentation
+    fault. Until then test modules share them."""
     yield
-    if "jax" in sys.modules:
-        sys.modules["jax"].clear_caches()
+    mappings = Path("/proc/self/maps")
+    if "jax" in sys.modules and mappings.exists():
+        with mappings.open() as lines:
+            if sum(1 for _ in lines) > MOST_MAPPINGS:
+                sys.modules["jax"].clear_caches()
 
 
 @pytest.fixture

@@ -5,10 +5,17 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from integrators import Integrator, Steps
 from problems import MechatronicSystem
 from problems.reference import Reference
+
+
+def long(*parameters: object) -> list:
+    """Parameters (tuples for several names) that only the long tests take."""
+    each = (p if isinstance(p, tuple) else (p,) for p in parameters)
+    return [pytest.param(*values, marks=pytest.mark.long) for values in each]
 
 
 def errors_at(

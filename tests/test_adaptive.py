@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import slope
+from helpers import long, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
@@ -95,7 +95,9 @@ RATIOS = [1.0, 1.0, 1.3, 0.8, 1.6, 0.4, 1.0, 0.7, 1.2]  # 0.4 restarts gamma and
 
 
 @pytest.mark.parametrize("scene", [SpringMass(), Duffing()], ids=lambda s: s.name)
-@pytest.mark.parametrize(("gamma", "rho_inf"), [("updated", 0.8), ("updated", 0.2), ("fixed", 0.8)])
+@pytest.mark.parametrize(
+    ("gamma", "rho_inf"), [("updated", 0.8), ("fixed", 0.8), *long(("updated", 0.2))]
+)
 def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
     method = GeneralizedAlphaAdaptive(rho_inf=rho_inf, gamma=gamma)
     for estimated, true in local_errors(method, scene, RATIOS, h=0.001):

@@ -96,8 +96,8 @@ def test_figure_6_updated_gamma_and_theta_win_it_back():
 
 
 def test_figure_6_is_missed_with_the_step_ratio_upside_down(mutant):
-    errors = []
-    for macro in FINE_MACRO_STEPS:
+    errors, steps = [], FINE_MACRO_STEPS[::3]
+    for macro in steps:
 
         def inverted(alpha_m, alpha_f, shift, h, macro=macro):
             # shift is held in units of the last step, macro - h: 1/s in place of s = h/last
@@ -108,7 +108,7 @@ def test_figure_6_is_missed_with_the_step_ratio_upside_down(mutant):
         method = GeneralizedAlpha(gamma="updated")
         errors.append(errors_at(method, SpringMass(), 5.0, macro, (0.3, 0.7)))
     for group in ("q", "v", "a", "x"):
-        assert slope(FINE_MACRO_STEPS, [e[group][-1] for e in errors]) < 1.5
+        assert slope(steps, [e[group][-1] for e in errors]) < 1.5
 
 
 RHO_STEPS = {0.0: 0.005, 0.5: 0.01, 0.8: 0.005, 0.9: 0.0025}

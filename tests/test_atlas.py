@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.atlas.conditioning import condition
 from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
@@ -21,6 +23,9 @@ from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
 NAMES = list(built_in_experiments())
+#: Experiments that take many seconds each.
+LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity"}
+EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
 #: cured, or the cure left out, the prediction must fail.
@@ -56,14 +61,14 @@ def run(experiments, *added, plugins=()):
     return {result.name: result for result in found}
 
 
-@pytest.fixture(scope="module")
-def found():
-    return run(read_experiments())
+@cache
+def found(among):
+    return run(read_experiments([name for name in NAMES if (name in LONG) == among]))
 
 
-@pytest.fixture(scope="module")
-def mutated():
-    return run([mutant(name) for name in MUTANTS])
+@cache
+def mutated(among):
+    return run([mutant(name) for name in MUTANTS if (name in LONG) == among])
 
 
 def mutant(name):
@@ -75,27 +80,29 @@ def mutant(name):
     return experiment
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_an_experiment_comes_out_as_predicted(found, name):
-    cases = [(part.text, case) for part in found[name].parts for case in part.cases]
+@pytest.mark.parametrize("name", EACH)
+def test_an_experiment_comes_out_as_predicted(name):
+    result = found(name in LONG)[name]
+    cases = [(part.text, case) for part in result.parts for case in part.cases]
     differ = [
         f"{text}, {case.label}: {case.number} is not {bounds(case.predicted)}. {case.message}"
         for text, case in cases
         if not case.as_predicted
     ]
     assert not differ, "\n".join(differ)
-    assert found[name].as_predicted
+    assert result.as_predicted
     # A failure is only worth showing beside a method that is spared.
     assert any(case.healthy for _, case in cases)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_mutant_of_an_experiment_does_not(mutated, name):
-    assert not mutated[name].as_predicted
+@pytest.mark.parametrize("name", EACH)
+def test_a_mutant_of_an_experiment_does_not(name):
+    assert not mutated(name in LONG)[name].as_predicted
 
 
-def test_an_interval_is_narrow_enough_to_say_something(found):
-    for result in found.values():
+@pytest.mark.parametrize("among", [False, *long(True)])
+def test_an_interval_is_narrow_enough_to_say_something(among):
+    for result in found(among).values():
         for part in result.parts:
             for case in part.cases:
                 assert case.predicted != (None, None), (result.name, part.text, case.label)

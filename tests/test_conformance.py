@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from helpers import long
 
 from bench.conformance.checker import CHECKS, Checker, examine
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
@@ -26,7 +27,7 @@ def registry():
         ("problems", "pendulum[th0=2.0]"),
         ("integrators", "newmark"),
         ("integrators", "generalized_alpha[rho_inf=0.5]"),
-        ("integrators", "kvaerno5"),
+        *long(("integrators", "kvaerno5")),
         ("integrators", "ida"),
         ("integrators", "wrong"),
     ],

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import long
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
@@ -70,7 +71,7 @@ def test_members_are_single_runs_whatever_varies():
     ("problem", "integrator", "name", "values"),
     [
         ("pendulum", "generalized_alpha[newton=modified,gamma=updated]", "th0", [0.5, 2.0]),
-        ("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4]),
+        *long(("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4])),
         ("spring_mass", "kvaerno5[steps=constant]", "b", [0.0, 1.4]),
         ("pendulum", "dopri8[steps=constant]", "g", [5.0, 9.81]),
     ],
@@ -123,7 +124,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     ("problem", "vary"),
     [
         ("pendulum", {"rtol": [1e-5, 1e-2, 1e-3], "th0": [2.0, 0.5, 1.0]}),
-        ("quarter_car", {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]}),
+        *long(("quarter_car", {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]})),
         ("spring_mass", {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}),
     ],
 )

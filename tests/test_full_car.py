@@ -224,7 +224,7 @@ def test_the_inverse_damper_finds_the_current_of_a_force(force, speed):
 def lane_change(scene):
     run = METHOD.prepare(scene, 12.0, Steps(0.01)).measure()
     assert run.status == "ok", run.message
-    loads = np.array([scene.tyre_loads(q, t) for q, t in zip(run.q, run.t, strict=True)])
+    loads = np.asarray(jax.jit(jax.vmap(scene.tyre_loads))(run.q, run.t))
     return run, loads
 
 
@@ -270,7 +270,7 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     currents = run.y[:, :4]
     near = (currents < 0.43) | (currents > 1.47)
     assert near.mean() > 0.5
-    speeds = np.array([np.asarray(scene.stretch(v)) for v in run.v])
+    speeds = np.asarray(jax.jit(jax.vmap(scene.stretch))(run.v))
     reb, comp = run.x[:, :4], run.x[:, 4:8]
     assert comp[speeds > 0.03].max() < 0.05
     assert comp[speeds > 0.03].min() > -0.3

@@ -110,7 +110,7 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
 @every_scene
 @pytest.mark.parametrize("formulation", ["index1", "index2", "stabilised_index2"])
 def test_sparse_and_dense_runs_are_the_same(scene, formulation):
-    t_end = 20 * scene.nominal_step
+    t_end = 15 * scene.nominal_step
     sparse, dense = (
         finished(scene, t_end, formulation=formulation, linear_solver=kind)
         for kind in ("sparse", "dense")

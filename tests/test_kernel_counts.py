@@ -13,6 +13,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from benchmarks import opponents
+from helpers import long
 
 from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted, watch
@@ -74,7 +75,7 @@ def prepared(scene, newton="full", steps=400):
     return GeneralizedAlpha(newton=newton).prepare(scene, t_end, Steps((t_end - t0) / steps))
 
 
-SCENES = [SliderCrank(), QuarterCar(), HeavyTop(), Chain()]
+SCENES = [SliderCrank(), QuarterCar(), Chain(), *long(HeavyTop())]
 
 
 @pytest.mark.parametrize("newton", KINDS)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from helpers import long
 
 from bench.results.store import FILE, Store
 
@@ -78,9 +79,10 @@ def undisturbed(tmp_path_factory):
     return result
 
 
-def test_ten_kills_at_random_moments_change_nothing(tmp_path, undisturbed):
+@pytest.mark.parametrize("kills", [4, *long(10)])
+def test_kills_at_random_moments_change_nothing(tmp_path, undisturbed, kills):
     chance, out = random.Random(20081), tmp_path / "out"
-    for _ in range(10):
+    for _ in range(kills):
         process = start(tmp_path)
         wanted = rows(out) + chance.randint(0, 5)
         while process.poll() is None and rows(out) < wanted:

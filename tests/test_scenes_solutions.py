@@ -54,6 +54,7 @@ def test_the_car_axis_reference_has_the_published_digits():
     assert max(drift(scene, z, t)) < 1e-11
 
 
+@pytest.mark.long
 def test_the_flexible_slider_crank_has_the_published_digits_as_far_as_they_go():
     # Test Set for IVP Solvers, problem crank, t = 0.1. Its initial values satisfy the constraints
     # to 1e-8 only, and ours exactly: the solutions differ by what that excites.

@@ -1,0 +1,128 @@
+"""The imports go down the layers of folders and make no circle; sources are read, never imported.
+
+Imports inside functions and under TYPE_CHECKING count: what needs a module later needs it, too.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: From the bottom to the top: a module imports from its own folder and from layers below it.
+#: The longest name counts, and a folder's name without a longer one holds its loose modules.
+LAYERS = [
+    {"problems"},
+    {"problems.scenes"},
+    {"integrators"},
+    {"integrators.native"},
+    {"integrators.methods", "integrators.adapters"},
+    {"bench"},
+    {"bench.results"},
+    {"bench.plugins"},
+    {"bench.running"},
+    {"bench.sweeps", "bench.stability", "bench.atlas", "bench.plugins.conformance"},
+    {"bench.commands"},
+    {"bench.__main__"},
+    {"reports"},
+]
+LEVEL = {folder: level for level, folders in enumerate(LAYERS) for folder in folders}
+
+Imports = dict[str, set[str]]
+
+
+def parts_of(name: str) -> Iterator[str]:
+    """``a.b.c``, ``a.b``, ``a``."""
+    while name:
+        yield name
+        name = name.rpartition(".")[0]
+
+
+def folder_of(module: str) -> str:
+    return next(part for part in parts_of(module) if part in LEVEL)
+
+
+def imports_of(sources: dict[str, str]) -> Imports:
+    """The modules among the sources that each of them names in an import."""
+
+    def named(tree: ast.AST) -> Iterator[str]:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                yield from (alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                assert node.module, f"line {node.lineno}: imports are written from the top"
+                names = (f"{node.module}.{alias.name}" for alias in node.names)
+                yield from (name if name in sources else node.module for name in names)
+
+    return {m: {n for n in named(ast.parse(text)) if n in sources} for m, text in sources.items()}
+
+
+def circles(imports: Imports) -> list[list[str]]:
+    """The sets of modules that reach each other."""
+
+    def reached(start: str) -> set[str]:
+        seen, waiting = set(), [start]
+        while waiting:
+            new = imports[waiting.pop()] - seen
+            seen |= new
+            waiting += new
+        return seen
+
+    reach = {module: reached(module) for module in imports}
+    found = {frozenset(n for n in reach[m] if m in reach[n]) for m in imports if m in reach[m]}
+    return sorted(sorted(circle) for circle in found)
+
+
+def upward(imports: Imports) -> list[str]:
+    """Imports of a higher layer, or of another folder of the same one."""
+    return [
+        f"{module} imports {other}"
+        for module in sorted(imports)
+        for other in sorted(imports[module])
+        if folder_of(module) != folder_of(other)
+        and LEVEL[folder_of(module)] <= LEVEL[folder_of(other)]
+    ]
+
+
+@pytest.fixture(scope="module")
+def imports() -> Imports:
+    sources = {}
+    for top in ("problems", "integrators", "bench", "reports"):
+        for path in (ROOT / top).rglob("*.py"):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            sources[name.removesuffix(".__init__")] = path.read_text(encoding="utf-8")
+    return imports_of(sources)
+
+
+def test_no_module_imports_itself_round_a_circle(imports):
+    found = circles(imports)
+    assert not found, "\n".join(map(" <-> ".join, found))
+
+
+def test_imports_go_down_the_layers(imports):
+    found = upward(imports)
+    assert not found, "\n".join(found)
+
+
+def test_the_rules_find_what_breaks_them():
+    lower = "if TYPE_CHECKING:\n    from integrators.native import loop\n"
+    planted = imports_of(
+        {
+            "problems.system": "def late():\n    import integrators.contract\n",
+            "integrators.contract": lower,
+            "integrators.native": "",
+            "integrators.native.loop": "from integrators.contract import Steps\n",
+            "bench.atlas.runs": "from bench.sweeps.batch import blocks, integrators\n",
+            "bench.sweeps.batch": "from integrators.contract import Steps\n",
+        }
+    )
+    assert circles(planted) == [["integrators.contract", "integrators.native.loop"]]
+    assert upward(planted) == [
+        "bench.atlas.runs imports bench.sweeps.batch",
+        "integrators.contract imports integrators.native.loop",
+        "problems.system imports integrators.contract",
+    ]
