@@ -9,8 +9,9 @@ from integrators.contract import (
     Work,
     option,
 )
-from integrators.native.step_functions import Errors, Reading, StepFunctions
+from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod, StepMethod
+from integrators.native.step_records import Errors, Reading
 
 __all__ = [
     "ErrorControl",

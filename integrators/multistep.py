@@ -79,7 +79,7 @@ class MultistepForm:
     smallest_ratio: float
 
 
-def multiple(roots: np.ndarray, within: float = _ONE_ROOT) -> list[tuple[complex, int]]:
+def multiple(roots: np.ndarray, within: float) -> list[tuple[complex, int]]:
     """Roots with their multiplicities, the largest first.
 
     Rounding eps moves a k-fold root by eps^(1/k), but the mean of what becomes of it only by eps.

@@ -16,8 +16,8 @@ from integrators.native import adaptive_steps, constant_steps
 from integrators.native.adaptive_steps import Span
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel
-from integrators.native.step_functions import StepReport
 from integrators.native.step_program import StepProgram
+from integrators.native.step_records import StepReport
 from problems.system import MechatronicSystem
 
 

@@ -13,14 +13,15 @@ from integrators.adapters.counting import run_counted, watch
 from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory
-from integrators.native.step_functions import Reading, StepFunctions
+from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NativeMethod
+from integrators.native.step_records import Reading
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import Scalar, Time
+    from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
 #: Newton's tolerance, relative to the size of states and rates. Every iteration linearises anew,

@@ -32,14 +32,15 @@ from integrators.methods.generalized_alpha_step import (
     safe_ratio,
     weights,
 )
-from integrators.native.step_functions import Errors, Reading, StepFunctions
+from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl
+from integrators.native.step_records import Errors, Reading
 from problems.formulations import Start
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import Scalar, Time
+    from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
 #: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps

@@ -32,7 +32,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.native.step_functions import Reading, StepFunctions, largest
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_records import Reading, largest
 from problems import formulations
 from problems.formulations import Start
 from problems.runtime import jnp
@@ -41,7 +42,7 @@ from problems.system import MechatronicSystem, Variables
 if TYPE_CHECKING:
     from jax import Array
 
-    from integrators.native.step_functions import Scalar, Time
+    from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)

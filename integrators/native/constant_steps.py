@@ -25,8 +25,8 @@ from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
-from integrators.native.step_functions import StepReport, largest
 from integrators.native.step_program import Numbers, StepProgram
+from integrators.native.step_records import StepReport, largest
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp

@@ -7,14 +7,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from integrators.native.linear_solvers import LinearSolver
-from integrators.native.step_functions import StepReport, largest
+from integrators.native.step_records import StepReport, largest
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
-    from integrators.native.step_functions import Scalar
+    from integrators.native.step_records import Scalar
 
 #: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from integrators.native.step_functions import Reading
+from integrators.native.step_records import Reading
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 

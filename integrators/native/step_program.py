@@ -10,7 +10,8 @@ import numpy as np
 
 from integrators.native import klu
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
-from integrators.native.step_functions import Errors, Reading, StepFunctions, StepReport
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_records import Errors, Reading, StepReport
 from integrators.native.step_work import EquationsFinder, StepWork
 from problems.formulations import Start
 from problems.runtime import jax, jnp
@@ -18,7 +19,7 @@ from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
-    from integrators.native.step_functions import MethodState, Scalar, Time
+    from integrators.native.step_records import MethodState, Scalar, Time
 
 
 class Numbers(NamedTuple):

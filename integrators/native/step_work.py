@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from integrators.native.linear_solvers import DENSE, LinearSolver
 from integrators.native.newton import newton
-from integrators.native.step_functions import StepReport
+from integrators.native.step_records import StepReport
 from problems.runtime import jnp
 
 if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
-    from integrators.native.step_functions import Scalar
+    from integrators.native.step_records import Scalar
 
     Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 

@@ -1,0 +1,63 @@
+"""Results of a step: variables, a report of the work, estimated errors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from problems.runtime import jnp
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Bool, Float, Int
+
+    #: A number, which may be traced.
+    Scalar: TypeAlias = Float[Array, ""] | float
+    #: A time or a step in s.
+    Time: TypeAlias = Float[Array, ""]
+    #: A pytree of arrays that only the method itself looks into.
+    MethodState: TypeAlias = Any
+
+
+class Reading(NamedTuple):
+    """The variables that a state holds, as they are reported: q, v, a ``(nq,)``, lam ``(nl,)``, x,
+    xdot ``(nx,)``, y ``(ny,)``; and scalars of the last step, in the order of the method's
+    ``noted``."""
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    a: Float[Array, " nq"]
+    lam: Float[Array, " nl"]
+    x: Float[Array, " nx"]
+    xdot: Float[Array, " nx"]
+    y: Float[Array, " ny"]
+    notes: tuple[Scalar, ...] = ()
+
+
+class StepReport(NamedTuple):
+    """Whether the equations of a step were solved, and how often each part of the work was done."""
+
+    converged: Bool[Array, ""] | bool = True
+    newton: Int[Array, ""] | int = 0
+    residuals: Int[Array, ""] | int = 0
+    jacobians: Int[Array, ""] | int = 0
+    factorisations: Int[Array, ""] | int = 0
+    solves: Int[Array, ""] | int = 0
+
+
+class Errors(NamedTuple):
+    """Estimated errors of a step, per entry of q, v, x, a and lam.
+
+    Those of q, v and x are of order p + 1 in the step, those of a and lam of order p; the latter
+    may be zero: not tested.
+    """
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    x: Float[Array, " nx"]
+    a: Float[Array, " nq"]
+    lam: Float[Array, " nl"]
+
+
+def largest(*parts: Array | Scalar) -> Float[Array, ""]:
+    """Largest absolute value over arrays that may be empty; NaN if there is one."""
+    return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))
