@@ -242,18 +242,18 @@ def test_overshoot_grows_as_known():
 class Shifted(GeneralizedAlpha):
     """beta a little off: the radius at infinity is another."""
 
-    def parameters(self):
-        alpha_m, alpha_f, beta, *rest = super().parameters()
-        return alpha_m, alpha_f, 0.9 * beta, *rest
+    def second_order(self):
+        right = super().second_order()
+        return right._replace(beta=0.9 * right.beta)
 
 
 @dataclass(frozen=True)
 class Leaning(GeneralizedAlpha):
     """gamma a little too small: negative damping at low frequency."""
 
-    def parameters(self):
-        alpha_m, alpha_f, beta, gamma, *rest = super().parameters()
-        return alpha_m, alpha_f, beta, gamma - 0.01, *rest
+    def second_order(self):
+        right = super().second_order()
+        return right._replace(gamma=right.gamma - 0.01)
 
 
 def test_mutants_are_told_apart():

@@ -73,13 +73,30 @@ def modules_of(cls: type) -> dict[str, Path]:
             places += (_Place(file.parents[depth], frozenset({top})),)
         found[name] = file
         due += _imports(name, file)
+    seen: set[str] = set()
     while due:
         name = due.pop()
-        file = None if name in found else _file_of(name, places)
-        if file:
+        if name in seen:
+            continue
+        seen.add(name)
+        file = _file_of(name, places)
+        if not file:
+            due += _passed_on(name, places)
+        elif name not in found:
             found[name] = file
-            due += _imports(name, file)
+            # A package passes on what it imports; only what is taken from it counts.
+            due += _imports(name, file) if file.stem != "__init__" else ()
     return found
+
+
+def _passed_on(name: str, places: tuple[_Place, ...]) -> list[str]:
+    """The imports by which a package has a name, or all of them for ``package.*``."""
+    package, _, taken = name.rpartition(".")
+    file = _file_of(package, places) if package else None
+    if not file or file.stem != "__init__":
+        return []
+    named = (n for n in _imports(package, file) if taken in ("*", n.rpartition(".")[2]))
+    return [prefix for n in named for prefix in _prefixes(n)]
 
 
 @cache
@@ -113,7 +130,7 @@ def _import_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
     while due:
         node = due.pop()
         if isinstance(node, ast.Import):
-            yield from ((0, alias.name) for alias in node.names)
+            yield from ((0, f"{alias.name}.*") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):  # of a module, or of a name in one
             start = f"{node.module}." if node.module else ""
             yield from ((node.level, start + alias.name) for alias in node.names)
