@@ -140,6 +140,18 @@ def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
         raise SpecError(f"{name} cannot be made: {type(error).__name__}: {text}.") from error
 
 
+def validate(instance: Any) -> None:
+    """Check the options of an instance that was made without `build`.
+
+    Raises
+    ------
+    SpecError
+        If a value has the wrong type or is not allowed.
+    """
+    for name, field in options_of(type(instance)).items():
+        convert(instance.name, field, getattr(instance, name))
+
+
 def format_spec(name: str, instance: object) -> str:
     """Write ``name[option=value,...]``: options that are always shown, then changed ones."""
     parts = []

@@ -214,8 +214,18 @@ class MechatronicSystem:
         if self.has("constraint"):
             (nl,) = jax.eval_shape(self.constraint, start.q, self.interval[0]).shape
         if self.has("output"):
-            ny = np.shape(self.actuation())[1]
+            ny = self._outputs(len(start.q))
         return Sizes(len(start.q), nl, len(start.x), ny)
+
+    def _outputs(self, nq: int) -> int:
+        if not self.has("actuation"):
+            raise spec.SpecError(
+                f"{self.spec} states output but not actuation(), which returns L of shape (nq, ny)."
+            )
+        shape = np.shape(self.actuation())
+        if len(shape) != 2:
+            raise spec.SpecError(f"{self.spec}: actuation has shape {shape}, expected ({nq}, ny).")
+        return shape[1]
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""

@@ -101,12 +101,11 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
     name = f"{records[0].integrator} on {records[0].problem}"
     table = new_table(f"{name}: relative error, norm 'settled', and fitted orders")
     table.add_column("h", style="cyan", no_wrap=True)
-    for group in orders["orders"]:
-        table.add_column(group, justify="right")
+    _add_numbers(table, orders["orders"])
     for k, record in enumerate(records):
         table.add_row(
             record.resolution.removeprefix("h="),
-            *(_number(e["settled"][k]) for e in orders["errors"].values()),
+            *(_number(e["settled"][k], ".2e") for e in orders["errors"].values()),
         )
     table.add_section()
     for norm in NORMS:
@@ -118,7 +117,7 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
             else:
                 points = orders["points"][group][norm]
                 cells.append(
-                    f"{fitted[norm]:.2f}\n{points} points\n{window[1]:.2g}-{window[0]:.2g}"
+                    f"{fitted[norm]:.2f}\n{points} points\n{window[1]:.2g} to\n{window[0]:.2g}"
                 )
         table.add_row(f"order, {norm}", *cells)
     return table

@@ -83,13 +83,13 @@ class ConstantStepsRun(PreparedRun):
         t_end: float,
         resolution: Steps,
     ) -> None:
-        clock, self._rows = grid(scene.interval[0], t_end, resolution)
+        self._clock, self._rows = grid(scene.interval[0], t_end, resolution)
         padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
         self._start, self._noted, self._t_end = start, noted, float(t_end)
         self.kernel = kernel(program, scene.template())
-        self.arguments = self.kernel.pack(scene.parameters(), numbers, start, clock)
+        self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
         self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
@@ -105,6 +105,8 @@ class ConstantStepsRun(PreparedRun):
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         status, message = Ending(int(ending)).outcome(float(t), self._t_end)
         values = with_start(self._start, rows[kept, 1:], self._noted)
+        sizes = [step_times(self._clock, n - 1)[1] for n in self._rows[kept]]
+        values["notes"].setdefault("h", np.array([np.nan, *sizes]))
         return Trajectory(**values, status=status, message=message, work=work)
 
 

@@ -104,6 +104,10 @@ class NativeMethod(Integrator):
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
     ) -> PreparedRun:
+        spec.validate(self)
+        if isinstance(resolution, Steps) != (self.controls == "step"):
+            takes = "Steps(h)" if self.controls == "step" else "Tolerances(rtol)"
+            raise SpecError(f"{self.spec} takes {takes}; {resolution} came.")
         program, numbers = self.program(scene)
         if isinstance(resolution, Steps):
             return ConstantStepsRun(program, numbers, self.noted, scene, t_end, resolution)
