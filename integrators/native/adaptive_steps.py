@@ -8,11 +8,11 @@ error at ``rtol^(1/p)`` times the tolerance makes h go with tol^(1/p), and the g
 mesh with the fewest steps for a given sum of local errors.
 
 An error is measured as the bench measures it: the Euclidean norm of a group (q, v, x, a, lam)
-relative to the norm of the group's values, at the larger end of the step, with atol added. That
-follows the motion alike when it speeds up and when it slows down; a scale that remembers the
-largest value so far does not, and costs up to a thousand times the error where small errors grow.
-Only a and lam, if they are tested, are taken relative to their largest values: they have no history
-of their own, and after a cut they move by the error of the step before, however small the next is.
+relative to the norm of the group's values, at the larger end of the step, with atol added. This
+scale follows a motion that slows down. The largest value so far would not, and costs up to a
+thousand times the error where small errors grow. Only a and lam, if they are tested, are relative
+to their largest values: they have no history of their own, and after a cut they move by the error
+of the step before, however small the next is.
 
 The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210242)::
 
@@ -67,7 +67,7 @@ _SPREAD_SLOTS = 2 * SPREAD_ROWS
 
 
 class Span(NamedTuple):
-    """From where to where, to what tolerance, in how many steps at most."""
+    """Interval in s, tolerances and step limit of a run."""
 
     t0: Any
     t_end: Any
@@ -77,13 +77,14 @@ class Span(NamedTuple):
 
 
 class _Progress(NamedTuple):
-    """Where a run is: the method's state at t, the step to try next, the error of the last that
-    was accepted, the largest a and lam so far, how the last try ended, counts, and rows kept."""
+    """Progress of a run: time and state, the step to try next, control, counts and stored rows."""
 
     t: Any
     state: Any
     h: Any
+    #: Error of the last accepted step; 1 was just allowed.
     error: Any
+    #: Largest norms of a and lam so far.
     peaks: Any
     ending: Any
     counts: tuple
@@ -93,7 +94,7 @@ class _Progress(NamedTuple):
 
 
 class AdaptiveRun(PreparedRun):
-    """A run whose steps follow a tolerance; ``noted`` names what a reading notes."""
+    """A run whose steps follow a tolerance; ``noted`` are the names of a reading's notes."""
 
     def __init__(
         self,
@@ -132,13 +133,13 @@ class AdaptiveRun(PreparedRun):
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:
-    """The rows of a kernel that are there, each once, step by step."""
+    """The stored rows of a kernel in the order of steps, without repetitions and empty rows."""
     _, places = np.unique(rows[:, 0], return_index=True)
     return rows[places[rows[places, 0] > 0]]
 
 
 class _SparseKernel(SparseKernel):
-    """At chosen steps; tries are counted, rejected ones included."""
+    """A sparse kernel at chosen steps; its step limit counts rejected steps, too."""
 
     def most_steps(self, packed: Any, *wanted: Any) -> int:
         return int(self.unpacked(packed)[-1].max_steps)
@@ -158,8 +159,8 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
     It returns the first rows, rows spread over the run, and the last row, each ``[step, t, q, v, a,
     lam, x, xdot, y, notes]`` (step 0: no row), and ``[ending, t, steps, rejected, newton, ...]``.
-    With ``wanted`` 0 the last row is the only one; with None the program has no room for others,
-    which many runs side by side would copy in every step.
+    With ``wanted`` 0 only the last row is stored. With None the program has no memory for other
+    rows: many runs side by side would copy it in every step.
     """
     order = program.functions.order
 
@@ -182,7 +183,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
 
     def first_step(start: Start, span: Span) -> Any:
-        """Where the next term of the Taylor series of q or v reaches the tolerance."""
+        """Step at which the next term of the Taylor series of q or v reaches the tolerance."""
         z, length = start.z, span.t_end - span.t0
 
         def limit(rate: Any, scale: Any, power: int) -> Any:
@@ -196,12 +197,14 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         return jnp.minimum(h, _FIRST_PART * length)
 
     def fitted(h: Any, left: Any) -> Any:
-        """The step or a little more or less of it, so that the end is met without a sliver."""
+        """The step, changed a little so that the last step to the end is not tiny."""
         return jnp.where(left <= h * 1.001, left, jnp.where(left < 2 * h, left / 2, h))
 
     def keep(m: _Progress, n: Any, row: Any, wanted: Any) -> _Progress:
-        """Store the row of the n-th step among the first or in the spread; when the spread is
-        full, every other of its rows goes and the stride doubles."""
+        """Store the row of the n-th step among the first rows or in the spread.
+
+        When the spread is full, every other row of it is dropped and the stride doubles.
+        """
         early = m.early.at[jnp.where(wanted & (n <= FIRST_ROWS), n - 1, FIRST_ROWS)].set(
             row, mode="drop"
         )
@@ -234,8 +237,8 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
         def try_step(m: _Progress) -> _Progress:
             left = span.t_end - m.t
-            # Among many runs those that have ended step on, too, and the step is dropped. It is
-            # made one that Newton's method leaves at once.
+            # Among many runs an ended run still takes steps, whose results are dropped. With a NaN
+            # step Newton's method ends at once.
             h = jnp.where(going(m), fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
