@@ -1,4 +1,4 @@
-"""The conformance kit: what is right passes, and every planted fault is told by its check."""
+"""The conformance kit: right plugins pass, and its checks find every planted fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`stepbench stability`: numbers, pages, plugins, and what it refuses."""
+"""`stepbench stability`: numbers, pages, plugins, and refused input."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ class NewIntegrator(StepMethod):
 
     family = "NewIntegrator"  # methods of one family share a colour in the report
     formulation = "ode"
-    # What `stepbench check` measures; leave out what you do not claim.
+    # Claimed orders, which `stepbench check` measures; leave out groups without a claim.
     orders: ClassVar = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source = ""  # where it is published, with its DOI
 
