@@ -165,7 +165,9 @@ class ChosenSteps:
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         span = self.numbers[self._of[place]]
-        return Ending(int(ending[0])).outcome(float(ending[1]), span.t_end, span.max_steps)
+        return Ending(int(ending[0])).outcome(
+            float(ending[1]), float(span.t_end), int(span.max_steps)
+        )
 
 
 def times_of(runs: Sequence[Run], t_end: float, every_row: bool) -> Times:

@@ -119,15 +119,15 @@ class ConstantStepsRun(PreparedRun):
 class _SparseKernel(SparseKernel):
     """A sparse kernel at constant steps; ``wanted``: step numbers of rows, and their count."""
 
-    def most_steps(self, packed: Any, *wanted: Any) -> int:
+    def most_steps(self, packed: Array, *wanted: Any) -> int:
         rows, row_count = wanted
         return int(rows[row_count - 1])
 
-    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+    def limited(self, steps: int, packed: Array, *wanted: Any) -> tuple:
         rows, row_count = wanted
         return packed, jnp.full_like(rows, steps), jnp.ones_like(row_count)
 
-    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+    def up_to(self, steps: int, packed: Array, *wanted: Any) -> Any:
         rows, row_count = wanted
         kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
         _, end = self._attempt(*self.limited(steps, packed, *wanted))
@@ -145,12 +145,12 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     """
 
     @small_matrices.without_products
-    def advance(p: dict, numbers: Numbers, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
+    def advance(p: dict, numbers: Numbers, state: Any, t: Time, h: Time) -> tuple[Any, StepReport]:
         return program.step(template.with_parameters(p), numbers, state, t, h)
 
     def loop(
-        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Any, row_count: Any
-    ) -> tuple:
+        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
+    ) -> tuple[Array, Array]:
         scene = template.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
         first = program.read(scene, state)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from integrators.native import klu
 from problems.runtime import jax, jnp
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
 
 
 class Kernel:
@@ -27,7 +31,7 @@ class Kernel:
     def __init__(self, loop: Callable) -> None:
         self._unpack: Callable | None = None
 
-        def run(packed: Any, *wanted: Any) -> Any:
+        def run(packed: Array, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
 
         self.compiled = jax.jit(run)
@@ -35,13 +39,13 @@ class Kernel:
         wide = {"xla_cpu_prefer_vector_width": 512}
         self._many = jax.jit(jax.vmap(run), compiler_options=wide)
 
-    def pack(self, *arguments: Any) -> Any:
+    def pack(self, *arguments: Any) -> Float[Array, " n"]:
         """Pack parameters, numbers, start and time: floats, and integers below 2^53."""
         leaves, tree = jax.tree.flatten(arguments)
         leaves = [np.asarray(leaf) for leaf in leaves]
         cuts = np.cumsum([leaf.size for leaf in leaves])[:-1]
 
-        def unpack(packed: Any) -> Any:
+        def unpack(packed: Array) -> Any:
             parts = jnp.split(packed, cuts)
             return jax.tree.unflatten(
                 tree,
@@ -54,16 +58,16 @@ class Kernel:
         self._unpack = self._unpack or unpack
         return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
 
-    def unpacked(self, packed: Any) -> Any:
+    def unpacked(self, packed: Float[Array, " n"]) -> Any:
         """The arguments that were packed; RuntimeError if this kernel has packed none yet."""
         if self._unpack is None:
-            raise RuntimeError("A kernel unpacks only what it has packed.")
+            raise RuntimeError("A kernel unpacks only arguments that it has packed.")
         return self._unpack(packed)
 
-    def __call__(self, packed: Any, *wanted: Any) -> Any:
+    def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)
 
-    def batched(self, packed: Any, *wanted: Any) -> Any:
+    def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
         """Run many runs in one program: every argument has one more axis in front."""
         return self._many(packed, *wanted)
 
@@ -80,7 +84,7 @@ class SparseKernel(Kernel):
     the number of steps then finds the step of that tangent.
     """
 
-    def __call__(self, packed: Any, *wanted: Any) -> Any:
+    def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         result = self._attempt(packed, *wanted)
         if result is not None:
             return result
@@ -92,15 +96,15 @@ class SparseKernel(Kernel):
         return self.up_to(fine, packed, *wanted)
 
     @abstractmethod
-    def most_steps(self, packed: Any, *wanted: Any) -> int:
+    def most_steps(self, packed: Float[Array, " n"], *wanted: Any) -> int:
         """Largest number of steps that a run with these arguments takes."""
 
     @abstractmethod
-    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+    def limited(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> tuple:
         """Arguments of a run that ends after ``steps`` steps."""
 
     @abstractmethod
-    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+    def up_to(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> Any:
         """The result of ``steps`` steps, with the ending of a singular tangent in the next."""
 
     def _attempt(self, *arguments: Any) -> Any:

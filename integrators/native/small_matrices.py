@@ -18,6 +18,7 @@ from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
+    from jax.extend.core import ClosedJaxpr
     from jaxtyping import Float
 
 #: Parameters of primitives that hold called functions, and bodies of loops and branches.
@@ -43,7 +44,7 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     alone = jax.custom_batching.custom_vmap(_by_elimination)
 
     @alone.def_vmap
-    def _(size: int, batched: list[bool], a: Any) -> tuple[Any, bool]:
+    def _(size: int, batched: list[bool], a: Array) -> tuple[Array, bool]:
         if a.shape[1] > MOST_OF_MANY:
             return jnp.linalg.inv(a), True
         return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
@@ -58,7 +59,7 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
 
     @alone.def_vmap
-    def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
+    def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:
         a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
         many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
         return many(a, b[:, :, None])[:, :, 0], True
@@ -80,7 +81,7 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     n, rows = len(a), jnp.arange(len(a))
     put = jax.lax.dynamic_update_index_in_dim
 
-    def eliminate(k: Any, carry: tuple) -> tuple:
+    def eliminate(k: Array, carry: tuple) -> tuple:
         w, row_of, column_of = carry
         column = w[:, k]
         # Floats without a sign have the order of their bits, and comparing integers is faster.
@@ -110,7 +111,7 @@ def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[A
     return jnp.moveaxis(w, 2, 0)
 
 
-def _eliminated(k: int, w: Any) -> Any:
+def _eliminated(k: int, w: Array) -> Array:
     """Eliminate the k-th unknown, the first column of w, and drop this column."""
     pivot = k + jnp.argmax(jnp.abs(w[k:, 0]), axis=0)
     # Choices one after the other: indexing by the pivots would take the matrices one by one.
@@ -134,7 +135,7 @@ def without_products(function: Callable) -> Callable:
     return rewritten
 
 
-def _evaluate(closed: Any, args: list) -> list:
+def _evaluate(closed: ClosedJaxpr, args: list) -> list:
     """Evaluate a closed jaxpr; products of small matrices are sums."""
     from jax.extend.core import Literal
 
@@ -167,7 +168,7 @@ def _rewritten(body: Any) -> Any:
     return jax.make_jaxpr(lambda *args: _evaluate(body, list(args)))(*body.in_avals)
 
 
-def _is_small_product(a: Any, b: Any, numbers: tuple) -> bool:
+def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:
     """True if both factors are small matrices; products with a vector need no library."""
     (contracted, _), (batched, _) = numbers
     inner, copies = (prod(a.shape[k] for k in axes) for axes in (contracted, batched))
@@ -175,10 +176,10 @@ def _is_small_product(a: Any, b: Any, numbers: tuple) -> bool:
     return min(rows, columns) > 1 and inner <= MOST and copies * rows * inner * columns <= MOST**3
 
 
-def _as_sum(a: Any, b: Any, numbers: tuple) -> Any:
+def _as_sum(a: Array, b: Array, numbers: tuple) -> Array:
     """``dot_general`` as the sum of columns of a times rows of b."""
 
-    def ordered(x: Any, contracted: tuple, batched: tuple) -> tuple[Any, int]:
+    def ordered(x: Array, contracted: tuple, batched: tuple) -> tuple[Array, int]:
         """x with batched, free and one contracted dimension in this order; number of free ones."""
         free = [k for k in range(x.ndim) if k not in (*contracted, *batched)]
         x = jnp.transpose(x, (*batched, *free, *contracted))

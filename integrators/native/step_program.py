@@ -171,7 +171,7 @@ def _sparse_tangents(
 
 
 def _at_rest(scene: MechatronicSystem) -> Start:
-    """A start with derivatives of zero, which cost nothing; patterns do not depend on them."""
+    """A start with derivatives of zero: patterns do not depend on them."""
     state, (nq, nl, nx, ny) = scene.initial_state(), scene.sizes
     q, v, x = map(jnp.asarray, state)
     nothing, of_x = jnp.zeros(nq), jnp.zeros(nx)
