@@ -88,7 +88,7 @@ class _Progress(NamedTuple):
     t: Scalar
     state: MethodState
     h: Time
-    #: Error of the last accepted step; 1 was just allowed.
+    #: Relative size of the last accepted step's error; 1 is just allowed.
     error: Scalar
     #: Largest norms of a and lam so far.
     peaks: tuple[Scalar, ...]
@@ -173,7 +173,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     def size_of(
         errors: Errors, old: Reading, new: Reading, peaks: tuple[Scalar, ...], span: Span
     ) -> Scalar:
-        """Largest error relative to what is allowed; 1 is just accepted."""
+        """Largest error relative to the allowed error; 1 is just accepted."""
 
         def relative(group: str, scale: Scalar) -> Scalar:
             return jnp.linalg.norm(getattr(errors, group)) / (span.atol + span.rtol * scale)
@@ -204,7 +204,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         h = jnp.minimum(h, limit(start.xddot, norm(z.x), 2))
         return jnp.minimum(h, _FIRST_PART * length)
 
-    def fitted(h: Time, left: Time) -> Time:
+    def fitted(h: Time, left: Scalar) -> Time:
         """The step, changed a little so that the last step to the end is not tiny."""
         return jnp.where(left <= h * 1.001, left, jnp.where(left < 2 * h, left / 2, h))
 

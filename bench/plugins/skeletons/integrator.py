@@ -30,7 +30,7 @@ class NewIntegrator(StepMethod):
         # Float options such as self.place are traced: other values compile nothing new.
         s, c = state, self.place
         weight = 1 / (2 * c)  # of the inner stage
-        # The state s is that of t - h; `complete` solves for a, lam, y and xdot at q, v, x.
+        # The state s belongs to t - h; `complete` solves for a, lam, y and xdot at q, v, x.
         v = s.v + c * h * s.a
         z, xdot = complete(scene, s.q + c * h * s.v, v, s.x + c * h * s.xdot, t - h + c * h)
         end, xdot = complete(
