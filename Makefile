@@ -23,7 +23,7 @@ test: .venv/installed  ## check style and types, and pass the tests; five minute
 test-long: .venv/installed  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long
 
-bench: .venv/installed  ## our march against C, exudyn and other solvers; microseconds per step
+bench: .venv/installed  ## our time loop against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/sizes.py

@@ -1,1 +1,1 @@
-"""What is measured: plan, run, errors and orders and work, store, command line."""
+"""The bench: plans and runs, errors, orders and work, the store, the command line."""

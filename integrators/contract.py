@@ -51,7 +51,7 @@ STATUSES = (
 FIRST_ROWS = 16
 SPREAD_ROWS = 200
 
-#: Nobody waits for more steps than this, and a float does not count many more exactly.
+#: Limit of the steps of a run: it would not end, and floats count exactly only a little further.
 MOST_STEPS = 1e12
 
 
@@ -129,7 +129,7 @@ class Steps:
             )
 
     def count(self, t0: float, t_end: float) -> int:
-        """Return the least number of equal macro steps in [t0, t_end] (s) that are not above h.
+        """Return the least number of equal macro steps in [t0, t_end] (s) of at most h each.
 
         Raises
         ------
@@ -263,7 +263,7 @@ class PreparedRun(ABC):
 
 
 def _stated_by_subclass() -> str:
-    """A constant of a method's class, or an option: a class without it is abstract."""
+    """An abstract attribute that a subclass replaces by a constant, an option or a property."""
     missing: Any = property(abstractmethod(lambda self: None))
     return missing
 
@@ -295,7 +295,7 @@ class Integrator(ABC):
     family: ClassVar[str] = ""
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
-    # Without annotations, as a subclass may state these by a constant, an option or a property.
+    # Without annotations: a subclass may replace these by a constant, an option or a property.
     controls = "step"
     formulation = _stated_by_subclass()
 
@@ -326,12 +326,14 @@ class Integrator(ABC):
         return self if self.controls == "step" else None
 
     def multistep_form(self) -> MultistepForm | None:
-        """The method as linear multistep formulas, where it is one: a theory of its stability."""
+        """Return the linear multistep formulas of the method for its stability; None if unknown."""
         return None
 
     def step_method(self, scene: MechatronicSystem) -> Any:
-        """The same method on a scene as step functions (`integrators.native.step_method`), which
-        many runs side by side need; None if it is not written so."""
+        """Return the method with step functions for a scene; many runs side by side need it.
+
+        It is a `NativeMethod` of `integrators.native.step_method`; None if there is none.
+        """
         return None
 
     def supports(self, scene: MechatronicSystem) -> str | None:

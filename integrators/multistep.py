@@ -1,4 +1,4 @@
-"""Linear multistep formulas: consistency and stability, read off their polynomials.
+"""Linear multistep formulas: consistency and stability from their polynomials.
 
 Polynomials are arrays of coefficients, the highest power first.
 """
@@ -8,22 +8,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-#: How far from each other roots of a small polynomial count as one.
+if TYPE_CHECKING:
+    from jaxtyping import Complex, Float
+
+#: Roots of a small polynomial at a smaller distance are one multiple root.
 _ONE_ROOT = 1e-4
-#: Moments below this vanish.
+#: Smaller moments count as zero.
 _ROUNDING = 1e-11
 _MOST_ORDERS = 8
 
 
 @dataclass(frozen=True)
 class Multistep:
-    """A formula rho(E) u = h^k sigma(E) (k-th derivative of u), k = ``power``."""
+    """A formula rho(E) u = h^k sigma(E) (k-th derivative of u), k = ``power``.
 
-    rho: np.ndarray
-    sigma: np.ndarray
+    E is the shift to the next step, and h the step.
+    """
+
+    rho: Float[np.ndarray, " r"]
+    sigma: Float[np.ndarray, " s"]
     power: int
 
     @property
@@ -40,28 +47,28 @@ class Multistep:
 
     @property
     def zero_roots(self) -> list[tuple[complex, int]]:
-        """Roots of rho with multiplicities: all growth at h = 0."""
+        """Roots of rho with multiplicities: growth per step at h = 0."""
         return multiple(np.roots(self.rho), _ONE_ROOT)
 
     @property
     def infinity_roots(self) -> list[tuple[complex, int]]:
-        """Roots of sigma with multiplicities: all growth at infinite frequency."""
+        """Roots of sigma with multiplicities: growth per step at infinite frequency."""
         return multiple(np.roots(self.sigma), _ONE_ROOT)
 
     @property
     def zero_stable(self) -> bool:
-        """No root of rho outside the unit circle, and on it none of more than order ``power``."""
+        """True if rho has no root outside the unit circle, on it at most ``power``-fold ones."""
         return stable(self.zero_roots, self.power)
 
     @property
     def infinity_stable(self) -> bool:
-        """No root of sigma outside the unit circle, and on it only simple ones."""
+        """True if sigma has no root outside the unit circle, and on it only simple ones."""
         full = len(self.rho) == len(np.trim_zeros(self.sigma, "f"))  # else a root is infinite
         return full and stable(self.infinity_roots, 1)
 
 
 def stable(roots: Sequence[tuple[complex, int]], on_circle: int) -> bool:
-    """Whether powers of the roots stay bounded, up to multiplicity ``on_circle`` on the circle."""
+    """True if powers of the roots are bounded: on the unit circle at most ``on_circle``-fold."""
     return all(
         abs(root) < 1 - 1e-9 or (abs(root) <= 1 + 1e-9 and count <= on_circle)
         for root, count in roots
@@ -70,8 +77,11 @@ def stable(roots: Sequence[tuple[complex, int]], on_circle: int) -> bool:
 
 @dataclass(frozen=True)
 class MultistepForm:
-    """A method as multistep formulas: one for each of q, v and x at constant steps, and the
-    smallest ratio of neighbouring steps at which its weights stay in their proven interval."""
+    """A method as multistep formulas: one for each of q, v and x at constant steps.
+
+    ``smallest_ratio`` is the smallest ratio of a step to the one before that keeps the weights in
+    their proven interval.
+    """
 
     q: Multistep
     v: Multistep
@@ -79,10 +89,11 @@ class MultistepForm:
     smallest_ratio: float
 
 
-def multiple(roots: np.ndarray, within: float) -> list[tuple[complex, int]]:
-    """Roots with their multiplicities, the largest first.
+def multiple(roots: Complex[np.ndarray, " k"], within: float) -> list[tuple[complex, int]]:
+    """Return roots with their multiplicities, the largest first.
 
-    Rounding eps moves a k-fold root by eps^(1/k), but the mean of what becomes of it only by eps.
+    Rounding eps splits a k-fold root into k roots at a distance of eps^(1/k), but moves their mean
+    only by eps. Roots at a distance below ``within`` are one.
     """
     groups: list[list[complex]] = []
     for root in sorted(roots[np.isfinite(roots)], key=abs, reverse=True):

@@ -347,7 +347,7 @@ def dae_residual(
     """Compute the fully implicit residual F(t, w, wdot).
 
     The derivative of v stands for the acceleration, so that no unknowns are added. The stabilised
-    form is that of Gear, Gupta & Leimkuhler (1985), doi:10.1016/0377-0427(85)90008-1:
+    form comes from Gear, Gupta & Leimkuhler (1985), doi:10.1016/0377-0427(85)90008-1:
     0 = qdot - v + Phi_q^T mu, with Phi = 0 and d/dt Phi = 0.
 
     Parameters

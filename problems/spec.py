@@ -22,7 +22,7 @@ _T = TypeVar("_T")
 
 
 class SpecError(ValueError):
-    """A name, option or value is unknown or not allowed; the message lists those that are."""
+    """A name, option or value is unknown or not allowed; the message lists the allowed ones."""
 
 
 def suggest(word: str, known: Iterable[str]) -> str:

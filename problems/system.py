@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
-#: Groups of variables; every error is that of one group.
+#: Groups of variables; every error belongs to one group.
 GROUPS = ("q", "v", "a", "lam", "x", "y")
 
 _Number = TypeVar("_Number", int, float)

@@ -1,4 +1,4 @@
-"""What several tests need: errors and slopes measured independently of the bench."""
+"""Helpers of several tests: errors and slopes, measured independently of the bench."""
 
 from __future__ import annotations
 

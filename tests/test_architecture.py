@@ -1,6 +1,6 @@
-"""The imports go down the layers of folders and make no circle; sources are read, never imported.
+"""Imports go down the layers of folders and make no circle; the test reads sources only.
 
-Imports inside functions and under TYPE_CHECKING count: what needs a module later needs it, too.
+Imports inside functions and under TYPE_CHECKING count, too.
 """
 
 from __future__ import annotations

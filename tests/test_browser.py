@@ -41,7 +41,7 @@ def browser(folder, downloads):
     for flag in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking"):
         options.add_argument(f"--{flag}")
     options.add_argument("--window-size=1400,1000")
-    # Every request but those for files and for data in the page goes nowhere.
+    # Block all requests except those for files and for data in the page.
     options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
@@ -72,7 +72,7 @@ def waited(ask, seconds=20.0):
 
 
 def shown(browser, name):
-    """What the points of a chart show: [[integrator, across, error], ...]."""
+    """The points of a chart: [[integrator, across, error], ...]."""
     return browser.execute_script(
         """
         const found = [];

@@ -1,4 +1,4 @@
-"""Compiled functions called with few conversions: their results are nobody else's."""
+"""Compiled functions called with few conversions: no two results share memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: what it answers, and how it refuses."""
+"""The command line: results of commands, and messages for wrong input."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def test_records_open_in_pandas(stepbench, tmp_path):
     stepbench("export", out, "--json", "-o", tmp_path / "records.json")
     again = pd.DataFrame(json.loads((tmp_path / "records.json").read_text()))
     assert again.error_q_max.tolist() == frame.error_q_max.tolist()
-    # The pages can be made anew from the store alone.
+    # The store alone is enough to make the pages again.
     (out / "report.html").unlink()
     assert stepbench("report", out).exit_code == 0
     assert (out / "report.html").stat().st_size > 100_000

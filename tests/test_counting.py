@@ -90,7 +90,7 @@ def test_ctrl_c_ends_the_run_and_leaves_no_count_behind(monkeypatch):
     assert run_counted(program)[1] == Counts(1000, 0)
 
 
-# ---- what XLA may refuse ---------------------------------------------------------------
+# ---- functions that XLA may refuse -----------------------------------------------------
 def test_if_xla_refuses_our_functions_we_say_so_and_count_otherwise(monkeypatch, caplog):
     def refuse(*_, **__):
         raise RuntimeError("too old")

@@ -1,4 +1,4 @@
-"""What a method at constant steps adds at the frequencies of the scenes, from run to page."""
+"""Numerical damping of methods at constant steps at the frequencies of scenes: run and page."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
     assert "lapack" not in together.lower(a, b).as_text()
     wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
     assert np.abs(together(a, b) - wanted).max() < 1e-12
-    # One that is not a number, or has no solution, is its own affair.
+    # A matrix of NaN or without a solution does not disturb the others.
     a[0, 0, 0], a[1] = np.nan, 0.0
     found = together(a, b)
     assert np.abs(found[2:] - wanted[2:]).max() < 1e-12

@@ -1,4 +1,4 @@
-"""Ensembles: members are single runs, and do not get in each other's way."""
+"""Ensembles: every member equals a single run and does not disturb the others."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
         assert (found.ends[name][:4] == without.ends[name][:4]).all()
     assert set(found.summary()) == {"q1", "v1", "a1", "x1", "xdot1", "y1", "y2"}
     assert found.summary()["q1"]["max"] == found.ends["q"][:4].max()
-    # The step that a failed run takes with the others is left by Newton's method at once.
+    # Newton's method ends at once the steps that a failed run takes with the others.
     blown = alone("spring_mass[b=0]", "newmark[beta=0,newton_max=1000]", 2.5, 200.0)
     assert blown.status == "diverged"
     assert blown.work.newton <= 3 * blown.work.steps
@@ -152,7 +152,7 @@ def test_a_member_that_ends_early_leaves_the_others_as_they_are():
     assert "500 steps were used up" in found.message[2]
     assert np.isnan(found.ends["q"][2]).all()
     assert found.work["steps"][2] + found.work["rejected"][2] == 500
-    # What it steps on with the others is left at once.
+    # It takes further steps with the others, which Newton's method ends at once.
     assert found.work["newton"][2] < 5 * 500
     for k, whole in enumerate(ensemble(scene, method, {"rtol": tolerances[:2]}).ends["q"]):
         assert (found.ends["q"][k] == whole).all()

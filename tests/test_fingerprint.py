@@ -1,4 +1,4 @@
-"""A fingerprint changes with what decides the numbers of a run, and with nothing else."""
+"""A fingerprint changes with everything that can change a run's numbers, and with nothing else."""
 
 from __future__ import annotations
 

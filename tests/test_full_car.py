@@ -24,7 +24,7 @@ METHOD = GeneralizedAlpha(rho_inf=0.9)
 EARLY = {"t_left": 0.5, "t_right": 1.0, "pulse": 0.2}
 
 
-# ---- balances, and what a sign error does to them --------------------------------------
+# ---- balances, and their violation by a sign error -------------------------------------
 def sides(scene):
     """x and y of the wheels, written down again."""
     front, rear = scene.track_front / 2, scene.track_rear / 2
@@ -122,7 +122,7 @@ def check_balances(scene):
     force = 1j * heading * side
     moment = np.imag((q[0] + 1j * q[1] + arms).conj() * force).sum()
 
-    # Energy of masses, springs and oil, and the momenta: what acts from outside changes them.
+    # Energy of masses, springs and oil, and the momenta: only external forces change them.
     _, (energy, *momenta) = jax.jvp(lambda q, v: energies_and_momenta(scene, q, v), (q, v), (v, a))
     wanted = [force.real.sum(), force.imag.sum(), moment]
     scale = np.abs(force) @ (1 + np.abs(arms) + abs(q[0]) + abs(q[1]))

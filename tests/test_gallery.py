@@ -1,4 +1,4 @@
-"""Pictures of scenes: stills, animations, the catalogue, and what it tells of a scene."""
+"""Pictures of scenes: stills, animations, the catalogue, and its facts about a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Charts with menus, and what is drawn over time: their numbers are those of the records."""
+"""Charts with menus, and charts over time: their numbers are those of the records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cell that goes wrong costs itself alone and becomes a row with a reason."""
+"""A failed cell becomes a row with a reason and does not disturb other cells."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What makes small scenes fast, as counts that do not depend on the machine's mood.
+"""Counts in compiled programs that make small scenes fast, independent of the machine's load.
 
-The march of a small scene is one compiled function: no loop in it is run piece by piece, and none
-calls a library. Within that function every fusion and copy is a loop over memory of its own; their
-number per step is what is bounded here. That times follow is shown by ``make bench``.
+The time loop of a small scene is one compiled function: XLA splits no loop in it into pieces, and
+no loop calls a library. Every fusion and copy in the function is a loop over memory; these tests
+limit their number per step. ``make bench`` measures the times.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Program:
         return Counter(match[1] for match in found if match)
 
     def loops(self) -> list[Counter]:
-        """What the body of each loop consists of, innermost loops first."""
+        """Operations in the body of each loop, innermost loops first."""
         bodies = [
             re.search(r"body=%([\w.\-]+)", line)[1]
             for lines in self.lines.values()
@@ -63,7 +63,7 @@ class Program:
         return [self.operations(name) for name in bodies]
 
     def joined(self) -> bool:
-        """Whether all loops are within one function each, and none calls a library."""
+        """Whether every loop is within one function, and no loop calls a library."""
         run_by_pieces = self.operations("ENTRY")["while"]
         libraries = sum(body["custom-call"] for body in self.loops())
         custom = any("kind=kCustom" in line for lines in self.lines.values() for line in lines)

@@ -1,4 +1,4 @@
-"""Maps: a point is a single run, and the edges lie where theory puts them."""
+"""Maps: a point is a single run, and the edges agree with theory."""
 
 from __future__ import annotations
 

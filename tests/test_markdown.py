@@ -1,4 +1,4 @@
-"""The Markdown of the pages and of the project passes a linter, and what it links to exists."""
+"""The Markdown of the pages and of the project passes a linter, and its links lead somewhere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md")]
 
 
 def faults(path: Path) -> list[str]:
-    """What the linter says of a file; lines may be long, as a table has nowhere to break."""
+    """Messages of the linter for a file; long lines are allowed, as tables need them."""
     from pymarkdown.api import PyMarkdownApi
 
     api = PyMarkdownApi().disable_rule_by_identifier("md013")

@@ -1,4 +1,4 @@
-"""What is kept of a trajectory: rows that can be read back, and what they violate."""
+"""Stored rows of a trajectory: reading them back, and their violations of the equations."""
 
 from __future__ import annotations
 

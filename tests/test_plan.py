@@ -1,4 +1,4 @@
-"""Profiles: combinations of options, tables on request, and what is refused."""
+"""Profiles: combinations of options, tables on request, and refused input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plugins and options that are not as they should be cost one sentence, never the others."""
+"""Faulty plugins and options give one sentence and do not disturb the others."""
 
 from __future__ import annotations
 

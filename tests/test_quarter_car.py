@@ -35,7 +35,7 @@ def at(scene, q, v, x, t):
     return z, np.asarray(scene.state_rate(z))
 
 
-# ---- balances, and what a sign error does to them --------------------------------------
+# ---- balances, and their violation by a sign error -------------------------------------
 def check_balances(scene):
     for q, v, x, t in random_states():
         z, xdot = at(scene, q, v, x, t)

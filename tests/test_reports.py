@@ -1,4 +1,4 @@
-"""Reports: what the pages say is what the store holds."""
+"""Reports: the pages show the numbers of the store."""
 
 from __future__ import annotations
 

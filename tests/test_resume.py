@@ -1,4 +1,4 @@
-"""A run that is killed or interrupted goes on where it stopped."""
+"""A killed or interrupted run continues from its last stored cell."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_ctrl_c_is_one_sentence_and_leaves_no_process(tmp_path):
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "Interrupted. What was finished is stored" in output
+    assert "Interrupted. Finished runs are stored" in output
     assert "Traceback" not in output
     _, alive = psutil.wait_procs(workers, timeout=10)
     assert not alive

@@ -349,7 +349,7 @@ CHECKS = [
     (Chain(links=3, m=0.7, length=1.3, g=2.0), check_chain),
 ]
 
-# Which sign to flip in which block; each stands for the terms that it appears in. (j_axis in the
+# Names whose sign is flipped in a block; each stands for the terms that contain it. (j_axis in the
 # mass of the heavy top is missing because no moment acts about the axis: nothing would change.)
 MUTANTS = {
     Duffing: {"force": ["c", "k", "k3", "amplitude"]},

@@ -111,7 +111,7 @@ def test_the_stiff_spring_is_rigid_after_milliseconds():
     scene = DrivenSprings()
     z = scene.exact(t)
     assert z["a"][:, 0] == pytest.approx(-(scene.omega**2) * np.sin(scene.omega * t), abs=1e-6)
-    # At the start it vibrates: the acceleration is that of a hit by 1.2 m/s at 3162 rad/s.
+    # At the start it vibrates: the acceleration equals that of a hit by 1.2 m/s at 3162 rad/s.
     early = scene.exact(np.linspace(0.0, 2e-3, 200))["a"][:, 0]
     assert np.abs(early).max() > 2000
 

@@ -31,7 +31,7 @@ MORE = [
     # Steps that resolve its highest frequency; see the scene for larger ones.
     (SliderCrankFlexible(), 0.004, 2e-6),
 ]
-#: What the constraints alone determine is exact at any step, and has no order.
+#: Groups that the constraints alone determine: they are exact at any step and have no order.
 EXACT = {SliderCrankDriven: ("q", "v")}
 
 

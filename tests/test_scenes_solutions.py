@@ -57,7 +57,7 @@ def test_the_car_axis_reference_has_the_published_digits():
 @pytest.mark.long
 def test_the_flexible_slider_crank_has_the_published_digits_as_far_as_they_go():
     # Test Set for IVP Solvers, problem crank, t = 0.1. Its initial values satisfy the constraints
-    # to 1e-8 only, and ours exactly: the solutions differ by what that excites.
+    # to 1e-8 only, and ours exactly: the solutions differ by the excited vibration.
     scene = SliderCrankFlexible()
     t = np.array([0.0, 0.1])
     z = Reference(scene, 0.1)(t)
@@ -265,7 +265,7 @@ def test_the_chain_keeps_energy_and_links():
     assert max(drift(scene, z, t)) < 1e-11
 
 
-# ---- what the stiff bar is for ---------------------------------------------------------
+# ---- purpose of the stiff bar ----------------------------------------------------------
 def test_the_trapezoidal_rule_blows_up_on_the_stiff_bar():
     # Kuhl & Crisfield's phenomenon at h = 0.01 s: 5 % more energy at 4.58 s, then no solution.
     scene = StiffBar()

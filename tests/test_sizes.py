@@ -1,4 +1,4 @@
-"""Cost against size: charts of the right runs, and what large scenes leave out."""
+"""Cost against size: charts of the right runs, and short records of large scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Newton's method with sparse tangents: what modified Newton keeps, counts, frees and gives up."""
+"""Newton's method with sparse tangents: kept tangents, counts, freed memory, failures."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_factorisation_serves_many_steps_of_a_long_chain():
 
 @pytest.fixture
 def calls(monkeypatch):
-    """How often the functions of `klu` are called at run time by programs that are new."""
+    """Counts of the calls of `klu` functions by new programs at run time."""
     count = Counter()
 
     def counted(name, original):

@@ -1,4 +1,4 @@
-"""Names with options: what is printed is read back, what is wrong is named."""
+"""Names with options: printed names are read back, and messages name wrong ones."""
 
 from __future__ import annotations
 

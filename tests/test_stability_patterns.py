@@ -1,4 +1,4 @@
-"""Varying steps: where patterns grow, the safe ratios, and runs that confirm them."""
+"""Varying steps: growing patterns, safe ratios, and runs that confirm them."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_updating_gamma_costs_stability():
 
 
 def test_the_period_of_a_pattern_is_the_product_of_its_steps():
-    # Newmark's method hands on nothing of the grid: the matrix of a pattern is the product.
+    # Newmark's method has no memory of the grid: the matrix of a pattern is the product.
     h, pattern = 1.7, (0.2, 0.5, 0.3)
     method = Newmark(beta=0.3, gamma=0.6)
     product = np.eye(3)

@@ -1,4 +1,4 @@
-"""Spectra found by taking steps, against closed forms and what is known of each method."""
+"""Spectra found by taking steps, against closed forms and known properties of each method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run has to do before its first result, and what it does not do twice."""
+"""The work of a run before its first result; none of it is done twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The store: round trips, refusals, and a disk that is full."""
+"""The store: round trips, refusals, and a full disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The time loops: weights in varying steps, step control, exact times, values that are lost."""
+"""The time loops: weights in varying steps, step control, exact times, values not finite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tutorial does what it says: its files and commands run, in order, in an empty folder."""
+"""The tutorial works as written: its files and commands run, in order, in an empty folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def flat(text: str) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder after the last command; what the text shows was seen on the way."""
+    """The folder after the last command; the printed text was checked after each command."""
     path, said = tmp_path_factory.mktemp("tutorial"), ""
     programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for kind, block in BLOCKS:

@@ -154,7 +154,7 @@ def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial
         method = registry.integrator(case.integrator) if case.integrator else None
         trials.append(_Trial(case, method, sweep_of(merged(part, case), method, registry), True))
     there = {trial.integrator.spec for trial in trials if trial.integrator}
-    # The condition is that of the equations: no method can be added.
+    # The condition belongs to the equations: no method can be added.
     for name in added if part.measure != "condition" else ():
         method = registry.integrator(name)
         if method.spec in there:

@@ -41,7 +41,7 @@ class ShortErrors(click.Group):
             raise click.ClickException(str(error)) from error
         except KeyboardInterrupt:
             # Only a run stores as it goes.
-            stored = " What was finished is stored; the same command goes on."
+            stored = " Finished runs are stored; the same command goes on."
             click.echo(
                 "Interrupted." + (stored if ctx.invoked_subcommand == "run" else ""), err=True
             )

@@ -23,7 +23,7 @@ _WORDS = {"problems": "scene", "integrators": "integrator"}
 @options.with_plugins
 @options.with_as_json
 def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
-    """List the scenes and integrators, with those that are unavailable and why.
+    """List the scenes and integrators; unavailable ones have a reason.
 
     \b
     Examples:

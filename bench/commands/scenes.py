@@ -61,7 +61,7 @@ def show(
 @options.with_budget
 @options.with_plugins
 def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[str, ...]) -> None:
-    """Write a catalogue (HTML and Markdown) of all scenes, or of those that are named.
+    """Write a catalogue (HTML and Markdown) of all scenes, or of the named ones.
 
     It shows a picture of each, its equations, sizes, stiffness along the motion, and reference.
 

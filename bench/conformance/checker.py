@@ -76,7 +76,7 @@ def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list
 
 
 def is_file(text: str) -> bool:
-    """Whether what is to be checked is written as a file or folder instead of a name."""
+    """Whether a text is the path of a file or folder, not a name."""
     return text.endswith(".py") or os.sep in text
 
 

@@ -137,8 +137,8 @@ def check_execute(registry: Registry, method: Integrator) -> str:
             for value in np.concatenate([before.q[-1], before.v[-1]]):
                 if np.abs(numbers - value).min() > 1e-6 * max(1.0, abs(value)):
                     raise Failed(
-                        f"measure() on {scene.spec} ends with {value:.9g}, which is not in what "
-                        f"execute() returns; what is timed has to be the same solve."
+                        f"measure() on {scene.spec} ends with {value:.9g}, but execute() does not "
+                        f"return this value; both have to do the same solve."
                     )
     seen = "execute() returns no numbers to compare" if silent else "execute() ends alike"
     return f"measure() is unchanged by execute(), and {seen}, on {names_of(scenes)}."

@@ -146,7 +146,7 @@ def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
 
 
 def _names(records: list[Record]) -> dict[tuple[str, float], str]:
-    """Names of the scenes, with the interval of those that have several."""
+    """Names of the scenes, with the interval if a scene has several."""
     keys = {(r.problem, r.t_end) for r in records}
     several = Counter(problem for problem, _ in keys)
     return {(p, t): p if several[p] == 1 else f"{p} to t={t:g} s" for p, t in keys}

@@ -41,7 +41,7 @@ def environment() -> Environment:
 
 @cache
 def library_versions() -> dict[str, str]:
-    """Return the versions of the libraries that compute, without those that are missing."""
+    """Return the versions of the installed libraries that compute."""
     return _versions(LIBRARIES)
 
 

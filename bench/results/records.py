@@ -132,7 +132,7 @@ class Damping(msgspec.Struct, kw_only=True, frozen=True):
     """Response of a method at constant steps to the undamped oscillator, at values of ``omega_h``.
 
     Spectral radius, numerical damping ratio and relative period error, None where there is none;
-    ``message`` is the reason if nothing is known. ``fingerprint`` is that of the method.
+    ``message`` is the reason if nothing is known. ``fingerprint`` belongs to the method.
     """
 
     omega_h: list[float]

@@ -41,9 +41,9 @@ CREATE TABLE IF NOT EXISTS samples (
     PRIMARY KEY (key, number));
 """
 
-_WAY_OUT = "start anew with --fresh or another --out"
-#: What msgspec raises for bytes that are no value: not JSON or of another form, not UTF-8, and
-#: (SQLite keeps any type in any column) not bytes at all.
+_WAY_OUT = "start again with --fresh or another --out"
+#: Errors of msgspec for damaged values: not JSON, another form, not UTF-8, or not bytes at all
+#: (SQLite keeps any type in any column).
 _DAMAGED = (msgspec.DecodeError, UnicodeDecodeError, TypeError)
 
 
@@ -233,7 +233,7 @@ class Store:
 
     # ---- parts -------------------------------------------------------------------------
     def _has_table(self, name: str) -> bool:
-        """Whether there is a table; a store that an earlier version wrote may lack some."""
+        """Whether there is a table; stores of earlier versions may lack some."""
         return bool(self._read("SELECT 1 FROM sqlite_master WHERE name = ?", name))
 
     def _read(self, sql: str, *parameters: object, kind: type | None = None) -> list[tuple]:
@@ -272,7 +272,7 @@ class Store:
     def _unwritable(self, error: sqlite3.Error) -> StoreError:
         return StoreError(
             f"The store in {self.folder} cannot be written ({error}); free some space or choose "
-            f"another --out. What was stored before is intact."
+            f"another --out. Earlier results are intact."
         )
 
 
@@ -335,7 +335,7 @@ def _check_schema(db: sqlite3.Connection, path: Path) -> None:
     row = has_meta and db.execute("SELECT value FROM meta WHERE name = 'schema'").fetchone()
     if not row:
         raise StoreError(f"{path} is no stepbench store (it has no schema); {_WAY_OUT}.")
-    # Compared as text: what is damaged need not be a number.
+    # Compared as text: a damaged version may be no number.
     found = row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0])
     if found != str(SCHEMA):
         raise StoreError(

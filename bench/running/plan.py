@@ -110,8 +110,8 @@ def make_suite(
 ) -> Suite:
     """Make the suite of a profile, restricted or extended by the command line.
 
-    A name in ``problems`` or ``integrators`` selects what the profile has by it; what the profile
-    does not have is added, with the steps and tolerances that the profile gives the others (or
+    A name in ``problems`` or ``integrators`` selects the profile's entries of that name. A name
+    that the profile lacks is added with the steps and tolerances of the profile's other entries (or
     the scene's own for a scene of its own).
 
     Raises

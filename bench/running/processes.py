@@ -23,7 +23,7 @@ import psutil
 
 from bench.plugins.registry import explain
 
-#: How often the memory of a process is looked at.
+#: Time between two looks at the memory of a process.
 _WATCH_SECONDS = 0.1
 
 S = TypeVar("S")
@@ -99,7 +99,7 @@ class GuardedProcess:
             self.end()
             return NoAnswer("crashed", f"The worker process died during the run ({how}).")
         if kind == "phase":
-            # The clock starts anew: imports and references are not the integrator's.
+            # Restart the clock: imports and references are not the integrator's time.
             self._started, self._phase = time.monotonic(), answer
             return None
         return NoAnswer("crashed", answer) if kind == "failed" else answer

@@ -180,7 +180,7 @@ class Runner:
         return answer
 
     def _replace_dead(self, worker: _WorkerProcess) -> None:
-        """If a worker is dead, have another one go on with the rest of its group."""
+        """Give the rest of a dead worker's group to another worker."""
         if not worker.alive:
             self.workers.remove(worker)
             if worker.group:

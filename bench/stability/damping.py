@@ -52,9 +52,9 @@ def missing(
     records: Mapping[str, Record],
     registry: Registry,
 ) -> list[Task]:
-    """List the methods to be analysed: those that came to the end of a scene, at all their scenes.
+    """List the analyses of all methods that reached the end of a scene, for all their scenes.
 
-    A method that never did is left out, so that one which hangs does so once less.
+    A method that never reached an end is left out: it could hang again.
     """
     wanted: dict[str, set[float]] = {}
     for study in suite.plan.studies:

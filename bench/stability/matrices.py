@@ -1,15 +1,15 @@
 """The amplification matrix of a step or of a pattern of steps, found by taking the step.
 
-On a linear system a step is linear in what it hands on. Its matrix is therefore known exactly from
-finitely many evaluations: the columns are step(rest + e_i) - step(rest), with unit vectors e_i over
-all numbers of the method's state. Nothing is differentiated: a derivative through the loop of
-Newton's method would be that of its last iterates, and a difference quotient would lose half of
-the digits, while these columns have the rounding of a step. Rest is zero, where no digits cancel.
+On a linear system a step is linear in the method's state. Finitely many evaluations therefore give
+its exact matrix: the columns are step(rest + e_i) - step(rest), with unit vectors e_i over all
+numbers of the state. These columns have the rounding of a step; rest is zero, so no digits cancel.
+A difference quotient would lose half of the digits. A derivative through the loop of Newton's
+method would belong to its last iterates.
 
-A state also holds numbers that know the grid alone (the last step, a shift), a tangent that is
-kept, and values that the next step only starts its iteration from. At rest the former do not act on
-the solution, and the latter never do: only numbers that a deviation of the start reaches and that
-act on the next state take part in the matrix.
+A state also holds numbers that depend on the grid alone (the last step, a shift), a kept tangent,
+and values for the next guess. The first do not act on the solution at rest, the others never do.
+The matrix contains only numbers that a deviation of the start reaches and that act on the next
+state.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from problems.system import MechatronicSystem
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-#: Entries of a matrix below this size are rounding, at steps of about one time unit.
+#: Smaller entries of a matrix are rounding, at steps of about one time unit.
 _NOISE = 1e-9
-#: Steps at which it is found out which numbers of a state carry memory.
+#: Steps that show the numbers of a state with memory.
 _SAMPLES = (0.31, 1.07, 2.9)
-#: Patterns after which the numbers that know the grid have to repeat themselves.
+#: Most patterns until the numbers that depend on the grid repeat themselves.
 _MOST_PATTERNS = 5000
 #: Most steps in a pattern, and macro steps that are taken side by side.
 _SLOTS, _BLOCK = 16, 64
-#: How well two runs of one step each have to give a run of two, relative to the largest entry and
-#: to the start: solvers of algebraic equations may have tolerances of about 1e-9 of that.
+#: Largest difference between two runs of one step each and a run of two, relative to the largest
+#: entry and to the start. Solvers of algebraic equations may have tolerances of about 1e-9 of that.
 _MEMORYLESS, _TOLERATED = 1e-6, 1e-7
 
 
@@ -57,11 +57,11 @@ class Matrices:
     steps
         The macro steps.
     a
-        The amplification matrices: they advance the n numbers of a state by one pattern.
+        Amplification matrices; they advance the n numbers of a state by one pattern.
     b
-        States at the start, for the m unit deviations of the system.
+        States at the start for the m unit deviations of the system.
     c
-        Readings of the r values in [q, v, x] after the next pattern, from a state.
+        Matrices that give the r values [q, v, x] after the next pattern from a state.
     """
 
     steps: Float[np.ndarray, " k"]
@@ -76,13 +76,13 @@ def steppable(method: Integrator) -> Integrator:
     Raises
     ------
     SpecError
-        If it has none.
+        If the method has none.
     """
     constant = method.at_constant_steps()
     if constant is None:
         raise SpecError(
-            f"{method.spec} chooses its own steps: an amplification matrix is defined for methods "
-            f"with constant steps or patterns of them."
+            f"{method.spec} chooses its own steps; an amplification matrix needs constant steps "
+            f"or patterns of them."
         )
     return constant
 
@@ -98,22 +98,22 @@ def matrices(
     Parameters
     ----------
     method
-        An integrator with constant steps: a method with a step function, or one that hands on
-        nothing but q, v and x.
+        An integrator with constant steps: a method with step functions, or a method whose only
+        memory is q, v and x.
     system
-        A linear test system; time is measured in its own unit.
+        A linear test system; its time has a unit of its own.
     steps
-        Macro steps, k of them.
+        The k macro steps, in the system's unit of time.
     pattern
-        Fractions of the macro step, which sum to 1.
+        Fractions of the macro step with the sum 1.
 
     Raises
     ------
     SpecError
-        If the method has no constant steps, refuses the system, or hides its memory.
+        If the method has no constant steps, refuses the system, or has hidden memory.
     """
     method, macro_steps = steppable(method), np.asarray(steps, dtype=float)
-    fractions = Steps(1.0, tuple(pattern)).pattern  # says clearly what a pattern may be
+    fractions = Steps(1.0, tuple(pattern)).pattern  # refuses a bad pattern
     reason = method.supports(system)
     if reason:
         raise SpecError(f"{method.spec} does not take {system.name}: {reason}")
@@ -122,7 +122,7 @@ def matrices(
     return _by_running(method, system, macro_steps, fractions)
 
 
-# ---- methods whose step is a function ----------------------------------------------------
+# ---- methods with step functions ---------------------------------------------------------
 def _by_stepping(
     method: NativeMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
 ) -> Matrices:
@@ -133,7 +133,7 @@ def _by_stepping(
     fixed = system.parameters(), numbers, system.deviations(), slots, len(pattern)
     fixed = jax.tree.map(jnp.asarray, fixed)
     count = len(_SAMPLES)
-    # Whole blocks, so that other numbers of steps compile nothing.
+    # Whole blocks, so that another number of steps compiles nothing.
     every = np.concatenate([_SAMPLES, steps, np.ones(-(count + len(steps)) % _BLOCK)])
     blocks = [program(*fixed, jnp.asarray(block)) for block in every.reshape(-1, _BLOCK)]
     parts = [np.concatenate([np.asarray(block[k]) for block in blocks]) for k in range(4)]
@@ -145,7 +145,7 @@ def _by_stepping(
 
 
 def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Numbers of a state that a deviation reaches and that act on such numbers later on."""
+    """Indices of state numbers that a deviation reaches and that act on such numbers later."""
     acts = np.any(np.abs(np.nan_to_num(a)) > _NOISE, axis=0)
     reached = np.any(np.abs(np.nan_to_num(b)) > _NOISE, axis=(0, 2))
     for _ in range(len(acts)):
@@ -158,8 +158,10 @@ def _carriers(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @cache
 def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
-    """Program of (parameters, numbers, deviations, pattern, its length, macro steps); one
-    compilation serves all members of a family, all parameters, steps and patterns."""
+    """Program of (parameters, numbers, deviations, pattern, its length, macro steps).
+
+    One compilation serves all members of a family, all parameters, steps and patterns.
+    """
     from jax.flatten_util import ravel_pytree
 
     def one(p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macro: Any) -> tuple:
@@ -183,15 +185,15 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
             shown = method.read(scene, state)
             return ravel_pytree(state)[0], jnp.concatenate([shown.q, shown.v, shown.x]), converged
 
-        # One loop does two things, so that the step is compiled once: it takes patterns from rest
-        # until all numbers repeat themselves, and then one more from rest and all deviations. One
-        # after the other, as below: side by side, loops in loops take twice as long to trace.
+        # One loop does two things, so that the step is compiled once. It takes patterns from rest
+        # until all numbers repeat themselves, then one more from rest and all deviations. The
+        # deviations come one after the other: traced side by side they would take twice as long.
         units = jnp.concatenate([jnp.zeros((1, rest.size)), jnp.eye(rest.size)])
 
         def again(carry: tuple) -> tuple:
             rest, settled, k, _ = carry
             after, shown, converged = jax.lax.map(lambda e: advance(rest + settled * e), units)
-            moved = jnp.abs(after[0] - rest) > 1e-14 * jnp.abs(after[0])  # false for what is NaN
+            moved = jnp.abs(after[0] - rest) > 1e-14 * jnp.abs(after[0])  # false for NaN
             still = ~jnp.any(moved) | (k >= _MOST_PATTERNS)
             columns = after[1:] - after[0], shown[1:] - shown[0], converged[1:]
             return after[0], jnp.where(settled > 0, 2.0, 1.0 * still), k + 1, columns
@@ -217,11 +219,11 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
 def _by_running(
     method: Integrator, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
 ) -> Matrices:
-    """From runs over two patterns, for methods that hand on nothing but q, v and x."""
+    """Find matrices from runs over two patterns, for methods whose only memory is q, v and x."""
     if system.has("constraint"):
         raise SpecError(
-            f"The matrix of {method.spec} on {system.name} cannot be found by running it: its "
-            f"starts have to satisfy the constraints. It can for a StepMethod."
+            f"The matrix of {method.spec} on {system.name} cannot be found by running it: the "
+            f"start must satisfy the constraints. Write the method as a StepMethod."
         )
     units = system.deviations()
     a = np.empty((len(steps), len(units), len(units)))
@@ -235,7 +237,7 @@ def _by_running(
         size = max(np.abs(a[k]).max() ** 2, np.abs(twice).max())
         if np.abs(twice - a[k] @ a[k]).max() > _MEMORYLESS * size + _TOLERATED:
             raise SpecError(
-                f"{method.spec} hands on more than q, v and x from step to step: its "
+                f"{method.spec} passes more than q, v and x from step to step; its "
                 f"amplification matrix can be found only if it is written as a StepMethod."
             )
     unit = np.broadcast_to(np.eye(len(units)), a.shape)

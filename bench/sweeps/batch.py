@@ -1,9 +1,8 @@
 """Many runs in one compiled program, in blocks of bounded memory.
 
-Side by side, runs wait for the one with the most steps, so the longest are begun first, together;
-one that fails costs the others nothing. Blocks are shared out to threads, as the compiled
-program needs no Python, and JAX has a thread for each processor. Nothing calls back, so that the
-same code runs on a GPU.
+Runs of a block wait for the one with the most steps, so the longest runs begin first, together. A
+run that fails costs the others nothing. Several threads work at blocks: the compiled program needs
+no Python. Nothing calls back to Python, so the same code runs on a GPU.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,35 +24,48 @@ from problems.runtime import jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Sizes
 
-#: Most runs side by side, and bytes of their tangents and rows. On a CPU more gain little and
-#: leave the caches; a GPU wants thousands.
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+#: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
+#: little time and overflow the caches; a GPU needs thousands.
 _MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
 _MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
-#: Rows that a kernel has room for, about.
+#: Approximate number of rows in a kernel's memory.
 _ROWS = 256
 
 
 @dataclass(frozen=True)
 class Block:
-    """What some of the runs gave: rows at times t ``(k, r)``, values of shape ``(k, r, n)``.
+    """Results of k runs with at most r rows each.
 
-    ``members`` are the places of these k runs among all, ``status``, ``message`` and ``t_last``
-    tell how and when each ended, ``counts`` ``(k, c)`` what it did; None if that is not counted.
-    A row that was not reached is NaN; ``rows`` ``(k,)`` is how many there are in a complete run.
+    Attributes
+    ----------
+    members
+        Places of the runs among all runs.
+    status, message, t_last
+        Ending of each run, and its last time in s.
+    counts
+        Work counts in the order of `Batch.counts`.
+    t, values
+        Times of the rows in s, and values q, v, a, lam, x, xdot, y of n columns each; NaN in rows
+        that a run did not reach.
+    rows
+        Number of rows of each run if it is complete.
     """
 
-    members: np.ndarray
+    members: Int[np.ndarray, " k"]
     status: list[str]
     message: list[str]
-    t_last: np.ndarray
-    counts: np.ndarray
-    t: np.ndarray
-    values: dict[str, np.ndarray]
-    rows: np.ndarray
+    t_last: Float[np.ndarray, " k"]
+    counts: Float[np.ndarray, "k c"]
+    t: Float[np.ndarray, "k r"]
+    values: dict[str, Float[np.ndarray, "k r n"]]
+    rows: Int[np.ndarray, " k"]
 
 
 def refuse(method: Integrator, scene: MechatronicSystem) -> None:
-    """Raise SpecError if an integrator cannot run as one program, or not on this scene."""
+    """Raise SpecError if an integrator does not take a scene, or many runs in one program."""
     reason = method.supports(scene)
     if reason:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
@@ -61,8 +73,8 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
         constant = method.at_constant_steps()
         able = constant.spec if constant and constant.step_method(scene) else ""
         raise SpecError(
-            f"{method.spec} cannot run many members in one program: that takes steps written as "
-            f"JAX functions of a state; take "
+            f"{method.spec} cannot run many members in one program: its steps are not JAX "
+            f"functions of a state; take "
             f"{able or 'a StepMethod such as generalized_alpha'}."
         )
 
@@ -75,16 +87,16 @@ class Batch:
     runs
         Float parameters, numeric options and steps or tolerances may differ between them.
     t_end
-        The end of all of them, in s.
+        End of all runs in s.
     every_row
-        Keep the rows that a single run keeps, from the start on, instead of the end alone.
+        Keep all rows of a single run, with the start, instead of the last row alone.
     lanes
-        Runs side by side, a power of two; by the machine and the memory if not given.
+        Runs side by side, a power of two. By default the machine and the memory decide.
 
     Raises
     ------
     SpecError
-        If they cannot be run as one program.
+        If the runs need different programs.
     """
 
     def __init__(
@@ -93,7 +105,7 @@ class Batch:
         scenes, self._of_scene = distinct(run.scene for run in runs)
         pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)
         methods = [method.step_method(scene) for method, scene in pairs]
-        by_id = {id(method): method for method in methods}  # many scenes may share one
+        by_id = {id(method): method for method in methods}  # many scenes may share a method
         programs = {k: m.program(scenes[0], sparse=False) for k, m in by_id.items()}
         kinds = {program for program, _ in programs.values()}, {s.template() for s in scenes}
         if any(len(kind) > 1 for kind in kinds):
@@ -120,7 +132,7 @@ class Batch:
         keys, of_method = distinct(map(id, methods))
         numbers = [programs[key][1] for key in keys]
         start = jax.tree.map(lambda leaf: leaf[0], self._starts)
-        # Packing one tells the kernel how its numbers are arranged: one part after the other.
+        # Packing one run tells the kernel the order of its numbers: one part after the other.
         self._kernel.pack(settings[0], numbers[0], start, self._times.numbers[0])
         names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
         leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
@@ -134,16 +146,16 @@ class Batch:
         self._lanes = lanes or _lanes(self._sizes, len(runs))
 
     def blocks(self, jobs: int | None = None) -> Iterator[Block]:
-        """Run all, a block at a time in each of ``jobs`` threads: one per processor if not given.
+        """Run all in ``jobs`` threads, a block at a time in each; by default one per processor.
 
-        The longest runs come first, so that the last block to end is a short one.
+        The longest runs come first, so that the last blocks are short.
         """
         order = self._times.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
         jobs = jobs or _processors()
         pool = ThreadPoolExecutor(jobs)
         try:
-            # Not all at once: what is not yet asked for takes no memory.
+            # Blocks that are not submitted yet take no memory.
             waiting: list[Future[Block]] = []
             for part in parts:
                 waiting.append(pool.submit(self._block, part))
@@ -155,7 +167,7 @@ class Batch:
             pool.shutdown(cancel_futures=True)
 
     def warm(self) -> None:
-        """Compile, and take no step."""
+        """Compile the program and take no step."""
         nobody = np.zeros(self._lanes, dtype=np.int64)
         jax.block_until_ready(self._called(nobody, nobody == 0))
 
@@ -165,7 +177,8 @@ class Batch:
         return self._kernel.batched(packed, *self._times.wanted(lanes, idle))
 
     def _block(self, members: np.ndarray) -> Block:
-        # The last member fills the block up, so that one size is compiled; it takes no step there.
+        # Copies of the last member fill the block, so that all blocks have the compiled size. The
+        # copies take no step.
         count = len(members)
         lanes = np.concatenate([members, np.repeat(members[-1:], self._lanes - count)])
         scene, pair = self._of_scene[lanes], self._of_pair[lanes]
@@ -215,7 +228,7 @@ class Batch:
 
     @property
     def counts(self) -> tuple[str, ...]:
-        """Names of the counts that mean something."""
+        """Names of the valid counts, which come first in `Block.counts`."""
         return self._times.counts[:1] if self._states_only else self._times.counts
 
 
@@ -253,7 +266,7 @@ def _processors() -> int:
 
 @cache
 def _completion(template: MechatronicSystem) -> Callable:
-    """Program of (parameters, q, v, x, t) with axes of runs and, but for the first, of rows."""
+    """Program that completes states (parameters, q, v, x, t) of many runs with many rows each."""
 
     def one(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
         return complete(template.with_parameters(p), q, v, x, t)

@@ -1,13 +1,13 @@
 """The times of many runs: constant steps, or steps that follow a tolerance.
 
-An object of times gives a compiled time loop its last arguments, and reads the rows and the ending
-that it returns.
+A `Times` object gives a compiled time loop its last arguments. It reads the rows and endings that
+the loop returns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,9 +20,12 @@ from integrators.native.step_program import StepProgram
 from integrators.native.step_records import StepReport
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 
 class Run(NamedTuple):
-    """One of many runs. What is equal in several of them is made once."""
+    """One of many runs; equal parts of several runs are made once."""
 
     scene: MechatronicSystem
     method: Integrator
@@ -30,23 +33,24 @@ class Run(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of k runs: times ``(k, r)`` and values ``(k, r, n)``, NaN where a row was not reached;
-    how many there are in a complete run ``(k,)``; endings ``(k, [status, t])``, counts ``(k, c)``.
+    """Rows, endings and work counts of k runs; NaN in rows that a run did not reach.
+
+    ``complete`` are the numbers of rows of complete runs, ``endings`` rows [ending, t].
     """
 
-    t: np.ndarray
-    values: np.ndarray
-    complete: np.ndarray
-    endings: np.ndarray
-    counts: np.ndarray
+    t: Float[np.ndarray, "k r"]
+    values: Float[np.ndarray, "k r n"]
+    complete: Int[np.ndarray, " k"]
+    endings: Float[np.ndarray, "k 2"]
+    counts: Float[np.ndarray, "k c"]
 
 
 class Times(Protocol):
-    """The time of many runs; ``places`` are places among all of them."""
+    """The times of many runs; ``places`` are indices of runs among all of them."""
 
-    #: Names of what is counted.
+    #: Names of the work counts.
     counts: tuple[str, ...]
-    #: The last argument of a kernel, for each that is different.
+    #: The different last arguments of a kernel.
     numbers: list[Any]
 
     def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
@@ -54,19 +58,19 @@ class Times(Protocol):
         ...
 
     def longest_first(self) -> np.ndarray:
-        """The places of all runs in the order in which they are best begun."""
+        """The places of all runs, the longest run first."""
         ...
 
     def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
-        """Places in ``numbers``; those that are idle shall take no step."""
+        """Places in ``numbers``; an ``idle`` run takes no step."""
         ...
 
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
-        """Which rows a kernel shall keep, as it takes them."""
+        """Arguments of a kernel that select the rows to keep."""
         ...
 
     def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
-        """Rows and endings from what a kernel returned."""
+        """Rows and endings from the result of a kernel."""
         ...
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
@@ -151,7 +155,7 @@ class ChosenSteps:
         early, spread, last, end = answer
         tables = np.concatenate([early, spread, last[:, None]], axis=1)
         if not self._every_row:
-            tables[end[:, 0] != 0] = 0  # an end that was not reached is no row
+            tables[end[:, 0] != 0] = 0  # a run that failed early has no last row
         kept = [adaptive_steps.in_order(table) for table in tables]
         complete = np.array([max(1, len(rows)) for rows in kept])
         table = np.full((len(kept), complete.max(), last.shape[1]), np.nan)
@@ -161,11 +165,13 @@ class ChosenSteps:
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         span = self.numbers[self._of[place]]
-        return Ending(int(ending[0])).outcome(float(ending[1]), span.t_end, span.max_steps)
+        return Ending(int(ending[0])).outcome(
+            float(ending[1]), float(span.t_end), int(span.max_steps)
+        )
 
 
 def times_of(runs: Sequence[Run], t_end: float, every_row: bool) -> Times:
-    """The times of runs that all have steps, or all have tolerances."""
+    """The times of runs that have either all steps or all tolerances."""
     t0 = runs[0].scene.interval[0]
     steps = [run.resolution for run in runs if isinstance(run.resolution, Steps)]
     if steps:
@@ -176,7 +182,7 @@ def times_of(runs: Sequence[Run], t_end: float, every_row: bool) -> Times:
 
 
 def distinct(values: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
-    """The different ones in their order, and the place of each among them."""
+    """The different values in order of appearance, and for each value its place among them."""
     places: dict[Any, int] = {}
     of = [places.setdefault(value, len(places)) for value in values]
     return list(places), np.array(of)

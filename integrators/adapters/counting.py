@@ -3,7 +3,7 @@
 A counted program calls functions of this process by name, through XLA's foreign function
 interface. Such a program is the same in every process, so that JAX keeps it in its persistent
 compilation cache. If the interface refuses our functions, ``jax.debug.callback`` counts: its calls
-take some 40 microseconds instead of 10, and every process compiles its programs anew.
+take some 40 microseconds instead of 10, and every process compiles its programs again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LINEARISATION = "stepbench_count_linearisation"
 
 
 class Counts(NamedTuple):
-    """How often a watched function was evaluated and linearised."""
+    """Numbers of evaluations and linearisations of a watched function."""
 
     evaluations: int
     linearisations: int

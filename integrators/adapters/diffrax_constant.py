@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
-#: Newton's tolerance, relative to the size of states and rates. Every iteration linearises anew,
-#: so that the error left after the last one is of the size of its square.
+#: Newton's tolerance, relative to the size of states and rates. Every iteration linearises
+#: again, so that the remaining error is of the size of the last update's square.
 _NEWTON_TOLERANCE = 1e-9
 
 
 class State(NamedTuple):
-    """A state s = [q, v, x], what the solver hands on, and Newton's absolute tolerance."""
+    """A state s = [q, v, x], the solver's own state, and Newton's absolute tolerance."""
 
     s: Any
     handed_on: Any

@@ -1,6 +1,6 @@
 """The members of the generalized-alpha family: one kernel, many schemes.
 
-The step that they share, and its equations, stand in `generalized_alpha_step`.
+`generalized_alpha_step` has their common step and its equations.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _gamma_policy() -> Any:
 
 @dataclass(frozen=True)
 class AlphaMethod(NewtonOptions):
-    """Base of the members of the family: a member only says which scheme it is."""
+    """Base of the members of the family: a member only gives its algorithmic parameters."""
 
     family: ClassVar[str] = "generalized-alpha"
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
@@ -51,13 +51,13 @@ class AlphaMethod(NewtonOptions):
     )
     start: str = option(
         "consistent",
-        "consistent: aux = a at t0; corrected: shifted to where it belongs, without transient",
+        "consistent: aux = a at t0; corrected: aux shifted in time, without a transient",
         choices=("consistent", "corrected"),
     )
 
     @property
     def guarded(self) -> bool:
-        """Whether sharp cuts restart the recurrence, where weights are updated."""
+        """True if a sharp cut of the step restarts the recurrence; for updated weights."""
         return True
 
     @property
@@ -66,15 +66,15 @@ class AlphaMethod(NewtonOptions):
 
     @abstractmethod
     def second_order(self) -> SecondOrder:
-        """The algorithmic parameters for q."""
+        """Return the algorithmic parameters for q."""
 
     @abstractmethod
     def first_order(self) -> FirstOrder:
-        """The algorithmic parameters for x."""
+        """Return the algorithmic parameters for x."""
 
     @property
     def updated(self) -> bool:
-        """Whether gamma and theta follow the step ratio."""
+        """True if gamma and theta follow the step ratio."""
         return False
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
@@ -89,7 +89,7 @@ class AlphaMethod(NewtonOptions):
         return claims
 
     def scheme(self) -> Scheme:
-        """All that the step is told of this member."""
+        """Return all numbers of this member that the step needs."""
         policy = self.updated, self.classical, self.start == "corrected", self.guarded
         return Scheme(*self.second_order(), *self.first_order(), *policy)
 
@@ -148,8 +148,8 @@ class GeneralizedAlpha(AlphaMethod):
 class HHT(AlphaMethod):
     """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
 
-    Beyond 1/3 the high frequencies are damped less again, and from 1/2 on it is unstable; such
-    values have to be asked for by ``any_alpha=true``.
+    Beyond 1/3 it damps high frequencies less again, and from 1/2 it is unstable. Such values need
+    ``any_alpha=true``.
     """
 
     source: ClassVar[str] = "Hilber, Hughes & Taylor (1977), doi:10.1002/eqe.4290050306"
@@ -162,13 +162,13 @@ class HHT(AlphaMethod):
         always=True,
     )
     gamma: str = _gamma_policy()
-    any_alpha: bool = option(False, "take an alpha outside [0, 1/3], too")
+    any_alpha: bool = option(False, "allow an alpha outside [0, 1/3]")
 
     def __post_init__(self) -> None:
         if not (self.any_alpha or 0 <= self.alpha <= 1 / 3 + 1e-15):
             raise SpecError(
                 f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
-                f"known to be stable at every step; give any_alpha=true to take it all the same."
+                f"known to be stable at every step; give any_alpha=true to allow it."
             )
 
     @property
@@ -211,7 +211,7 @@ class WBZ(AlphaMethod):
 class Newmark(AlphaMethod):
     """Newmark's method; average acceleration (the trapezoidal rule) by default.
 
-    With gamma = 1/2 it is second order, and beta says which member it is: 1/4 average acceleration,
+    With gamma = 1/2 it is second order, and beta selects the member: 1/4 average acceleration,
     1/6 linear acceleration, 1/12 Fox & Goodwin (fourth order in the period of an undamped
     oscillator), 0 central differences (explicit where M is constant and the forces do not depend
     on v). Only 2 beta >= gamma >= 1/2 is stable at every step; see `stability_limit`.
@@ -229,8 +229,10 @@ class Newmark(AlphaMethod):
     )
 
     def stability_limit(self) -> float:
-        """Largest omega h at which an undamped oscillator stays bounded (Hughes 1987, ch. 9);
-        infinite if there is none, zero if it never does."""
+        """Return the largest omega h of a bounded undamped oscillator (Hughes 1987, ch. 9).
+
+        Infinite if there is no limit, zero if the oscillator grows at every step.
+        """
         if self.gamma < 0.5:
             return 0.0
         return math.inf if 2 * self.beta >= self.gamma else (self.gamma / 2 - self.beta) ** -0.5
@@ -239,7 +241,7 @@ class Newmark(AlphaMethod):
         if scene.has("constraint") and math.isfinite(self.stability_limit()):
             return (
                 f"constraints act like infinite frequencies, and with beta={self.beta:g}, "
-                f"gamma={self.gamma:g} it is not stable there; give 2 beta >= gamma >= 1/2."
+                f"gamma={self.gamma:g} the method is not stable there; give 2 beta >= gamma >= 1/2."
             )
         return None
 

@@ -1,7 +1,7 @@
 """The generalized-alpha method with error-controlled steps.
 
-Local errors are estimated from what a step has at hand. With shifts d and bends k of the auxiliary
-acceleration, aux(t_n) = a + d a' + k a'' to the order that counts, the recurrence gives::
+Local errors are estimated from values of the step. The auxiliary acceleration has shifts d and
+bends k: aux(t_n) = a + d a' + k a'', without terms of higher order. The recurrence gives::
 
     (1 - alpha_m) d+ = (alpha_m - alpha_f) h - alpha_m d
     (1 - alpha_m) k+ = (alpha_m - alpha_f) h^2/2 - alpha_m k - (1 - alpha_m) h d+
@@ -13,7 +13,8 @@ and the Taylor series of the updates of q and v give their local errors::
 
 For Newmark's method (d = k = 0) the first is the estimate of Zienkiewicz & Xie (1991),
 doi:10.1002/eqe.4290200907. x has e_v with theta and the derivatives of xdot. The derivatives are
-divided differences of the true a and xdot, which no start-up error of the auxiliary ones spoils.
+divided differences of the true a and xdot; start-up errors of the auxiliary values do not act on
+them.
 """
 
 from __future__ import annotations
@@ -40,18 +41,21 @@ from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
     from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
-#: Largest ratio of neighbouring steps by rho_inf. Updated gamma keeps the order in varying steps
-#: but not the stability at every step: these are a few percent below the largest ratios at which
-#: no pattern of up to six steps grows (``stepbench stability --ratios any``).
+#: Largest ratio of neighbouring steps by rho_inf. In varying steps updated gamma keeps the order,
+#: but not always stability. Up to a few percent above these ratios no pattern of up to six steps
+#: grows (``stepbench stability --ratios any``).
 _RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
 class Numbers(NamedTuple):
-    """A scheme, whether a and lam are in the error test, and the largest ratio of steps."""
+    """A scheme, the choice to test a and lam, too, and the largest ratio of steps."""
 
     scheme: Scheme
     all_tested: bool
@@ -59,16 +63,19 @@ class Numbers(NamedTuple):
 
 
 class State(NamedTuple):
-    """A state of the method with the bends, and the last divided differences of a, xdot and lam
-    over a step of size ``gap`` (at the start the exact derivatives, over none)."""
+    """A state of the method with the bends, and the last divided differences of a, xdot and lam.
+
+    The differences are over a step of size ``gap`` in s. At t0 they are exact derivatives, and gap
+    is zero.
+    """
 
     alpha: AlphaState
-    bend: Any
-    bend_x: Any
-    rate_a: Any
-    rate_xdot: Any
-    rate_lam: Any
-    gap: Any
+    bend: Scalar
+    bend_x: Scalar
+    rate_a: Float[Array, " nq"]
+    rate_xdot: Float[Array, " nx"]
+    rate_lam: Float[Array, " nl"]
+    gap: Scalar
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ class AdaptiveAlphaStep(StepFunctions):
         return self.step_of.read(scene, state.alpha)
 
     def estimate(self, before: State, after: State, h: Time) -> Errors:
-        """Local errors of q, v and x; for a and lam the error of a straight line between steps."""
+        """Local errors of q, v and x; for a and lam errors of linear interpolation."""
         s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
         bend, bend_x = bends_before(s, before, h)
 
@@ -136,19 +143,19 @@ class AdaptiveAlphaStep(StepFunctions):
         )
 
     def ratios(self) -> tuple[Scalar, Scalar]:
-        """The cut down to which updated gamma and theta need no restart, and the largest growth."""
+        """The smallest ratio without a restart of updated weights, and the largest growth."""
         s, growth = self.own.scheme, self.own.growth
         safe = jnp.maximum(safe_ratio(s.alpha_m), safe_ratio(s.delta_m))
         return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / growth), growth
 
 
-def bend_after(m: Any, f: Any, bend: Any, shift_end: Any, h: Any) -> Any:
-    """The bend k+ of the recurrence above, where m, f are alpha_m, alpha_f or delta_m, delta_f."""
+def bend_after(m: Scalar, f: Scalar, bend: Scalar, shift_end: Scalar, h: Scalar) -> Scalar:
+    """The bend k+ of the recurrence above; m, f are alpha_m, alpha_f or delta_m, delta_f."""
     return ((m - f) * h**2 / 2 - m * bend) / (1 - m) - h * shift_end
 
 
-def bends_before(s: Scheme, state: State, h: Any) -> tuple[Any, Any]:
-    """The bends at the start of a step: none after a restart, which also has no shift."""
+def bends_before(s: Scheme, state: State, h: Scalar) -> tuple[Scalar, Scalar]:
+    """The bends at the start of a step; zero after a restart, like the shifts."""
     w = weights(s, state.alpha, h)
     return (
         jnp.where(w.shift == state.alpha.shift, state.bend, 0.0),
@@ -185,7 +192,7 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
     )
     start: str = option(
         "corrected",
-        "corrected: aux shifted to where it belongs at t0; consistent: aux = a, with a transient",
+        "corrected: aux shifted in time at t0; consistent: aux = a, with a transient",
         choices=("corrected", "consistent"),
     )
     error_test: str = option(

@@ -12,14 +12,14 @@ step. ``aux`` is the auxiliary acceleration; the acceleration that is reported i
 Signs of alpha_m and alpha_f are the paper's; other codes use 1 - alpha.
 
 The unknowns of Newton's method are a, lam, xdot and y at the end of the step, and the constraint
-rows are divided by dq/da = h^2 beta (1 - alpha_f)/(1 - alpha_m). This is the scaling of constraint
-rows and multipliers by h^2 in another dress: the tangent's condition does not depend on h, and a
-fixed tolerance on a means a constraint residual that shrinks like h^2.
+rows are divided by dq/da = h^2 beta (1 - alpha_f)/(1 - alpha_m). This is equivalent to scaling
+constraint rows and multipliers by h^2: the tangent's condition does not depend on h, and with a
+fixed tolerance of a the constraint residual shrinks like h^2.
 
 ``formulation=stabilised_index2`` is the form of Gear, Gupta & Leimkuhler: Phi = 0 and
 d/dt Phi = 0 hold at the end of the step, and an extra multiplier mu corrects the position step
-along Phi_q(q_n)^T. With mu in units of acceleration (q+ gets - dq/da Phi_q^T mu) and the velocity
-rows divided by dv/da the tangent stays O(1), too.
+along Phi_q(q_n)^T. Here mu has units of acceleration (q+ gets - dq/da Phi_q^T mu), and velocity
+rows are divided by dv/da, so the tangent stays O(1).
 
 The classical (weighted-residual) forms are the same recurrences for a constant mass matrix, but
 they take ``aux`` for the acceleration: they report it and feed it to the controller.
@@ -27,6 +27,7 @@ they take ``aux`` for the acceleration: they report it and feed it to the contro
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -46,10 +47,10 @@ if TYPE_CHECKING:
     from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
-#: Unknowns are guessed ahead where that was so much better than staying put the last time; in a
-#: vibration that the steps do not resolve it is worse, and leads Newton's method astray.
+#: The guess is extrapolated if this would have left at most this part of the last change. In a
+#: vibration that the steps do not resolve extrapolation is worse, and Newton's method may fail.
 _SMOOTH = 0.1
-#: Rounding of the accelerations is passed on to the controller's tolerances up to this part.
+#: Largest relative rounding of accelerations that counts in the controller's tolerances.
 _MOST_ROUNDING = 1e-6
 
 
@@ -87,7 +88,7 @@ class FirstOrder(NamedTuple):
 
 
 class AlphaState(NamedTuple):
-    """Everything that a step hands to the next one."""
+    """All values that a step passes to the next one."""
 
     q: Array
     v: Array
@@ -99,7 +100,7 @@ class AlphaState(NamedTuple):
     xdot: Array
     auxx: Array
     y: Array
-    #: Times by which the auxiliary values run ahead of the true ones (delta in eqs 28-30).
+    #: Times in s by which auxiliary values are ahead of the true ones (delta in eqs 28-30).
     shift: Scalar
     shift_x: Scalar
     #: Size and weights of the last step.
@@ -107,38 +108,40 @@ class AlphaState(NamedTuple):
     gamma: Scalar
     theta: Scalar
     #: The acceleration that is reported.
-    seen: Array
+    reported: Array
     #: First and second divided differences of the unknowns, for the next guess.
     slopes: Array
-    #: Whether a guess by them would have been right the last time.
+    #: True if a guess by them would have been good the last time.
     smooth: Array
 
 
 def second_order_parameters(rho_inf: float) -> SecondOrder:
-    """The parameters for q of Chung & Hulbert (1993) in the paper's signs."""
+    """Return the parameters for q of Chung & Hulbert (1993) in the paper's signs."""
     alpha_m, alpha_f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     gamma = 0.5 + alpha_f - alpha_m
     return SecondOrder(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
 
 
 def first_order_parameters(rho_inf: float) -> FirstOrder:
-    """The parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
+    """Return the parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
     delta_m, delta_f = (3 * rho_inf - 1) / (2 * (rho_inf + 1)), rho_inf / (rho_inf + 1)
     return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m)
 
 
-def updated_weight(alpha_m: Any, alpha_f: Any, shift: Any, h: Any) -> tuple[Any, Any]:
-    """gamma (or theta) of this step and the shift after it, for second order at varying steps.
+def updated_weight(
+    alpha_m: Scalar, alpha_f: Scalar, shift: Scalar, h: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Return gamma (or theta) of this step and the shift after it: order two at varying steps.
 
-    The linear form of eqs (28)-(30) of the paper: it has no 0/0 at rho_inf = 1.
+    This is the linear form of eqs (28)-(30) of the paper; it has no 0/0 at rho_inf = 1.
     """
     shift_next = ((alpha_m - alpha_f) * h - alpha_m * shift) / (1 - alpha_m)
     weight = (1 - alpha_m) * (0.5 * h - shift) / ((1 - alpha_f) * h - shift)
     return weight, shift_next
 
 
-def safe_ratio(alpha_m: Any) -> Any:
-    """Smallest step ratio that keeps the updated weight in its proven interval.
+def safe_ratio(alpha_m: Scalar) -> Scalar:
+    """Return the smallest step ratio that keeps the updated weight in its proven interval.
 
     With s >= alpha_m/(1 - alpha_m) at every step, (1 - alpha_m)/(2 (1 - alpha_f)) <= gamma <
     1 - alpha_m; sharper cuts can send gamma to infinity.
@@ -147,24 +150,26 @@ def safe_ratio(alpha_m: Any) -> Any:
 
 
 class Weights(NamedTuple):
-    """What a step of size h starts from: auxiliary values and shifts (those of a restart where the
-    cut is too sharp), gamma and theta, and the shifts at its end."""
+    """Gamma and theta of a step, its auxiliary values at the start, and shifts at both ends.
 
-    aux: Any
-    auxx: Any
-    shift: Any
-    shift_x: Any
-    gamma: Any
-    theta: Any
-    shift_end: Any
-    shift_x_end: Any
+    After too sharp a cut the values at the start are those of a restart.
+    """
+
+    aux: Array
+    auxx: Array
+    shift: Scalar
+    shift_x: Scalar
+    gamma: Scalar
+    theta: Scalar
+    shift_end: Scalar
+    shift_x_end: Scalar
 
 
-def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
-    """Gamma and theta of the next step, by the policy of the scheme.
+def weights(s: Scheme, state: AlphaState, h: Scalar) -> Weights:
+    """Return gamma and theta of the next step, of size h in s, by the policy of the scheme.
 
-    A cut below the safe ratio restarts the recurrence (order two is kept) when they are updated,
-    unless the scheme is unguarded.
+    If they are updated and the scheme is guarded, a cut below the safe ratio restarts the
+    recurrence; order two is kept.
     """
     ratio, guarded = h / state.h, s.updated & s.guarded
     again = guarded & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
@@ -186,21 +191,21 @@ def weights(s: Scheme, state: AlphaState, h: Any) -> Weights:
 
 
 class Equations(NamedTuple):
-    """What the unknowns u = [a, lam, mu, xdot, y] of a step have to satisfy.
+    """Equations for the unknowns u = [a, lam, mu, xdot, y] of a step.
 
-    ``residual(u)``; ``at(u)``, the variables and xdot at the end of the step; ``cuts`` between the
-    groups of u; ``floors`` of rounding per group, below which no Newton update can fall; the
-    auxiliary values of the end without their part of u, and what that part is multiplied by.
+    ``at(u)`` are the variables and xdot at the end of the step, ``cuts`` the indices between groups
+    of u, ``rounding`` the rounding error of each group. Auxiliary values at the end are linear:
+    base + slope a, and base + slope xdot.
     """
 
-    residual: Any
-    at: Any
-    cuts: Any
-    floors: Any
-    aux_base: Any
-    aux_slope: Any
-    auxx_base: Any
-    auxx_slope: Any
+    residual: Callable[[Array], Array]
+    at: Callable[[Array], tuple[Variables, Array]]
+    cuts: Sequence[int]
+    rounding: tuple[Scalar, ...]
+    aux_base: Array
+    aux_slope: Scalar
+    auxx_base: Array
+    auxx_slope: Scalar
 
 
 def equations(
@@ -209,12 +214,12 @@ def equations(
     s: Scheme,
     state: AlphaState,
     w: Weights,
-    t: Any,
-    h: Any,
+    t: Time,
+    h: Time,
 ) -> Equations:
-    """The equations of a step of size h to time t."""
+    """Return the equations of a step of size h to time t, in s."""
     aux, auxx, gamma, theta = w.aux, w.auxx, w.gamma, w.theta
-    # Every end value is "base + slope * unknown", the unknowns being a and xdot.
+    # Every end value is base + slope * unknown; the unknowns are a and xdot.
     aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
     auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
     aux_base = (s.alpha_f * state.a - s.alpha_m * aux) / (1 - s.alpha_m)
@@ -225,59 +230,58 @@ def equations(
     q_slope, v_slope = h**2 * s.beta * aux_slope, h * gamma * aux_slope
     x_slope = h * theta * auxx_slope
     nmu = scene.sizes.nl if stabilised else 0
-    cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, nmu, scene.sizes.nx])
+    cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, nmu, scene.sizes.nx]).tolist()
 
-    def at(u: Any) -> tuple[Variables, Any]:
+    def at(u: Array) -> tuple[Variables, Array]:
         a, lam, mu, xdot, y = jnp.split(u, cuts)
         q, v, x = q_base + q_slope * a, v_base + v_slope * a, x_base + x_slope * xdot
         if nmu:
             q = q - q_slope * formulations.constraint_force(scene, state.q, t - h, mu)
         return Variables(q, v, a, lam, x, y, t), xdot
 
-    def seen_by_controller(z: Variables) -> Variables:
+    def for_controller(z: Variables) -> Variables:
         return z._replace(a=jnp.where(s.classical, aux_base + aux_slope * z.a, z.a))
 
-    def residual(u: Any) -> Any:
+    def residual(u: Array) -> Array:
         z, xdot = at(u)
         rows = [formulations.dynamics_residual(scene, z)]
         if scene.sizes.nl:
             rows.append(scene.constraint(z.q, t) / q_slope)
         if nmu:
             rows.append(formulations.constraint_velocity(scene, z.q, z.v, t) / v_slope)
-        rows += formulations.control_residuals(scene, seen_by_controller(z), xdot)
+        rows += formulations.control_residuals(scene, for_controller(z), xdot)
         return jnp.concatenate(rows)
 
-    # End positions and velocities are rounded to eps |q| and eps |v|; the scaled constraint rows
-    # turn that into accelerations, below which no Newton update can fall.
-    # Constraints are made of lengths, too, which are there where q is zero: at least one unit.
+    # End positions and velocities have rounding errors eps |q| and eps |v|. The scaled constraint
+    # rows turn them into errors of a, and no Newton update can fall below those.
+    # Constraints also contain lengths, which do not vanish with q: the size is at least one unit.
     of_q, of_v = (
         2 * _EPS * size / slope
         for size, slope in ((largest(q_base, 1.0), q_slope), (largest(v_base), v_slope))
     )
     of_a = (of_v if nmu else of_q) if scene.sizes.nl else 0.0
-    # What is rounding in a is rounding in what the controller makes of it.
+    # The controller's values inherit the rounding errors of a.
     part = jnp.minimum(of_a / (largest(state.a) + 1e-300), _MOST_ROUNDING)
     of_control = [part * largest(now, 0.0) for now in (state.xdot, state.y)]
-    floors = (of_a, of_a * formulations.largest_inertia(scene, q_base), of_q, *of_control)
-    return Equations(residual, at, cuts, floors, aux_base, aux_slope, auxx_base, auxx_slope)
+    rounding = (of_a, of_a * formulations.largest_inertia(scene, q_base), of_q, *of_control)
+    return Equations(residual, at, cuts, rounding, aux_base, aux_slope, auxx_base, auxx_slope)
 
 
-def extrapolated(u: Any, slopes: Any, h: Any, h_last: Any) -> Any:
-    """The unknowns at the end of a step, from the parabola through the last three; NaN slopes are
-    not known yet."""
+def extrapolated(u: Array, slopes: Array, h: Scalar, h_last: Scalar) -> Array:
+    """Extrapolate the unknowns to the end of a step by a parabola; unknown slopes are NaN."""
     first, second = jnp.nan_to_num(slopes)
     return u + h * (first + (h + h_last) * second)
 
 
-def differences(new: Any, old: Any, slopes: Any, h: Any, h_last: Any) -> Any:
-    """First and second divided differences after a step."""
+def differences(new: Array, old: Array, slopes: Array, h: Scalar, h_last: Scalar) -> Array:
+    """Return first and second divided differences ``(2, n)`` after a step."""
     first = (new - old) / h
     return jnp.stack([first, (first - slopes[0]) / (h + h_last)])
 
 
 @dataclass(frozen=True)
 class AlphaStep(StepFunctions):
-    """The step functions of the family: all members are numbers, a `Scheme`."""
+    """The step functions of the family; a member is a set of numbers, its `Scheme`."""
 
     stabilised: bool
     scheme: Any = None
@@ -288,14 +292,14 @@ class AlphaStep(StepFunctions):
         return replace(self, scheme=numbers)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AlphaState:
-        """aux = a(t0), or shifted by (alpha_m - alpha_f) h to where the recurrence wants it.
+        """Begin with aux = a(t0), or with aux = a at t0 + (alpha_m - alpha_f) h if corrected.
 
-        On index 3 the shift alone leaves a first-order transient in lambda. It is gone with
-        v0 + C h^2 Q jerk, C = 1/6 - beta - (alpha_m - alpha_f)/2, where Q projects on the range of
-        M^-1 Phi_q^T.
+        With index 3 this shift alone leaves a first-order transient in lambda. The velocity
+        v0 + C h^2 Q jerk removes it: C = 1/6 - beta - (alpha_m - alpha_f)/2, and Q projects to the
+        range of M^-1 Phi_q^T.
         """
         z, s = start.z, self.scheme
-        on = jnp.where(s.corrected, 1.0, 0.0)
+        corrected = jnp.where(s.corrected, 1.0, 0.0)
         shift, shift_x = (s.alpha_m - s.alpha_f) * h, (s.delta_m - s.delta_f) * h
         v = z.v
         if scene.sizes.nl and not self.stabilised:
@@ -303,9 +307,9 @@ class AlphaStep(StepFunctions):
             part = start.constrained_jerk
             if part is None:
                 part = formulations.constrained_part(scene, z.q, z.t, start.jerk)
-            v = v + on * c * h**2 * part
-        aux = z.a + on * shift * start.jerk
-        auxx = start.xdot + on * shift_x * start.xddot
+            v = v + corrected * c * h**2 * part
+        aux = z.a + corrected * shift * start.jerk
+        auxx = start.xdot + corrected * shift_x * start.xddot
         return AlphaState(
             z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma,
             s.theta, z.a, jnp.full((2, sum(scene.sizes)), jnp.nan), jnp.asarray(False),
@@ -322,17 +326,17 @@ class AlphaStep(StepFunctions):
         no_mu = jnp.zeros(scene.sizes.nl if self.stabilised else 0)
         guesses = [jnp.concatenate([u[: e.cuts[1]], no_mu, u[e.cuts[1] :]]) for u in (ahead, old)]
         guess = jnp.where(state.smooth, *guesses)
-        z, xdot = e.at(work.solve(e.residual, guess, guesses[1], e.cuts, e.floors))
+        z, xdot = e.at(work.solve(e.residual, guess, guesses[1], e.cuts, e.rounding))
         aux_end, auxx_end = e.aux_base + e.aux_slope * z.a, e.auxx_base + e.auxx_slope * xdot
-        seen = jnp.where(s.classical, aux_end, z.a)
+        reported = jnp.where(s.classical, aux_end, z.a)
         new = jnp.concatenate([z.a, z.lam, xdot, z.y])
         return AlphaState(
             z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-            w.gamma, w.theta, seen, differences(new, old, state.slopes, h, state.h),
+            w.gamma, w.theta, reported, differences(new, old, state.slopes, h, state.h),
             largest(new - ahead) < _SMOOTH * largest(new - old),
         )  # fmt: skip
 
     def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:
-        """The variables, and the step's size and weights."""
+        """Return the variables; the notes are the step's size and weights."""
         s = state
-        return Reading(s.q, s.v, s.seen, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))
+        return Reading(s.q, s.v, s.reported, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))

@@ -1,4 +1,4 @@
-"""The generalized-alpha recurrence as a linear multistep method: what can be known on paper.
+"""The generalized-alpha recurrence as a linear multistep method.
 
 With E the shift to the next step, the recurrence of Bruels & Arnold (2008), algorithm 1, reads::
 
@@ -6,7 +6,7 @@ With E the shift to the next step, the recurrence of Bruels & Arnold (2008), alg
     (E - 1) v = h nu(E) A   nu(z) = gamma z + 1 - gamma
     (E - 1) q = h v + h^2 (beta E + 1/2 - beta) A
 
-for the auxiliary acceleration A, whose elimination leaves two multistep formulas::
+for the auxiliary acceleration A. Without A, two multistep formulas remain::
 
     mu(E) (E - 1)   v = h   nu(E)    alpha(E) a
     mu(E) (E - 1)^2 q = h^2 sigma(E) alpha(E) a
@@ -19,26 +19,30 @@ the highest power first.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from integrators.methods.generalized_alpha_step import Scheme, safe_ratio
 from integrators.multistep import Multistep, MultistepForm
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _ONE = np.array([1.0, -1.0])  # z - 1
 
 
 @dataclass(frozen=True)
 class Recurrence:
-    """The polynomials of a scheme, in the names of this module's docstring."""
+    """The polynomials of a scheme; their names are those of the module's docstring."""
 
-    mu: np.ndarray
-    alpha: np.ndarray
-    nu: np.ndarray
-    sigma: np.ndarray
-    mu_x: np.ndarray
-    alpha_x: np.ndarray
-    nu_x: np.ndarray
+    mu: Float[np.ndarray, " 2"]
+    alpha: Float[np.ndarray, " 2"]
+    nu: Float[np.ndarray, " 2"]
+    sigma: Float[np.ndarray, " 3"]
+    mu_x: Float[np.ndarray, " 2"]
+    alpha_x: Float[np.ndarray, " 2"]
+    nu_x: Float[np.ndarray, " 2"]
     smallest_ratio: float
 
     @property
@@ -77,7 +81,7 @@ class Recurrence:
 
 
 def recurrence_of(scheme: Scheme) -> Recurrence:
-    """The polynomials of a scheme with constant weights."""
+    """Return the polynomials of a scheme with constant weights."""
     s = scheme
     return Recurrence(
         mu=np.array([1 - s.alpha_m, s.alpha_m]),
@@ -87,5 +91,5 @@ def recurrence_of(scheme: Scheme) -> Recurrence:
         mu_x=np.array([1 - s.delta_m, s.delta_m]),
         alpha_x=np.array([1 - s.delta_f, s.delta_f]),
         nu_x=np.array([s.theta, 1 - s.theta]),
-        smallest_ratio=max(0.0, safe_ratio(s.alpha_m)),
+        smallest_ratio=max(0.0, float(safe_ratio(s.alpha_m))),
     )

@@ -8,11 +8,11 @@ error at ``rtol^(1/p)`` times the tolerance makes h go with tol^(1/p), and the g
 mesh with the fewest steps for a given sum of local errors.
 
 An error is measured as the bench measures it: the Euclidean norm of a group (q, v, x, a, lam)
-relative to the norm of the group's values, at the larger end of the step, with atol added. That
-follows the motion alike when it speeds up and when it slows down; a scale that remembers the
-largest value so far does not, and costs up to a thousand times the error where small errors grow.
-Only a and lam, if they are tested, are taken relative to their largest values: they have no history
-of their own, and after a cut they move by the error of the step before, however small the next is.
+relative to the norm of the group's values, at the larger end of the step, with atol added. This
+scale follows a motion that slows down. The largest value so far would not, and costs up to a
+thousand times the error where small errors grow. Only a and lam, if they are tested, are relative
+to their largest values: they have no history of their own, and after a cut they move by the error
+of the step before, however small the next is.
 
 The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210242)::
 
@@ -22,7 +22,7 @@ The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,12 @@ from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float, Int
+
+    from integrators.native.step_records import MethodState, Scalar, Time
 
 _OK, _MOST_STEPS, _ERROR, _NEWTON, _NOT_FINITE, _DIVERGED = (
     int(ending)
@@ -67,33 +73,34 @@ _SPREAD_SLOTS = 2 * SPREAD_ROWS
 
 
 class Span(NamedTuple):
-    """From where to where, to what tolerance, in how many steps at most."""
+    """Interval in s, tolerances and step limit of a run."""
 
-    t0: Any
-    t_end: Any
-    rtol: Any
-    atol: Any
-    max_steps: Any
+    t0: Scalar
+    t_end: Scalar
+    rtol: Scalar
+    atol: Scalar
+    max_steps: Int[Array, ""] | int
 
 
 class _Progress(NamedTuple):
-    """Where a run is: the method's state at t, the step to try next, the error of the last that
-    was accepted, the largest a and lam so far, how the last try ended, counts, and rows kept."""
+    """Progress of a run: time and state, the step to try next, control, counts and stored rows."""
 
-    t: Any
-    state: Any
-    h: Any
-    error: Any
-    peaks: Any
-    ending: Any
-    counts: tuple
-    early: Any
-    spread: Any
-    stride: Any
+    t: Scalar
+    state: MethodState
+    h: Time
+    #: Relative size of the last accepted step's error; 1 is just allowed.
+    error: Scalar
+    #: Largest norms of a and lam so far.
+    peaks: tuple[Scalar, ...]
+    ending: Int[Array, ""]
+    counts: tuple[Int[Array, ""], ...]
+    early: Float[Array, "e n"]
+    spread: Float[Array, "s n"]
+    stride: Int[Array, ""]
 
 
 class AdaptiveRun(PreparedRun):
-    """A run whose steps follow a tolerance; ``noted`` names what a reading notes."""
+    """A run whose steps follow a tolerance; ``noted`` are the names of a reading's notes."""
 
     def __init__(
         self,
@@ -123,7 +130,7 @@ class AdaptiveRun(PreparedRun):
         early, spread, last, end = map(np.asarray, self.kernel(self.arguments, self._keep))
         ending, t, *counts = end
         status, message = Ending(int(ending)).outcome(
-            float(t), self._span.t_end, self._span.max_steps
+            float(t), float(self._span.t_end), int(self._span.max_steps)
         )
         rows = in_order(np.concatenate([early, spread, last[None]]))
         values = with_start(self._start, rows[:, 1:], self._noted)
@@ -132,44 +139,46 @@ class AdaptiveRun(PreparedRun):
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:
-    """The rows of a kernel that are there, each once, step by step."""
+    """The stored rows of a kernel in the order of steps, without repetitions and empty rows."""
     _, places = np.unique(rows[:, 0], return_index=True)
     return rows[places[rows[places, 0] > 0]]
 
 
 class _SparseKernel(SparseKernel):
-    """At chosen steps; tries are counted, rejected ones included."""
+    """A sparse kernel at chosen steps; its step limit counts rejected steps, too."""
 
-    def most_steps(self, packed: Any, *wanted: Any) -> int:
+    def most_steps(self, packed: Array, *wanted: Any) -> int:
         return int(self.unpacked(packed)[-1].max_steps)
 
-    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+    def limited(self, steps: int, packed: Array, *wanted: Any) -> tuple:
         *others, last = self.unpacked(packed)
         return self.pack(*others, last._replace(max_steps=steps)), *wanted
 
-    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+    def up_to(self, steps: int, packed: Array, *wanted: Any) -> Any:
         *rows, end = self._attempt(*self.limited(steps, packed, *wanted))
         return *rows, end.at[0].set(_NOT_FINITE)
 
 
 @cache
 def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
-    """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
+    """Return the compiled time loop of a method on a kind of scene, for any numbers and parameters.
 
     It returns the first rows, rows spread over the run, and the last row, each ``[step, t, q, v, a,
     lam, x, xdot, y, notes]`` (step 0: no row), and ``[ending, t, steps, rejected, newton, ...]``.
-    With ``wanted`` 0 the last row is the only one; with None the program has no room for others,
-    which many runs side by side would copy in every step.
+    With ``wanted`` 0 only the last row is stored. With None the program has no memory for other
+    rows: many runs side by side would copy it in every step.
     """
     order = program.functions.order
 
-    def size_of(errors: Errors, old: Reading, new: Reading, peaks: Any, span: Span) -> Any:
-        """Largest error relative to what is allowed; 1 is just accepted."""
+    def size_of(
+        errors: Errors, old: Reading, new: Reading, peaks: tuple[Scalar, ...], span: Span
+    ) -> Scalar:
+        """Largest error relative to the allowed error; 1 is just accepted."""
 
-        def relative(group: str, scale: Any) -> Any:
+        def relative(group: str, scale: Scalar) -> Scalar:
             return jnp.linalg.norm(getattr(errors, group)) / (span.atol + span.rtol * scale)
 
-        def larger_end(group: str) -> Any:
+        def larger_end(group: str) -> Scalar:
             norm = jnp.linalg.norm
             return jnp.maximum(norm(getattr(old, group)), norm(getattr(new, group)))
 
@@ -178,14 +187,14 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         # Local errors go with h^(p+1), those of a and lam with h^p.
         return jnp.maximum(states / span.rtol ** (1 / order), algebraic ** ((order + 1) / order))
 
-    def sizes_of(reading: Reading) -> tuple[Any, Any]:
+    def sizes_of(reading: Reading) -> tuple[Scalar, Scalar]:
         return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
 
-    def first_step(start: Start, span: Span) -> Any:
-        """Where the next term of the Taylor series of q or v reaches the tolerance."""
+    def first_step(start: Start, span: Span) -> Time:
+        """Step at which the next term of the Taylor series of q or v reaches the tolerance."""
         z, length = start.z, span.t_end - span.t0
 
-        def limit(rate: Any, scale: Any, power: int) -> Any:
+        def limit(rate: Array, scale: Scalar, power: int) -> Scalar:
             allowed = (span.atol + span.rtol * scale) * span.rtol ** (1 / order)
             return (allowed / (jnp.linalg.norm(rate) + 1e-300)) ** (1 / power)
 
@@ -195,13 +204,15 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         h = jnp.minimum(h, limit(start.xddot, norm(z.x), 2))
         return jnp.minimum(h, _FIRST_PART * length)
 
-    def fitted(h: Any, left: Any) -> Any:
-        """The step or a little more or less of it, so that the end is met without a sliver."""
+    def fitted(h: Time, left: Scalar) -> Time:
+        """The step, changed a little so that the last step to the end is not tiny."""
         return jnp.where(left <= h * 1.001, left, jnp.where(left < 2 * h, left / 2, h))
 
-    def keep(m: _Progress, n: Any, row: Any, wanted: Any) -> _Progress:
-        """Store the row of the n-th step among the first or in the spread; when the spread is
-        full, every other of its rows goes and the stride doubles."""
+    def keep(m: _Progress, n: Array, row: Array, wanted: Array) -> _Progress:
+        """Store the row of the n-th step among the first rows or in the spread.
+
+        When the spread is full, every other row of it is dropped and the stride doubles.
+        """
         early = m.early.at[jnp.where(wanted & (n <= FIRST_ROWS), n - 1, FIRST_ROWS)].set(
             row, mode="drop"
         )
@@ -209,17 +220,19 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         spread = m.spread.at[jnp.where(hit, slot, _SPREAD_SLOTS)].set(row, mode="drop")
         full = hit & (slot == _SPREAD_SLOTS - 1)
 
-        def thin(spread: Any) -> Any:
+        def thin(spread: Array) -> Array:
             return jnp.zeros_like(spread).at[:SPREAD_ROWS].set(spread[1::2])
 
         spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
         return m._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * m.stride)
 
     @small_matrices.without_products
-    def advance(p: dict, numbers: Any, state: Any, t: Any, h: Any) -> tuple:
+    def advance(p: dict, numbers: Numbers, state: Any, t: Time, h: Time) -> tuple[Any, StepReport]:
         return program.step(template.with_parameters(p), numbers, state, t, h)
 
-    def loop(p: dict, numbers: Numbers, start: Start, span: Span, wanted: Any) -> tuple:
+    def loop(
+        p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None
+    ) -> tuple[Array, ...]:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
         h0 = jnp.maximum(first_step(start, span), smallest)
@@ -229,13 +242,13 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         lowest, highest = program.ratios(numbers)
         power = 1 / (order + 1)
 
-        def going(m: _Progress) -> Any:
+        def going(m: _Progress) -> Array:
             return (m.t < span.t_end) & (m.ending == _OK)
 
         def try_step(m: _Progress) -> _Progress:
             left = span.t_end - m.t
-            # Among many runs those that have ended step on, too, and the step is dropped. It is
-            # made one that Newton's method leaves at once.
+            # Among many runs an ended run still takes steps, whose results are dropped. With a NaN
+            # step Newton's method ends at once.
             h = jnp.where(going(m), fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)

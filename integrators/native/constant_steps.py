@@ -1,14 +1,14 @@
 """Runs at constant steps, or patterns of steps: the compiled time loop.
 
 One compiled kernel serves a method on all scenes of one kind: schemes, steps, patterns, parameters
-and tolerances are traced arguments and compile nothing new. Rows are kept inside the loop, so that
+and tolerances are traced arguments and compile nothing new. The loop stores chosen rows only, so
 memory does not grow with the number of steps.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -32,35 +32,43 @@ from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float, Int
+
+    from integrators.native.step_records import Scalar, Time
+
 _OK, _NEWTON_FAILED, _DIVERGED = (
     int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED)
 )
 _PATTERN_SLOTS = 16
-#: The first steps, the first macro steps and the spread: as many rows as a run can ask for.
+#: Most rows that a run can ask for: the first steps, the first macro steps and the spread.
 _ROW_SLOTS = 2 * FIRST_ROWS + SPREAD_ROWS + 1
 
 
 class Clock(NamedTuple):
-    """A grid of steps: n-th step ends at t0 + length (m + ends[j]) / macro_steps, where
-    m, j = divmod(n, slots)."""
+    """A grid of steps: the n-th step ends at t0 + length (m + ends[j]) / macro_steps.
 
-    t0: Any
-    length: Any
-    macro_steps: Any
-    fractions: Any
-    ends: Any
-    slots: Any
+    Here m, j = divmod(n, slots), and n counts from zero. Times are in s.
+    """
+
+    t0: Scalar
+    length: Scalar
+    macro_steps: Scalar
+    fractions: Float[Array, " p"] | Float[np.ndarray, " p"]
+    ends: Float[Array, " p"] | Float[np.ndarray, " p"]
+    slots: Int[Array, ""] | int
 
 
-def step_times(clock: Clock, n: Any) -> tuple[Any, Any]:
-    """Time at the end of the n-th step (from zero), and its size."""
+def step_times(clock: Clock, n: Int[Array, ""] | int) -> tuple[Time, Time]:
+    """Time at the end of the n-th step (from zero) and size of the step, in s."""
     macro, j = n // clock.slots, n % clock.slots
     t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
     return t, clock.length / clock.macro_steps * clock.fractions[j]
 
 
 def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, np.ndarray]:
-    """The clock of a run, and the numbers of the steps that are its rows, without the start."""
+    """The clock of a run, and the numbers of the steps whose ends are its rows, in order."""
     macro = resolution.count(t0, t_end)
     slots = len(resolution.pattern)
     fractions = np.zeros(_PATTERN_SLOTS)
@@ -72,7 +80,7 @@ def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, np.ndarray]
 
 
 class ConstantStepsRun(PreparedRun):
-    """A run at constant steps, or a pattern of them; ``noted`` names what a reading notes."""
+    """A run at constant steps or patterns; ``noted`` are the names of a reading's notes."""
 
     def __init__(
         self,
@@ -111,17 +119,17 @@ class ConstantStepsRun(PreparedRun):
 
 
 class _SparseKernel(SparseKernel):
-    """At constant steps; ``wanted`` are the step numbers of rows, and how many of them count."""
+    """A sparse kernel at constant steps; ``wanted``: step numbers of rows, and their count."""
 
-    def most_steps(self, packed: Any, *wanted: Any) -> int:
+    def most_steps(self, packed: Array, *wanted: Any) -> int:
         rows, row_count = wanted
         return int(rows[row_count - 1])
 
-    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
+    def limited(self, steps: int, packed: Array, *wanted: Any) -> tuple:
         rows, row_count = wanted
         return packed, jnp.full_like(rows, steps), jnp.ones_like(row_count)
 
-    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
+    def up_to(self, steps: int, packed: Array, *wanted: Any) -> Any:
         rows, row_count = wanted
         kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
         _, end = self._attempt(*self.limited(steps, packed, *wanted))
@@ -133,18 +141,18 @@ class _SparseKernel(SparseKernel):
 def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
 
-    It takes the step numbers of the rows to keep ``(rows,)`` and how many of them count. It
-    returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``, and
-    ``[ending, t, counts...]``.
+    It takes the step numbers of the rows to keep ``(rows,)`` and their count; later entries are
+    ignored. It returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``
+    and ``[ending, t, counts...]``.
     """
 
     @small_matrices.without_products
-    def advance(p: dict, numbers: Numbers, state: Any, t: Any, h: Any) -> tuple[Any, StepReport]:
+    def advance(p: dict, numbers: Numbers, state: Any, t: Time, h: Time) -> tuple[Any, StepReport]:
         return program.step(template.with_parameters(p), numbers, state, t, h)
 
     def loop(
-        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Any, row_count: Any
-    ) -> tuple:
+        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
+    ) -> tuple[Array, Array]:
         scene = template.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
         first = program.read(scene, state)
@@ -153,8 +161,8 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         def one_step(progress: tuple) -> tuple:
             n, state, ending, counts, _ = progress
             t, h = step_times(clock, n)
-            # Among many runs a step is taken for those that have failed, too, and dropped. It is
-            # made one that Newton's method leaves at once.
+            # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
+            # step Newton's method ends at once.
             h = jnp.where(ending == _OK, h, jnp.nan)
             state, report = advance(p, numbers, state, t, h)
             now = program.read(scene, state)

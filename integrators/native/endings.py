@@ -1,4 +1,4 @@
-"""How a run of a native method can end, with its status and its message."""
+"""Endings of a run of a native method, with their statuses and messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Ending(IntEnum):
-    """The ending of a time loop, as the compiled program tells it; zero while it goes on."""
+    """The ending of a time loop, as the compiled program reports it; zero while it runs."""
 
     OK = 0
     #: At constant steps: Newton's method failed in a step; the solution is not finite or grew.
@@ -25,7 +25,7 @@ class Ending(IntEnum):
         Parameters
         ----------
         t, t_end
-            Where the run ended and where it was to end, in s.
+            Time at which the run ended, and end of the interval, in s.
         max_steps
             Most steps of a run that chooses its steps.
         """

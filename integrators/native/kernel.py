@@ -1,47 +1,51 @@
-"""A compiled time loop, called with few arguments."""
+"""Compiled time loops that are called with few arguments."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from integrators.native import klu
 from problems.runtime import jax, jnp
 
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
 
 class Kernel:
     """A compiled time loop; its many small arguments travel as one array.
 
-    Each array that is handed to a compiled program or back costs as much as a step.
+    Each array that goes into a compiled program or comes back costs as much as a step.
 
     Parameters
     ----------
     loop
-        Traceable function of (parameters, numbers, start, time, *wanted), where ``wanted`` says
-        which rows are kept.
+        Traceable function of (parameters, numbers, start, time, *wanted); ``wanted`` selects the
+        rows to keep.
     """
 
     def __init__(self, loop: Callable) -> None:
         self._unpack: Callable | None = None
 
-        def run(packed: Any, *wanted: Any) -> Any:
+        def run(packed: Array, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
 
         self.compiled = jax.jit(run)
-        # Side by side, many numbers are treated alike: registers as wide as they come.
+        # Many runs do the same arithmetic side by side: use the widest registers.
         wide = {"xla_cpu_prefer_vector_width": 512}
         self._many = jax.jit(jax.vmap(run), compiler_options=wide)
 
-    def pack(self, *arguments: Any) -> Any:
-        """Pack parameters, numbers, start and time (floats, and integers below 2^53)."""
+    def pack(self, *arguments: Any) -> Float[Array, " n"]:
+        """Pack parameters, numbers, start and time: floats, and integers below 2^53."""
         leaves, tree = jax.tree.flatten(arguments)
         leaves = [np.asarray(leaf) for leaf in leaves]
         cuts = np.cumsum([leaf.size for leaf in leaves])[:-1]
 
-        def unpack(packed: Any) -> Any:
+        def unpack(packed: Array) -> Any:
             parts = jnp.split(packed, cuts)
             return jax.tree.unflatten(
                 tree,
@@ -54,33 +58,33 @@ class Kernel:
         self._unpack = self._unpack or unpack
         return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
 
-    def unpacked(self, packed: Any) -> Any:
-        """The arguments that were packed."""
+    def unpacked(self, packed: Float[Array, " n"]) -> Any:
+        """The arguments that were packed; RuntimeError if this kernel has packed none yet."""
         if self._unpack is None:
-            raise RuntimeError("A kernel unpacks only what it has packed.")
+            raise RuntimeError("A kernel unpacks only arguments that it has packed.")
         return self._unpack(packed)
 
-    def __call__(self, packed: Any, *wanted: Any) -> Any:
+    def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)
 
-    def batched(self, packed: Any, *wanted: Any) -> Any:
-        """Many runs in one program: every argument has one more axis in front."""
+    def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
+        """Run many runs in one program: every argument has one more axis in front."""
         return self._many(packed, *wanted)
 
     @property
     def compilations(self) -> int:
-        """How many programs were compiled; one serves all schemes, steps and parameters."""
+        """Number of compiled programs; one serves all schemes, steps and parameters."""
         return self.compiled._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class SparseKernel(Kernel):
-    """A time loop with sparse tangents, which ends with a status where a tangent is singular.
+    """A time loop with sparse tangents; a singular tangent ends it with a status.
 
-    KLU ends the program at an exactly singular tangent, and with it go all results. The step in
-    which that happens is then found by bisection over the number of steps.
+    KLU stops the program at an exactly singular tangent, and all results are lost. Bisection over
+    the number of steps then finds the step of that tangent.
     """
 
-    def __call__(self, packed: Any, *wanted: Any) -> Any:
+    def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         result = self._attempt(packed, *wanted)
         if result is not None:
             return result
@@ -92,16 +96,16 @@ class SparseKernel(Kernel):
         return self.up_to(fine, packed, *wanted)
 
     @abstractmethod
-    def most_steps(self, packed: Any, *wanted: Any) -> int:
-        """How many steps these arguments ask for at most."""
+    def most_steps(self, packed: Float[Array, " n"], *wanted: Any) -> int:
+        """Largest number of steps that a run with these arguments takes."""
 
     @abstractmethod
-    def limited(self, steps: int, packed: Any, *wanted: Any) -> tuple:
-        """Arguments with which the loop ends after so many steps."""
+    def limited(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> tuple:
+        """Arguments of a run that ends after ``steps`` steps."""
 
     @abstractmethod
-    def up_to(self, steps: int, packed: Any, *wanted: Any) -> Any:
-        """The result of so many steps, with the ending of a singular tangent in the next."""
+    def up_to(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> Any:
+        """The result of ``steps`` steps, with the ending of a singular tangent in the next."""
 
     def _attempt(self, *arguments: Any) -> Any:
         try:

@@ -1,7 +1,8 @@
 """Linear algebra for Newton's method in a step: dense, or sparse by KLU.
 
-Full Newton asks for updates by the tangent at hand (`once`). Modified Newton keeps a tangent over
-iterations and steps: the dense solver keeps its inverse, the sparse one its factorisation.
+Full Newton takes each update by the tangent at the current unknowns (`once`). Modified Newton keeps
+a tangent over iterations and steps: the dense solver keeps its inverse, the sparse one its
+factorisation.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ class LinearSolver(ABC):
 
     @abstractmethod
     def nothing_kept(self, size: int) -> Array:
-        """What stands for a tangent of ``size`` unknowns as long as none is kept."""
+        """Placeholder for a kept tangent of ``size`` unknowns."""
 
     @abstractmethod
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
-        """What is kept of the tangent at u, in place of ``kept``."""
+        """The tangent at u in the form to keep; it replaces ``kept``."""
 
     @abstractmethod
     def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -43,11 +44,11 @@ class LinearSolver(ABC):
 
     @abstractmethod
     def known(self, kept: Array) -> Bool[Array, ""]:
-        """Whether a tangent is kept yet."""
+        """True if ``kept`` holds a tangent, not the placeholder."""
 
 
 class DenseSolver(LinearSolver):
-    """Full matrices; modified Newton keeps the inverse, NaN as long as there is none."""
+    """Full matrices; modified Newton keeps the inverse, at first a matrix of NaN."""
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
         return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))

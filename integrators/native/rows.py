@@ -1,4 +1,4 @@
-"""Rows of a trajectory, as the compiled time loops keep them."""
+"""Rows of a trajectory in the form that the compiled time loops store."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def flat(reading: Reading) -> Float[Array, " n"]:
 def with_start(start: Start, rows: np.ndarray, noted: tuple[str, ...]) -> dict[str, Any]:
     """Fields of a Trajectory from rows ``(k, [t, q, v, a, lam, x, xdot, y, notes])`` of a kernel.
 
-    The scene's start comes before them; no step led to it, so its notes are NaN.
+    The scene's start is the first row; its notes are NaN, because no step led to it.
     """
     z, nothing = start.z, np.full(len(noted), np.nan)
     first = [np.atleast_1d(p) for p in (z.t, z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y, nothing)]

@@ -1,8 +1,8 @@
 """Dense linear algebra of small matrices, without a call of a library.
 
-A loop that calls a library (LAPACK, or a routine for matrix products) is run piece by piece, and on
-small systems handing over from piece to piece costs far more than the arithmetic. The functions
-here call none, so that the whole time loop becomes one compiled function (see `problems.runtime`).
+XLA splits a loop that calls a library (LAPACK, or a routine for matrix products) into pieces. On
+small systems the change from piece to piece costs far more than the arithmetic. These functions
+call no library, so the whole time loop becomes one compiled function (see `problems.runtime`).
 """
 
 from __future__ import annotations
@@ -11,12 +11,17 @@ from collections.abc import Callable
 from functools import partial, reduce
 from math import prod
 from operator import add
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from problems import runtime
 from problems.runtime import jax, jnp
 
-#: Where primitives keep the functions that they call, and the bodies of loops and branches.
+if TYPE_CHECKING:
+    from jax import Array
+    from jax.extend.core import ClosedJaxpr
+    from jaxtyping import Float
+
+#: Parameters of primitives that hold called functions, and bodies of loops and branches.
 _CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
@@ -24,22 +29,22 @@ _CALLS = {
     "custom_vjp_call": "call_jaxpr",
 }
 _BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan": ("jaxpr",)}
-#: Matrices up to this size are dealt with here; the libraries are faster with larger ones.
+#: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32
-#: The same of many matrices side by side.
+#: Largest size of many matrices side by side.
 MOST_OF_MANY = 13
 #: A power of two above all rows.
 _ROOM = 64
 
 
-def inverse(a: Any) -> Any:
-    """Inverse of a square matrix; where there is none, it is not finite."""
+def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a square matrix; not finite if the matrix is singular."""
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.inv(a)
     alone = jax.custom_batching.custom_vmap(_by_elimination)
 
     @alone.def_vmap
-    def _(size: int, batched: list[bool], a: Any) -> tuple[Any, bool]:
+    def _(size: int, batched: list[bool], a: Array) -> tuple[Array, bool]:
         if a.shape[1] > MOST_OF_MANY:
             return jnp.linalg.inv(a), True
         return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
@@ -47,14 +52,14 @@ def inverse(a: Any) -> Any:
     return alone(a)
 
 
-def solve(a: Any, b: Any) -> Any:
+def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of a x = b for one right-hand side."""
     if len(a) > MOST or not runtime.joins_loops():
         return jnp.linalg.solve(a, b)
     alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
 
     @alone.def_vmap
-    def _(size: int, batched: list[bool], *parts: Any) -> tuple[Any, bool]:
+    def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:
         a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
         many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
         return many(a, b[:, :, None])[:, :, 0], True
@@ -62,25 +67,25 @@ def solve(a: Any, b: Any) -> Any:
     return alone(a, b)
 
 
-def product(a: Any, b: Any) -> Any:
-    """Product of a matrix and a vector; in terms of single columns, which XLA joins with the
-    computation of the vector."""
+def product(a: Float[Array, "m n"], b: Float[Array, " n"]) -> Float[Array, " m"]:
+    """Product of a matrix and a vector, as a sum of columns: XLA fuses it with the vector's
+    computation."""
     if len(b) > MOST:
         return a @ b
     return reduce(add, (a[:, k] * b[k] for k in range(len(b))))
 
 
-def _by_elimination(a: Any) -> Any:
-    """Gauss-Jordan elimination in place, with the largest pivots of the columns; instead of
-    exchanging rows it remembers which row was the pivot's."""
+def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Gauss-Jordan elimination in place with the largest pivot of each column; it stores pivot
+    rows instead of exchanging rows."""
     n, rows = len(a), jnp.arange(len(a))
     put = jax.lax.dynamic_update_index_in_dim
 
-    def eliminate(k: Any, carry: tuple) -> tuple:
+    def eliminate(k: Array, carry: tuple) -> tuple:
         w, row_of, column_of = carry
         column = w[:, k]
-        # Floats without a sign are ordered as their bits are, and integers are compared faster;
-        # the last bits make room for the row. What is not a number comes out largest.
+        # Floats without a sign have the order of their bits, and comparing integers is faster.
+        # The last bits hold the row. NaN is the largest.
         size = jax.lax.bitcast_convert_type(jnp.abs(column), jnp.int64) & -_ROOM | rows
         p = jnp.max(jnp.where(column_of == n, size, -1)) & (_ROOM - 1)
         row = put(w[p], 1.0, k, 0) / column[p]
@@ -91,25 +96,25 @@ def _by_elimination(a: Any) -> Any:
     return w[row_of][:, column_of]
 
 
-def _side_by_side(a: Any, b: Any) -> Any:
+def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[Array, "k n m"]:
     """Solutions of a x = b for many matrices a ``(k, n, n)`` and b ``(k, n, m)``.
 
-    Gauss-Jordan elimination with the largest pivots of the columns; the last axis is that of the
-    matrices, as the processor then does the same with several at once.
+    Gauss-Jordan elimination with the largest pivot of each column. The matrices are along the last
+    axis, so that the processor works with several at once.
     """
     w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
-    # XLA would compute all that is cheap anew wherever it is used, and eliminate many times over.
-    # It does not look into branches, and cannot tell that this is always so.
+    # XLA repeats cheap computations at every use, and would eliminate many times over. It does not
+    # look into branches, and cannot find out that this condition is always true.
     always = jnp.isnan(w[0, 0, 0]) | (w[0, 0, 0] <= jnp.inf)
     for k in range(a.shape[1]):
         w = jax.lax.cond(always, partial(_eliminated, k), lambda w: jnp.zeros_like(w[:, 1:]), w)
     return jnp.moveaxis(w, 2, 0)
 
 
-def _eliminated(k: int, w: Any) -> Any:
-    """Rows without the first column, which is that of the k-th unknown, by the k-th pivot."""
+def _eliminated(k: int, w: Array) -> Array:
+    """Eliminate the k-th unknown, the first column of w, and drop this column."""
     pivot = k + jnp.argmax(jnp.abs(w[k:, 0]), axis=0)
-    # Choices one after the other: to look the pivots up would take the matrices one by one.
+    # Choices one after the other: indexing by the pivots would take the matrices one by one.
     of_pivot = w[k]
     for i in range(k + 1, len(w)):
         of_pivot = jnp.where(pivot == i, w[i], of_pivot)
@@ -120,7 +125,7 @@ def _eliminated(k: int, w: Any) -> Any:
 
 
 def without_products(function: Callable) -> Callable:
-    """The function with products of small matrices written as sums, in loops and branches, too."""
+    """Rewrite products of small matrices in a function as sums, in loops and branches, too."""
 
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
@@ -130,8 +135,8 @@ def without_products(function: Callable) -> Callable:
     return rewritten
 
 
-def _evaluate(closed: Any, args: list) -> list:
-    """Evaluate a closed jaxpr, products of small matrices as sums."""
+def _evaluate(closed: ClosedJaxpr, args: list) -> list:
+    """Evaluate a closed jaxpr; products of small matrices are sums."""
     from jax.extend.core import Literal
 
     jaxpr = closed.jaxpr
@@ -163,19 +168,19 @@ def _rewritten(body: Any) -> Any:
     return jax.make_jaxpr(lambda *args: _evaluate(body, list(args)))(*body.in_avals)
 
 
-def _is_small_product(a: Any, b: Any, numbers: tuple) -> bool:
-    """Whether both factors are small matrices: products with a vector need no library."""
+def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:
+    """True if both factors are small matrices; products with a vector need no library."""
     (contracted, _), (batched, _) = numbers
     inner, copies = (prod(a.shape[k] for k in axes) for axes in (contracted, batched))
     rows, columns = (x.size // max(inner * copies, 1) for x in (a, b))
     return min(rows, columns) > 1 and inner <= MOST and copies * rows * inner * columns <= MOST**3
 
 
-def _as_sum(a: Any, b: Any, numbers: tuple) -> Any:
+def _as_sum(a: Array, b: Array, numbers: tuple) -> Array:
     """``dot_general`` as the sum of columns of a times rows of b."""
 
-    def ordered(x: Any, contracted: tuple, batched: tuple) -> tuple[Any, int]:
-        """Batched axes, free axes, and the contracted ones as one; and how many are free."""
+    def ordered(x: Array, contracted: tuple, batched: tuple) -> tuple[Array, int]:
+        """x with batched, free and one contracted dimension in this order; number of free ones."""
         free = [k for k in range(x.ndim) if k not in (*contracted, *batched)]
         x = jnp.transpose(x, (*batched, *free, *contracted))
         return jnp.reshape(x, (*x.shape[: len(batched) + len(free)], -1)), len(free)

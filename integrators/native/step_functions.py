@@ -1,8 +1,8 @@
 """A one-step method as pure functions of a state: the contract between a method and its time loop.
 
 A method is written once as `StepFunctions`. The time loops (`constant_steps`, `adaptive_steps`),
-ensembles and the stability analysis take it from there: none of them knows a method, and no method
-knows how it is run.
+ensembles and the stability analysis use these functions. None of them knows a method, and no method
+knows its time loop.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 class StepFunctions(ABC):
     """A one-step method on any scene.
 
-    An object of it is hashable and holds what decides the form of the compiled program; numbers
-    that may vary without compiling again come in by `with_numbers`. All functions are pure and
-    written in ``jax.numpy``; sizes are those of ``scene.sizes``.
+    An object is hashable and holds all options that change the compiled program. Numbers that may
+    vary without compiling again come by `with_numbers`. All functions are pure and written in
+    ``jax.numpy``; sizes are those of ``scene.sizes``.
     """
 
     @abstractmethod
@@ -47,23 +47,31 @@ class StepFunctions(ABC):
     ) -> MethodState:
         """Advance the state by h, in s, to time t.
 
-        Equations are solved by ``work.solve(residual, guess)``, other work is counted by
+        Solve equations by ``work.solve(residual, guess)``; count other work by
         ``work.count(residuals=...)``.
+
+        Parameters
+        ----------
+        state
+            The method's state at t - h.
+        t, h
+            End and size of the step in s.
+        work
+            Solver and counter of this step.
         """
 
     @abstractmethod
     def read(self, scene: MechatronicSystem, state: MethodState) -> Reading:
-        """The variables in a state."""
+        """Return the variables of a state."""
 
     # ---- error control; only methods that choose their steps have it -------------------------
-    #: Order p of the method, by which the controller chooses steps.
+    #: Order p of the method; the step controller uses it.
     order: int
 
     def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
-        """Estimate the errors that the step of size h from one state to the next has made."""
+        """Estimate the local errors of the step of size h (s) from one state to the next."""
         raise NotImplementedError
 
     def ratios(self) -> tuple[Scalar, Scalar]:
-        """Smallest and largest ratio of neighbouring steps that the controller chooses of its own
-        accord."""
+        """Return the smallest and largest ratio of the next step to an accepted one."""
         return 0.0, 5.0

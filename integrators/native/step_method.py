@@ -1,10 +1,10 @@
 """Integrators that are written as step functions.
 
-`StepMethod` is what most people want: a method with ``begin``, ``step`` and ``read``. If its step
-solves equations, `ImplicitStepMethod` adds the options of Newton's method and of the linear solver,
-and nothing else has to be done for dense or sparse tangents, full or modified Newton. A method that
-estimates its errors adds `ErrorControl` to its bases. `NativeMethod` is the common base, which a
-family with step functions of its own (several members, one compiled kernel) inherits from directly.
+Most methods inherit from `StepMethod` and write ``begin``, ``step`` and ``read``. If the step
+solves equations, take `ImplicitStepMethod`: it adds the options of Newton's method (full or
+modified) and of the linear solver (dense or sparse). A method that estimates its errors adds
+`ErrorControl` to its bases. `NativeMethod` is the common base. A family with step functions of its
+own (several members, one compiled kernel) inherits from it directly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from problems.system import MechatronicSystem
 
 
 class NewtonSettings(NamedTuple):
-    """How the equations of a step are solved; see the options of `NewtonOptions`."""
+    """Settings of Newton's method; see the options of `NewtonOptions`."""
 
     tolerance: float = 0.0
     most: int = 0
@@ -35,43 +35,43 @@ class NewtonSettings(NamedTuple):
 
 @dataclass(frozen=True)
 class NativeMethod(Integrator):
-    """Base of the integrators that are step functions, marched by our own compiled time loops."""
+    """Base of the integrators whose step functions run in our own compiled time loops."""
 
-    #: Names of the scalars that a `Reading` notes of the last step.
+    #: Names of the notes of a `Reading`.
     noted: ClassVar[tuple[str, ...]] = ()
-    #: Whether its steps give q, v and x alone and count nothing: the equations give the rest.
+    #: True if steps give q, v and x alone and count nothing; the equations then give the rest.
     states_only: ClassVar[bool] = False
 
     @abstractmethod
     def functions(self) -> StepFunctions:
-        """The step functions; equal ones share their compiled kernels."""
+        """Return the step functions; equal ones share their compiled kernels."""
 
     @abstractmethod
     def numbers(self) -> Any:
-        """The numbers that the step functions take, a pytree; other values compile nothing new."""
+        """Return the numbers of the step functions, a pytree; new values compile nothing new."""
 
     @property
     def newton_settings(self) -> NewtonSettings:
-        """How equations are solved; an explicit method has none."""
+        """Settings of Newton's method; an explicit method does not use them."""
         return NewtonSettings()
 
     @property
     def step_limit(self) -> int:
-        """Most steps of a run that chooses its steps."""
+        """Most steps of an adaptive run, rejected ones included."""
         return 0
 
     def program(self, scene: MechatronicSystem, sparse: bool = True) -> tuple[StepProgram, Numbers]:
-        """The method on a scene as a time loop takes it, and its numbers.
+        """Return the program of the method on a scene for a time loop, and its numbers.
 
         Parameters
         ----------
         sparse
-            Whether tangents may be sparse; many runs side by side cannot have them.
+            True if tangents may be sparse; many runs side by side need dense ones.
 
         Raises
         ------
         problems.spec.SpecError
-            If sparse tangents are asked for and cannot be had.
+            If the user demands sparse tangents and they are impossible.
         """
         settings, numbers = self.newton_settings, self.numbers()
         tangents = self._sparse_tangents(scene, sparse, numbers)
@@ -118,13 +118,13 @@ class NativeMethod(Integrator):
 class StepMethod(NativeMethod, StepFunctions):
     """Base of a one-step method that is written as functions of a state: begin, step and read.
 
-    Inside of these functions the float options of ``self`` are traced: other values of them compile
-    nothing new, and Python's ``if`` cannot ask for them. All other options (text, whole numbers,
-    true or false) are plain values, which may decide by ``if`` how a step is made.
+    Inside these functions the float options of ``self`` are traced: new values compile nothing new,
+    and Python's ``if`` cannot test them. All other options (text, whole numbers, true or false) are
+    plain values, which ``if`` may test.
     """
 
     def functions(self) -> StepFunctions:
-        # Newton's method and the step control are no concern of the step functions.
+        # Step functions do not depend on the options of Newton's method and of the step control.
         others = {name: field.default for name, field in _not_of_the_step(type(self)).items()}
         neutral = {name: v if v is None else 1.0 for name, v in self.numbers().items()}
         return self.with_numbers(others | neutral)
@@ -141,7 +141,7 @@ class StepMethod(NativeMethod, StepFunctions):
 
 @dataclass(frozen=True)
 class NewtonOptions(NativeMethod):
-    """Options of methods whose steps solve equations; not to be inherited from directly."""
+    """Options of methods whose steps solve equations; inherit from `ImplicitStepMethod`."""
 
     newton_tol: float = option(
         1e-12,
@@ -177,7 +177,7 @@ class ImplicitStepMethod(NewtonOptions, StepMethod):
 class ErrorControl(NativeMethod):
     """Base of native methods whose steps follow a tolerance.
 
-    The step functions of such a method have ``order`` and ``estimate``, too.
+    The step functions of such a method also have ``order`` and ``estimate``.
     """
 
     controls: ClassVar[str] = "tolerance"

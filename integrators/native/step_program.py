@@ -19,18 +19,21 @@ from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Bool
+
     from integrators.native.step_records import MethodState, Scalar, Time
 
 
 class Numbers(NamedTuple):
     """All numbers of a method that a compiled program takes as arguments."""
 
-    #: Of the step functions.
+    #: Numbers of the step functions, a pytree.
     method: Any
-    #: Tolerance and most iterations of Newton's method.
+    #: Relative tolerance and most iterations of Newton's method.
     tolerance: Scalar
     most: Scalar
-    #: Of sparse tangents, one for each system of equations in a step.
+    #: KLU's analyses of sparse tangents, one for each system of equations in a step.
     analyses: tuple[klu.Analysis, ...] = ()
 
 
@@ -45,7 +48,7 @@ class _Carried(NamedTuple):
 class StepProgram:
     """A method on scenes of one kind as functions of (scene, numbers, state), for a time loop.
 
-    Programs are equal if they compile to the same: methods with equal step functions share one.
+    Methods with equal step functions have equal programs and share one compilation.
 
     Parameters
     ----------
@@ -62,7 +65,7 @@ class StepProgram:
     patterns: tuple[Pattern, ...] = ()
 
     def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Any:
-        """The state at t0, before a first step of size h."""
+        """The state at t0, before a first step of size h in s."""
         functions = self.functions.with_numbers(numbers.method)
         state = functions.begin(scene, start, h)
         if not self.keeps_tangents:
@@ -88,7 +91,7 @@ class StepProgram:
         return after, work.report()
 
     def read(self, scene: MechatronicSystem, state: Any) -> Reading:
-        """The variables in a state."""
+        """The variables of a state."""
         return self.functions.read(scene, self._of_method(state))
 
     def estimate(self, numbers: Numbers, before: Any, after: Any, h: Time) -> Errors:
@@ -97,11 +100,11 @@ class StepProgram:
         return functions.estimate(self._of_method(before), self._of_method(after), h)
 
     def ratios(self, numbers: Numbers) -> tuple[Scalar, Scalar]:
-        """Smallest and largest ratio of neighbouring steps that the controller chooses."""
+        """Smallest and largest ratio of the next step to an accepted one."""
         return self.functions.with_numbers(numbers.method).ratios()
 
-    def after_try(self, accepted: Any, after: Any, before: Any) -> Any:
-        """The state from which to go on, after a step that was accepted or not."""
+    def after_try(self, accepted: Bool[Array, ""], after: Any, before: Any) -> Any:
+        """The state for the next step: ``after`` if the last one was accepted, else ``before``."""
         chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), after, before)
         if self.keeps_tangents and self.patterns:
             # The factorisation from before the step may be freed already.
@@ -109,7 +112,7 @@ class StepProgram:
         return chosen
 
     def finish(self, state: Any) -> None:
-        """Give back what the last state holds."""
+        """Free the factorisations of the last state."""
         if self.keeps_tangents and self.patterns:
             for kept in state.kept:
                 klu.free(kept)
@@ -126,7 +129,7 @@ class SparseTangents(NamedTuple):
 
     patterns: tuple[Pattern, ...]
     analyses: tuple[klu.Analysis, ...]
-    #: They own the memory of the analyses.
+    #: KLU's objects, which own the memory of the analyses.
     symbolic: tuple[Any, ...]
 
 
@@ -150,7 +153,7 @@ def _sparse_tangents(
 ) -> SparseTangents:
     import klujax
 
-    # No number may be zero by chance and hide an entry: one pattern serves all numbers.
+    # One pattern serves all numbers, so no number may be zero and hide an entry.
     generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
     method = functions.with_numbers(jax.tree.unflatten(tree, generic))
     finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
@@ -168,7 +171,7 @@ def _sparse_tangents(
 
 
 def _at_rest(scene: MechatronicSystem) -> Start:
-    """A start whose derivatives are zero: it costs nothing, and patterns do not depend on it."""
+    """A start with derivatives of zero: patterns do not depend on them."""
     state, (nq, nl, nx, ny) = scene.initial_state(), scene.sizes
     q, v, x = map(jnp.asarray, state)
     nothing, of_x = jnp.zeros(nq), jnp.zeros(nx)

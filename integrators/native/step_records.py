@@ -14,14 +14,15 @@ if TYPE_CHECKING:
     Scalar: TypeAlias = Float[Array, ""] | float
     #: A time or a step in s.
     Time: TypeAlias = Float[Array, ""]
-    #: A pytree of arrays that only the method itself looks into.
+    #: A pytree of arrays; only the method itself reads its parts.
     MethodState: TypeAlias = Any
 
 
 class Reading(NamedTuple):
-    """The variables that a state holds, as they are reported: q, v, a ``(nq,)``, lam ``(nl,)``, x,
-    xdot ``(nx,)``, y ``(ny,)``; and scalars of the last step, in the order of the method's
-    ``noted``."""
+    """The reported variables of a state, in the scene's units.
+
+    ``notes`` are scalars of the last step in the order of the method's ``noted``.
+    """
 
     q: Float[Array, " nq"]
     v: Float[Array, " nq"]
@@ -34,7 +35,7 @@ class Reading(NamedTuple):
 
 
 class StepReport(NamedTuple):
-    """Whether the equations of a step were solved, and how often each part of the work was done."""
+    """Success of a step's equations, and counts of the work."""
 
     converged: Bool[Array, ""] | bool = True
     newton: Int[Array, ""] | int = 0
@@ -47,8 +48,8 @@ class StepReport(NamedTuple):
 class Errors(NamedTuple):
     """Estimated errors of a step, per entry of q, v, x, a and lam.
 
-    Those of q, v and x are of order p + 1 in the step, those of a and lam of order p; the latter
-    may be zero: not tested.
+    Errors of q, v and x are of order p + 1 in the step, errors of a and lam of order p. Errors of a
+    and lam may be zero: they are not tested then.
     """
 
     q: Float[Array, " nq"]
@@ -59,5 +60,5 @@ class Errors(NamedTuple):
 
 
 def largest(*parts: Array | Scalar) -> Float[Array, ""]:
-    """Largest absolute value over arrays that may be empty; NaN if there is one."""
+    """Largest absolute value over arrays, some of them empty; NaN if an entry is NaN."""
     return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))

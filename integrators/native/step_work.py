@@ -1,13 +1,13 @@
 """The work of one step: solving its equations, and counting.
 
-A method says which equations it solves; the tangent's linear algebra (dense or sparse), full or
-modified Newton, and the tangents that are kept over steps are dealt with here.
+A method states its equations. `StepWork` does the rest: the tangent's linear algebra (dense or
+sparse), full or modified Newton, and tangents that are kept over steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from integrators.native.linear_solvers import DENSE, LinearSolver
 from integrators.native.newton import newton
@@ -16,7 +16,7 @@ from problems.runtime import jnp
 
 if TYPE_CHECKING:
     from jax import Array
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
     from integrators.native.step_records import Scalar
 
@@ -24,35 +24,35 @@ if TYPE_CHECKING:
 
 
 class StepWork:
-    """Solves the equations of a step and counts what is done for it.
+    """Solves the equations of a step and counts the work.
 
-    One object serves one step, while that is traced. The equations of a step are solved in the
-    same order in every step: the k-th solver and the k-th kept tangent belong to the k-th call.
+    One object serves one step while JAX traces it. All steps solve their equations in the same
+    order: the k-th solver and the k-th kept tangent belong to the k-th call.
 
     Parameters
     ----------
     solvers
         The linear solver of the k-th call of `solve`.
     kept
-        What modified Newton keeps of the last step's tangents; None for full Newton.
+        Tangents that modified Newton kept from the last step; None for full Newton.
     tolerance
         Relative error that Newton's method may leave in each group of unknowns.
     most
-        Most Newton iterations of a call.
+        Most Newton iterations in a call of `solve`.
     """
 
     def __init__(
         self,
         solvers: Callable[[int], LinearSolver],
-        kept: Sequence[Any] | None,
+        kept: Sequence[Array] | None,
         tolerance: Scalar,
         most: Scalar,
     ) -> None:
         self._solvers, self._before = solvers, kept
         self._tolerance, self._most = tolerance, most
         self._report: StepReport | None = None
-        #: What modified Newton keeps for the next step.
-        self.kept: list[Any] = []
+        #: Tangents that modified Newton keeps for the next step.
+        self.kept: list[Array | None] = []
         self._calls = 0
 
     def solve(
@@ -70,15 +70,19 @@ class StepWork:
         residual
             Function of the unknowns u, of u's shape.
         guess
-            Where the iteration begins.
+            Unknowns at which the iteration begins.
         old
-            The unknowns at the start of the step: modified Newton goes back to them where it has
-            lost its way, and they tell the unknowns' size; ``guess`` if not given.
+            Unknowns at the start of the step; ``guess`` if not given. They help to find the size of
+            the unknowns, and modified Newton goes back to them if it fails.
         groups
-            Indices at which u is split into groups, each with a size of its own; one group if
-            not given.
+            Indices at which u is split into groups, each with its own size; one group if not given.
         rounding
-            Errors that rounding leaves in each group in any case; none if not given.
+            Rounding error of each group, in its unit; no update can fall below it. Zero if not
+            given.
+
+        Returns
+        -------
+        The solution. A failure shows in the report and ends the run; nothing is raised.
         """
         k, self._calls = self._calls, self._calls + 1
         old = guess if old is None else old
@@ -99,13 +103,13 @@ class StepWork:
         factorisations: int = 0,
         solves: int = 0,
         newton: int = 0,
-        converged: Any = True,
+        converged: Bool[Array, ""] | bool = True,
     ) -> None:
-        """Count work that is done outside of `solve`; ``converged`` false ends the run."""
+        """Count work outside of `solve`; the run ends if ``converged`` is false."""
         self._add(StepReport(converged, newton, residuals, jacobians, factorisations, solves))
 
     def report(self) -> StepReport:
-        """All that was done in this step."""
+        """Return the counts of this step, and the success of its equations."""
         return self._report or StepReport()
 
     def _add(self, more: StepReport) -> None:
@@ -118,14 +122,14 @@ class StepWork:
 
 
 class Equations(NamedTuple):
-    """One system of equations that a step solves, as a method states it."""
+    """One system of equations of a step: its residual, and the number of unknowns."""
 
     residual: Residual
     size: int
 
 
 class EquationsFinder(StepWork):
-    """Finds out which equations a step solves, and solves none."""
+    """Records the equations of a step and solves none."""
 
     def __init__(self) -> None:
         super().__init__(lambda k: DENSE, None, 0.0, 0)
@@ -139,6 +143,6 @@ class EquationsFinder(StepWork):
         groups: Sequence[int] = (),
         rounding: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
-        """Note the equations, and return the guess."""
+        """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess)))
         return guess

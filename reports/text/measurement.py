@@ -98,7 +98,7 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         "compiling and consistent initial values are done before and listed apart.",
         f"{samples}; they are taken in turns over all runs, so that a slow minute of the machine "
         "hits all alike. Shown is the median, as bars the fastest and the slowest sample.",
-        "Work is counted where it happens. What a library does not let us count is 'not counted'.",
+        "Work is counted where it happens. A count that a library does not give is 'not counted'.",
         "Errors are relative, per group of variables and per norm; 'after the start transient' "
         "is the last part of the interval. Orders are fitted by rule in the finest window where "
         "the slope holds; fewer than three points give 'not determined'.",

@@ -1,11 +1,10 @@
-"""What solvers pay for calling the equations back in Python: IDA and scipy's Radau.
+"""Cost of calling the equations back in Python, for IDA and scipy's Radau.
 
-``make bench`` prints a table and writes it as JSON. Calls are counted in the run; arithmetic, call
-and callback are timed alone in the same process, at the start of the motion, and what is left of
-the run's time is the library's own. Beside it stands what was before: JAX turning every argument
-into an array of its own and handing programs over to a thread of its own. The two kinds run in
-processes of their own, in turn, and least times are given. Nothing is asserted about times; that
-both come to the same end is.
+``make bench`` prints a table and writes it as JSON. The run counts the calls. Arithmetic, call and
+callback are timed alone in the same process, at the start of the motion; the rest of the run's time
+is the library's own. The table compares this with the former callbacks: JAX made an array of every
+argument and ran programs in another thread. Both kinds run in processes of their own, in turn, and
+the table has least times. The times are not checked; the equal ends of both runs are.
 """
 
 from __future__ import annotations
@@ -160,7 +159,7 @@ def merged(samples: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def row(case: int, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """Where the time of a run goes, in seconds; each entry for residual and Jacobian."""
+    """Parts of the time of a run in seconds; each entry for residual and Jacobian."""
     ends = np.array(now["q"]), np.array(before["q"])
     gap = float(np.linalg.norm(ends[0] - ends[1]) / np.linalg.norm(ends[0]))
     if not gap < _SAME * _CASES[case][3]:

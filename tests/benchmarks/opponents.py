@@ -1,4 +1,4 @@
-"""Who races against whom on the slider crank: the same runs by other programs and methods.
+"""Contestants on the slider crank: the same run by other programs and methods.
 
 A contestant is prepared once and then run many times; ``run()`` returns the seconds of one solve.
 """
@@ -34,7 +34,7 @@ class NotHere(Exception):
 
 @dataclass(frozen=True)
 class Contestant:
-    """A prepared run: what it is, in words, how many steps it takes, what it ends in."""
+    """A prepared run: its name and description, number of steps, last q, and error."""
 
     name: str
     about: str

@@ -1,10 +1,9 @@
-"""Side by side in one run: our march against C, a C++ code, and general-purpose solvers.
+"""Times of our time loop against C, a C++ code, and general-purpose solvers.
 
 ``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round, so
-that what disturbs the machine disturbs all alike. A ratio is taken within a round, and is above 1
-where we are faster; its median and quartiles over the rounds are given, and the ratio of the least
-times, which is the steadier one on a busy machine. Nothing is asserted about times; that the
-answers agree is.
+that a disturbance of the machine acts on all alike. A ratio is taken within a round; above 1 we are
+faster. The table has its median and quartiles over the rounds, and the ratio of the least times,
+which is steadier on a busy machine. The times are not checked; the agreement of the results is.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ SIZES = ((100, 0.4, 1e-5), (1000, 0.2, 1e-5), (10000, 0.05, 1e-6))
 OURS = "generalized_alpha[newton=modified]"
 _H, _FINER = 1e-3, 4
 _REFERENCE = 1e-4  # of the tolerance
-#: Samples of what takes longer than so many seconds.
+#: Runs of more seconds get fewer samples: limit, and number of samples.
 _LONG, _FEW = 2.0, 2
 
 

@@ -13,7 +13,7 @@ class NewIntegrator(StepMethod):
 
     family = "NewIntegrator"  # methods of one family share a colour in the report
     formulation = "ode"
-    # What `stepbench check` measures; leave out what you do not claim.
+    # Claimed orders, which `stepbench check` measures; leave out groups without a claim.
     orders: ClassVar = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source = ""  # where it is published, with its DOI
 
@@ -30,7 +30,7 @@ class NewIntegrator(StepMethod):
         # Float options such as self.place are traced: other values compile nothing new.
         s, c = state, self.place
         weight = 1 / (2 * c)  # of the inner stage
-        # The state s is that of t - h; `complete` solves for a, lam, y and xdot at q, v, x.
+        # The state s belongs to t - h; `complete` solves for a, lam, y and xdot at q, v, x.
         v = s.v + c * h * s.a
         z, xdot = complete(scene, s.q + c * h * s.v, v, s.x + c * h * s.xdot, t - h + c * h)
         end, xdot = complete(
