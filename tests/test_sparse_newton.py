@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from helpers import long
 
-from integrators.contract import Steps
+from integrators.contract import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native import constant_steps, klu
 from integrators.native.step_program import StepProgram
 from problems import MechatronicSystem, State, jnp
@@ -20,6 +21,7 @@ from problems.runtime import jax
 from problems.scenes.chain import Chain
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
 
 klujax_cpp = pytest.importorskip("klujax_cpp")
@@ -146,6 +148,32 @@ def test_a_long_run_frees_every_factorisation(held):
     analysis = set(held)
     assert run.measure().work.factorisations > 1000
     assert set(held) == analysis
+    run.execute()
+    assert set(held) == analysis
+
+
+def adaptive(scene, t_end, rtol=1e-3, **options):
+    method = GeneralizedAlphaAdaptive(newton="modified", linear_solver="sparse", **options)
+    return method.prepare(scene, t_end, Tolerances(rtol))
+
+
+def test_steps_that_are_rejected_free_their_factorisations_too(held):
+    run = adaptive(SoftImpact(), SoftImpact().interval[1])
+    analysis = set(held)
+    end = run.measure()
+    assert (end.status, end.work.rejected > 0) == ("ok", True)
+    assert set(held) == analysis
+    exact = SoftImpact().exact(end.t[-1:])["q"][0]
+    assert end.q[-1] == pytest.approx(exact, abs=1e-2)
+
+
+def test_an_adaptive_run_ends_before_a_singular_tangent(held):
+    run = adaptive(Failing(), 1.0, formulation="index3")
+    analysis = set(held)
+    end = run.measure()
+    assert (end.status, end.work.steps > 0) == ("diverged", True)
+    assert 0 < end.t[-1] < 0.05
+    assert f"Ended at t={end.t[-1]:.6g} s of 1 s" in end.message
     run.execute()
     assert set(held) == analysis
 

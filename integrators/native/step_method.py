@@ -75,7 +75,8 @@ class NativeMethod(Integrator):
         """
         settings, numbers = self.newton_settings, self.numbers()
         tangents = self._sparse_tangents(scene, sparse, numbers)
-        program = StepProgram(self.functions(), settings.modified, tangents.patterns)
+        patterns, explicit = tangents.patterns, not settings.most
+        program = StepProgram(self.functions(), settings.modified, patterns, explicit)
         return program, Numbers(numbers, settings.tolerance, settings.most, tangents.analyses)
 
     def _sparse_tangents(

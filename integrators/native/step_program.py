@@ -16,6 +16,7 @@ from integrators.native.step_work import EquationsFinder, StepWork
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
+from problems.spec import SpecError
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
@@ -58,11 +59,14 @@ class StepProgram:
         Modified Newton: tangents are kept over steps.
     patterns
         Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
+    explicit
+        The method has no options of Newton's method, and may not ask for it.
     """
 
     functions: StepFunctions
     keeps_tangents: bool = False
     patterns: tuple[Pattern, ...] = ()
+    explicit: bool = False
 
     def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Any:
         """The state at t0, before a first step of size h in s."""
@@ -121,6 +125,11 @@ class StepProgram:
         return state.state if self.keeps_tangents else state
 
     def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
+        if self.explicit:
+            raise SpecError(
+                f"The step of {type(self.functions).__name__} solves equations; inherit from "
+                f"ImplicitStepMethod in place of StepMethod."
+            )
         return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
 
 
