@@ -147,6 +147,7 @@ def test_a_plugin_gets_its_column_without_extra_code(tmp_path):
     assert all(result.as_predicted for result in found.values())
 
 
+@pytest.mark.long
 def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     first = stepbench("atlas", "condition", "--out", tmp_path)
     assert first.exit_code == 0, first.output

@@ -112,6 +112,7 @@ def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
     assert "missing.py" in answer.message
 
 
+@pytest.mark.long
 def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
     (tmp_path / "p.toml").write_text(PROFILE)
     address, out = cluster.scheduler_address, tmp_path / "out"

@@ -198,7 +198,7 @@ def test_the_ride_model_has_the_published_frequencies():
     assert frequencies == pytest.approx(published, abs=1e-5)
 
 
-@pytest.mark.parametrize("scene", [FullCar(), FullCarPassive()], ids=lambda s: s.name)
+@pytest.mark.parametrize("scene", [FullCar(), *long(FullCarPassive())], ids=lambda s: s.name)
 def test_it_starts_calmly_on_its_weight(scene):
     start = consistent_start(scene)
     assert np.abs(start.z.a).max() < 1e-2
@@ -232,6 +232,7 @@ def rms(run, values):
     return np.sqrt(np.trapezoid(values**2, run.t, axis=0) / 12.0)
 
 
+@pytest.mark.long
 def test_the_controlled_car_rolls_and_heaves_less_than_the_passive_one():
     table = {}
     for scene in (FullCar(), FullCarPassive()):
@@ -279,6 +280,7 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
 
 
 # ---- methods ---------------------------------------------------------------------------
+@pytest.mark.long
 def test_generalized_alpha_is_second_order_in_constraints_and_controller():
     scene, t_end = FullCar(**EARLY), 0.6
     reference = Reference(scene, t_end)
@@ -291,6 +293,7 @@ def test_generalized_alpha_is_second_order_in_constraints_and_controller():
         assert slope(steps, settled) == pytest.approx(2, abs=0.2), group
 
 
+@pytest.mark.long
 def test_an_implicit_method_finds_the_reference():
     scene, t_end = FullCar(**EARLY), 0.3
     start, p = consistent_start(scene).z, scene.parameters()

@@ -78,6 +78,7 @@ def test_a_reference_that_fails_is_not_the_integrators_fault(stepbench, tmp_path
     assert "the reference failed: KeyError" in answer["message"]
 
 
+@pytest.mark.long
 def test_an_edited_plugin_is_measured_anew(stepbench, tmp_path):
     file, out = tmp_path / "soft.py", tmp_path / "out"
     profile = tmp_path / "one.toml"

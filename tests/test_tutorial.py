@@ -50,6 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_the_tutorial_leaves_what_it_promises(folder):
     for page in ("first/report.html", "changes/comparison.md"):
         assert (folder / page).stat().st_size > 0
@@ -61,6 +62,7 @@ def test_the_tutorial_leaves_what_it_promises(folder):
     assert "Pendulum" in words
 
 
+@pytest.mark.long
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
     found = compare(folder / "first", folder / "second")
     assert {change.run.integrator for change in found.changes} == {"my_method"}
@@ -73,6 +75,7 @@ def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
             assert change.ratio < 1  # as the text says
 
 
+@pytest.mark.long
 def test_the_later_of_two_runs_is_kept(folder):
     with Store(folder / "second") as store:
         second = store.records()
