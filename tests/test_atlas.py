@@ -128,6 +128,7 @@ def test_the_scaled_tangent_does_not_depend_on_the_step():
         condition(Pendulum(), 0.1, "neither")
 
 
+@pytest.mark.long
 def test_a_plugin_gets_its_column_without_extra_code(tmp_path):
     text = Path("CONTRIBUTING.md").read_text(encoding="utf-8")
     code = re.search(r"```python\n(# bathe.py\n.*?)```", text, re.DOTALL)[1]

@@ -68,6 +68,7 @@ def test_a_cluster_gives_the_answers_of_this_machine(cluster):
         assert answers[task].rows == expected[task].rows
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
     file, plugin = tmp_path / "who", tmp_path / "slow.py"
     plugin.write_text(PLUGIN.replace("FILE", repr(str(file))))

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import slope
+from helpers import long, slope
 from scipy.integrate import solve_ivp
 from test_scenes_identities import flipped, options, solved
 

@@ -106,6 +106,7 @@ def test_an_edited_plugin_is_measured_anew(stepbench, tmp_path):
     assert "1 measured now" in stories[2]
 
 
+@pytest.mark.long
 def test_a_larger_budget_tries_again(stepbench, tmp_path):
     profile, out = tmp_path / "p.toml", tmp_path / "out"
     text = (
@@ -130,6 +131,7 @@ def test_an_inconsistent_start_is_one_sentence(stepbench):
     assert "Traceback" not in result.output
 
 
+@pytest.mark.long
 def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
     profile = tmp_path / "fates.toml"
     profile.write_text(

@@ -121,6 +121,7 @@ def test_the_compression_chamber_is_low_extending_and_near_the_other_one_compres
 
 
 # ---- over time -------------------------------------------------------------------------
+@pytest.mark.long
 def test_an_implicit_method_finds_the_reference():
     # Radau and DOP853 have nothing in common but the scene; stiffness would show in the latter.
     scene, t_end = QuarterCar(), 1.2

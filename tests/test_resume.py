@@ -97,6 +97,7 @@ def test_kills_at_random_moments_change_nothing(tmp_path, undisturbed, kills):
     assert table(out) == undisturbed
 
 
+@pytest.mark.long
 def test_a_finished_run_measures_nothing_again(tmp_path, undisturbed):
     finish(tmp_path)
     with Store(tmp_path / "out") as store:

@@ -147,6 +147,7 @@ def test_the_rates_at_the_start_are_slopes_along_the_motion():
     assert start.jerk == pytest.approx(np.diff(near.a, axis=0)[0] / (2 * eps), rel=1e-7)
 
 
+@pytest.mark.long
 def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
     scene = FullCar()  # it solves equations in its steering
     start = consistent_start(scene)

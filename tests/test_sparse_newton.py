@@ -52,7 +52,7 @@ def assert_agree(run, other, steps, h):
 @pytest.mark.parametrize("form", ["index3", "stabilised_index2"])
 @pytest.mark.parametrize(
     "scene",
-    [SpringMass(), Chain(links=5), *long(SliderCrank(), QuarterCar())],
+    [Chain(links=5), *long(SpringMass(), SliderCrank(), QuarterCar())],
     ids=lambda s: s.name,
 )
 def test_kept_factorisations_give_the_run_of_dense_tangents(scene, form):
