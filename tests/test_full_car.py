@@ -250,7 +250,7 @@ def test_the_controlled_car_rolls_and_heaves_less_than_the_passive_one():
     assert less[2] < 0.92
 
 
-@pytest.mark.parametrize("scene", [FullCar(), FullCarPassive()], ids=lambda s: s.name)
+@pytest.mark.parametrize("scene", [FullCar(), *long(FullCarPassive())], ids=lambda s: s.name)
 def test_the_car_leans_outward_and_drifts_after_the_lane_change(scene):
     run, loads = lane_change(scene)
     left = np.argmax(run.v[:, 5])  # the sharpest part of the turn to the left

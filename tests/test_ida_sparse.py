@@ -141,6 +141,7 @@ def test_the_timed_solve_takes_the_same_steps():
     assert trajectory.q[-1].tolist() == timed.y[run.layout.q].tolist()
 
 
+@pytest.mark.long
 def test_a_thousand_links_follow_generalized_alpha_and_keep_their_length_and_energy():
     scene, t_end = Chain(links=1000), 0.02
     run = finished(scene, t_end, 1e-8)

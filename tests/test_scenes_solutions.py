@@ -170,6 +170,7 @@ def test_the_slider_passes_the_bearing_where_crank_and_rod_are_of_equal_length()
 
 
 # ---- other forms -----------------------------------------------------------------------
+@pytest.mark.long
 def test_absolute_and_minimal_slider_crank_are_the_same_motion():
     absolute, minimal = SliderCrank(), SliderCrankMinimal()
     t = np.linspace(0.0, 5.0, 41)
