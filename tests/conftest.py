@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -50,8 +49,6 @@ def pytest_configure(config: pytest.Config) -> None:
     Programs are kept between runs in a cache of the tests' own. They are compiled quickly and run
     slowly, except in benchmarks. Settings of the user win.
     """
-    # Tracing makes very many objects that stay; looking through them takes a tenth of the time.
-    gc.set_threshold(100_000)
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(TESTS.parent / ".cache" / "jax"))
     if "XLA_FLAGS" in os.environ or config.getoption("--benchmark-only"):
         return

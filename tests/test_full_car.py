@@ -169,6 +169,7 @@ MUTANTS = {
 }
 
 
+@pytest.mark.long
 def test_momenta_energy_and_controller_are_balanced():
     check_balances(FullCar(anti_roll=1e4))
 

@@ -235,6 +235,7 @@ def test_a_long_chain_is_no_larger_a_program():
 
 
 # ---- invariants over time --------------------------------------------------------------
+@pytest.mark.long
 def test_energy_and_angular_momenta_of_the_heavy_top_stay():
     scene = HeavyTop()
     t = np.linspace(*scene.interval, 60)

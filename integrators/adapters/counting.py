@@ -33,7 +33,6 @@ class Counts(NamedTuple):
 # One tally for the process: a compiled program knows names, not objects.
 _tally: dict[str, int] = {EVALUATION: 0, LINEARISATION: 0}
 _tally_lock = threading.Lock()  # XLA may call from several threads
-_run_lock = threading.Lock()  # one counted run at a time
 
 
 def watch(rate: Callable) -> Callable:
@@ -63,8 +62,14 @@ def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
 
     # Not in the main thread: Ctrl-C would be raised there in the midst of a function that XLA
     # called, which cannot hand it on.
-    with _run_lock, ThreadPoolExecutor(1) as aside:
-        return aside.submit(run).result()
+    return _counting_thread().submit(run).result()
+
+
+@cache
+def _counting_thread() -> ThreadPoolExecutor:
+    """The one thread of all counted runs: a run begins when the one before has ended, even if
+    Ctrl-C ended the wait for that one."""
+    return ThreadPoolExecutor(1)
 
 
 def _watch(rate: Callable, count: Callable[[str], None]) -> Callable:
