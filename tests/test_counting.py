@@ -77,14 +77,14 @@ def test_runs_in_several_threads_keep_their_counts_apart():
 
 
 def test_ctrl_c_ends_the_run_and_leaves_no_count_behind(monkeypatch):
-    program, count = evaluations(1000), counting._add_one
+    program, count = evaluations(1000), counting.add_one
     run_counted(program)
 
     def interrupt(name):
-        monkeypatch.setattr(counting, "_add_one", count)
+        monkeypatch.setattr(counting, "add_one", count)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(counting, "_add_one", interrupt)
+    monkeypatch.setattr(counting, "add_one", interrupt)
     with pytest.raises(KeyboardInterrupt):
         run_counted(program)
     assert run_counted(program)[1] == Counts(1000, 0)

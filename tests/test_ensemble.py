@@ -12,7 +12,7 @@ from helpers import long
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
-from bench.sweeps.batch import Batch, Run
+from bench.sweeps.batch import Batch, BatchRun
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
@@ -329,4 +329,4 @@ def test_different_programs_are_refused():
     forms = ("index3", "stabilised_index2")
     methods = [REGISTRY.integrator(f"generalized_alpha[formulation={form}]") for form in forms]
     with pytest.raises(SpecError, match="different compiled programs"):
-        Batch([Run(scene, method, Steps(0.1)) for method in methods], 1.35)
+        Batch([BatchRun(scene, method, Steps(0.1)) for method in methods], 1.35)

@@ -155,8 +155,8 @@ def check_balances(scene):
 
 
 MUTANTS = {
-    "_kinetic": ["h", "q3", "v4", "v10"],
-    "_potential": ["k_rear", "k_tyre", "gravity", "anti_roll", "q7", "q4"],
+    "kinetic_energy": ["h", "q3", "v4", "v10"],
+    "potential_energy": ["k_rear", "k_tyre", "gravity", "anti_roll", "q7", "q4"],
     "contact_velocities": ["trail", "q5", "q11", "b"],
     "tyre_forces": ["slope"],
     "tyre_loads": ["k_tyre"],

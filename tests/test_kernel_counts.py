@@ -37,7 +37,7 @@ class Program:
     """The optimised program of a prepared run, as XLA prints it."""
 
     def __init__(self, run) -> None:
-        arguments = run._end_only if hasattr(run, "_end_only") else (run._drop,)
+        arguments = run.end_only
         lowered = run.kernel.compiled.lower(run.arguments, *arguments)
         self.lines: dict[str, list[str]] = {}
         for line in lowered.compile().as_text().splitlines():

@@ -88,7 +88,7 @@ def keeps_energy(scene, q, v, t, tolerance=1e-11):
         return (
             scene.energy(q, v)
             if scene.has("energy")
-            else scene._kinetic(q, v) + scene._potential(q)
+            else scene.kinetic_energy(q, v) + scene.potential_energy(q)
         )
 
     by_q, by_v = jax.grad(energy, (0, 1))(q, v)
@@ -224,8 +224,8 @@ def check_slider_crank_flexible(scene):
         v[1] = -(pin.real * v[0] + v[6] * np.sin(q[1])) / tip.real
         v[2] = -pin.imag * v[0] - tip.imag * v[1] + v[6] * np.cos(q[1])
         kinetic, strain = rod_energies(scene, q, v)
-        assert float(scene._kinetic(q, v)) == pytest.approx(kinetic, rel=1e-12)
-        assert float(scene._potential(q)) == pytest.approx(strain, rel=1e-12)
+        assert float(scene.kinetic_energy(q, v)) == pytest.approx(kinetic, rel=1e-12)
+        assert float(scene.potential_energy(q)) == pytest.approx(strain, rel=1e-12)
         keeps_energy(scene, q, v, p / scene.omega, tolerance=1e-10)
 
 
@@ -354,12 +354,12 @@ CHECKS = [
 MUTANTS = {
     Duffing: {"force": ["c", "k", "k3", "amplitude"]},
     SliderCrank: {"force": ["g"], "constraint": ["l1", "l2", *(f"q{k}" for k in range(7))]},
-    SliderCrankMinimal: {"assembled": ["l1", "l2"], "_potential": ["g"], "force": ["g"]},
+    SliderCrankMinimal: {"assembled": ["l1", "l2"], "potential_energy": ["g"], "force": ["g"]},
     SliderCrankDriven: {"constraint": ["l1", "omega", "q0", "q1"]},
     SliderCrankFlexible: {
-        "_kinetic": ["l1", "l2", *(f"q{k}" for k in (0, 1, 3, 4, 5, 6)),
+        "kinetic_energy": ["l1", "l2", *(f"q{k}" for k in (0, 1, 3, 4, 5, 6)),
                      *(f"v{k}" for k in (0, 1, 3, 4, 5, 6))],
-        "_potential": ["young", "q5", "q6"],
+        "potential_energy": ["young", "q5", "q6"],
         "constraint": ["l1", "l2", "omega", "q0", "q1", "q2", "q6"],
     },
     CarAxis: {

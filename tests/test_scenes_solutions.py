@@ -85,7 +85,7 @@ def test_the_flexible_rod_has_the_published_eigenfrequencies():
     scene, wanted = SliderCrankFlexible(), [1276.7, 5106.7, 6840.8, 24612.7]
     q = np.zeros(7)
     m = np.asarray(scene.mass(q))[3:, 3:]
-    k = np.asarray(jax.hessian(scene._potential)(q))[3:, 3:]
+    k = np.asarray(jax.hessian(scene.potential_energy)(q))[3:, 3:]
     frequencies = np.sort(np.sqrt(np.linalg.eigvals(np.linalg.solve(m, k)).real))
     assert frequencies == pytest.approx(wanted, abs=0.05)
 

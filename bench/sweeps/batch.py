@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.sweeps.batched_steps import Run, distinct, times_of
+from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.contract import Integrator
 from problems.batched_initial_values import consistent_starts
 from problems.formulations import complete
@@ -100,7 +100,11 @@ class Batch:
     """
 
     def __init__(
-        self, runs: Sequence[Run], t_end: float, every_row: bool = False, lanes: int | None = None
+        self,
+        runs: Sequence[BatchRun],
+        t_end: float,
+        every_row: bool = False,
+        lanes: int | None = None,
     ) -> None:
         scenes, self._of_scene = distinct(run.scene for run in runs)
         pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-class Run(NamedTuple):
+class BatchRun(NamedTuple):
     """One of many runs; equal parts of several runs are made once."""
 
     scene: MechatronicSystem
@@ -32,7 +32,7 @@ class Run(NamedTuple):
     resolution: Steps | Tolerances
 
 
-class Rows(NamedTuple):
+class BatchRows(NamedTuple):
     """Rows, endings and work counts of k runs; NaN in rows that a run did not reach.
 
     ``complete`` are the numbers of rows of complete runs, ``endings`` rows [ending, t].
@@ -69,7 +69,7 @@ class Times(Protocol):
         """Arguments of a kernel that select the rows to keep."""
         ...
 
-    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
+    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
         """Rows and endings from the result of a kernel."""
         ...
 
@@ -107,11 +107,13 @@ class ConstantSteps:
         of = self._of[places]
         return self._rows[of], np.where(idle, 0, self._row_counts[of])
 
-    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
+    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
         table, end = answer
         of = self._of[places]
         table[table[:, :, 0] != self._rows[of]] = np.nan
-        return Rows(table[:, :, 1], table[:, :, 2:], self._row_counts[of], end[:, :2], end[:, 2:])
+        return BatchRows(
+            table[:, :, 1], table[:, :, 2:], self._row_counts[of], end[:, :2], end[:, 2:]
+        )
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         return Ending(int(ending[0])).outcome(float(ending[1]), self._t_end)
@@ -151,7 +153,7 @@ class ChosenSteps:
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
         return (np.ones(len(places), dtype=np.int64) if self._every_row else None,)
 
-    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> Rows:
+    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
         early, spread, last, end = answer
         tables = np.concatenate([early, spread, last[:, None]], axis=1)
         if not self._every_row:
@@ -161,7 +163,7 @@ class ChosenSteps:
         table = np.full((len(kept), complete.max(), last.shape[1]), np.nan)
         for place, rows in zip(table, kept, strict=True):
             place[: len(rows)] = rows
-        return Rows(table[:, :, 1], table[:, :, 2:], complete, end[:, :2], end[:, 2:])
+        return BatchRows(table[:, :, 1], table[:, :, 2:], complete, end[:, :2], end[:, 2:])
 
     def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
         span = self.numbers[self._of[place]]
@@ -170,7 +172,7 @@ class ChosenSteps:
         )
 
 
-def times_of(runs: Sequence[Run], t_end: float, every_row: bool) -> Times:
+def times_of(runs: Sequence[BatchRun], t_end: float, every_row: bool) -> Times:
     """The times of runs that have either all steps or all tolerances."""
     t0 = runs[0].scene.interval[0]
     steps = [run.resolution for run in runs if isinstance(run.resolution, Steps)]

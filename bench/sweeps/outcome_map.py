@@ -12,7 +12,7 @@ import numpy as np
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running import measure
 from bench.running.plan import check_end
-from bench.sweeps.batch import Batch, Block, Run, refuse
+from bench.sweeps.batch import Batch, BatchRun, Block, refuse
 from bench.sweeps.ensemble import within_budget
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
@@ -192,7 +192,7 @@ def outcome_map(
 class _ErrorMeter:
     """Measures errors of blocks; evaluates the reference once for every scene and set of times."""
 
-    def __init__(self, runs: list[Run], t_end: float, group: str, norm: str) -> None:
+    def __init__(self, runs: list[BatchRun], t_end: float, group: str, norm: str) -> None:
         self._runs, self._t_end, self._group, self._norm = runs, t_end, group, norm
         self._references: dict[MechatronicSystem, Reference] = {}
         self._exact: dict[tuple[MechatronicSystem, bytes], np.ndarray | str] = {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bench.sweeps.batch import Run
+from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
@@ -147,7 +147,7 @@ def runs_with(
     method: Integrator,
     resolution: Steps | Tolerances,
     values: Mapping[Quantity, Sequence[float] | np.ndarray],
-) -> list[Run]:
+) -> list[BatchRun]:
     """Return one run for each place in the values.
 
     Parameters
@@ -175,7 +175,7 @@ def runs_with(
         settings: dict[str, list[tuple[str, float]]] = {owner: [] for owner in base}
         for of, value in zip(values, row, strict=True):
             settings[of.owner].append((of.field, value))
-        runs.append(Run(*(part(owner, tuple(settings[owner])) for owner in base)))
+        runs.append(BatchRun(*(part(owner, tuple(settings[owner])) for owner in base)))
     return runs
 
 

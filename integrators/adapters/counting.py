@@ -88,7 +88,7 @@ def _watch(rate: Callable, count: Callable[[str], None]) -> Callable:
     return counted
 
 
-def _add_one(name: str) -> None:
+def add_one(name: str) -> None:
     with _tally_lock:
         _tally[name] += 1
 
@@ -100,7 +100,7 @@ def _count_by_name(name: str) -> None:
 
 
 def _count_by_callback(name: str) -> None:
-    jax.debug.callback(partial(_add_one, name))
+    jax.debug.callback(partial(add_one, name))
 
 
 @cache
@@ -208,6 +208,6 @@ def _handler(name: str) -> Any:
             metadata.api_version.minor = frame.api.contents.api_version.minor if frame.api else 1
             metadata.traits = 0
         elif frame.stage == _EXECUTE:
-            _add_one(name)
+            add_one(name)
 
     return handle

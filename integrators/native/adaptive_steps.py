@@ -118,13 +118,13 @@ class AdaptiveRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         packs = [scene.parameters(), numbers, self._start]
         self.arguments = self.kernel.pack(*packs, self._span)
-        self._keep, self._drop = jnp.asarray(1), jnp.asarray(0)
+        self._keep, self.end_only = jnp.asarray(1), (jnp.asarray(0),)
         # A loop over no time compiles the kernel and costs nothing else.
         nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
-        jax.block_until_ready(self.kernel(nothing, self._drop))
+        jax.block_until_ready(self.kernel(nothing, *self.end_only))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self.kernel(self.arguments, self._drop))
+        return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
         early, spread, last, end = map(np.asarray, self.kernel(self.arguments, self._keep))

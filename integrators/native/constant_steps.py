@@ -99,12 +99,12 @@ class ConstantStepsRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
-        self._end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
+        self.end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
-        jax.block_until_ready(self.kernel(self.arguments, self._end_only[0], jnp.asarray(0)))
+        jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self.kernel(self.arguments, *self._end_only))
+        return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
         rows, end = (np.asarray(part) for part in self.kernel(self.arguments, *self._all_rows))

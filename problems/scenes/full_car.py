@@ -110,7 +110,7 @@ class _Car(MechatronicSystem):
         return self.rack * (jnp.cosh(left) ** -2 - jnp.cosh(right) ** -2)
 
     # ---- equations of motion ------------------------------------------------------------
-    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         c, s = jnp.cos(q[5]), jnp.sin(q[5])
         ahead, aside = c * v[0] + s * v[1], c * v[1] - s * v[0]
         (roll, pitch), (roll_rate, pitch_rate, yaw_rate) = q[3:5], v[3:6]
@@ -127,7 +127,7 @@ class _Car(MechatronicSystem):
         plane = jnp.sum(unsprung) * (ahead**2 + aside**2)
         return 0.5 * (self.m * (body @ body) + plane + turning + unsprung @ v[6:10] ** 2)
 
-    def _potential(self, q: jax.Array, t: jax.Array) -> jax.Array:
+    def potential_energy(self, q: jax.Array, t: jax.Array) -> jax.Array:
         springs = self._axles(self.k_front, self.k_rear) @ self.stretch(q) ** 2
         tyres = self.k_tyre * jnp.sum((q[6:10] - self.road(t)) ** 2)
         twist = q[3] - (q[6] - q[7]) / self.track_front
@@ -164,10 +164,10 @@ class _Car(MechatronicSystem):
         return self.friction * self.tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic, q)
+        return lagrange.mass(self.kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        g = lagrange.force(self._kinetic, lambda q: self._potential(q, t), q, v)
+        g = lagrange.force(self.kinetic_energy, lambda q: self.potential_energy(q, t), q, v)
         _, transposed = jax.vjp(lambda v: self.contact_velocities(q, v)[1], v)
         return g + transposed(self.tyre_forces(q, v, t))[0]
 

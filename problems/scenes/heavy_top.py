@@ -59,26 +59,26 @@ class HeavyTop(MechatronicSystem):
             [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
         )
 
-    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         turning = self.angular_velocity(q[3:], v[3:])
         inertias = jnp.stack([self.j, self.j_axis, self.j])
         return 0.5 * self.m * (v[:3] @ v[:3]) + 0.5 * (inertias * turning) @ turning
 
-    def _potential(self, q: jax.Array) -> jax.Array:
+    def potential_energy(self, q: jax.Array) -> jax.Array:
         return self.m * self.g * q[2]
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic, q)
+        return lagrange.mass(self.kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic, self._potential, q, v)
+        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x, p = q[:3], q[3:]
         return jnp.concatenate([x - self.length * self.axis(p), 0.5 * (p @ p - 1.0)[None]])
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self._kinetic(q, v) + self._potential(q)
+        return self.kinetic_energy(q, v) + self.potential_energy(q)
 
     def initial_state(self) -> State:
         # Space and body axes coincide; the tip is at (0, length, 0).

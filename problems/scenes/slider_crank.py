@@ -128,22 +128,22 @@ class SliderCrankMinimal(_FreeCrank):
     coordinates = ("crank angle",)
     source = "Lagrange's equation of slider_crank"
 
-    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         _, rate = jax.jvp(lambda q: self.assembled(q[0], jnp), (q,), (v,))
         return 0.5 * (self.inertias() * rate) @ rate
 
-    def _potential(self, q: jax.Array) -> jax.Array:
+    def potential_energy(self, q: jax.Array) -> jax.Array:
         at = self.assembled(q[0], jnp)
         return self.g * (self.m1 * at[1] + self.m2 * at[4])
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic, q)
+        return lagrange.mass(self.kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic, self._potential, q, v)
+        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self._kinetic(q, v) + self._potential(q)
+        return self.kinetic_energy(q, v) + self.potential_energy(q)
 
     def initial_state(self) -> State:
         return State(q=np.array([self.th0]), v=np.array([self.w0]))
