@@ -46,7 +46,9 @@ def tolerances_of(scene, settings):
         ("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "lam:settled"),
         *long(("pendulum", "generalized_alpha", {"th0": (0.5, 3.0), "h": (0.01, 0.1)}, "q:max")),
         *long(("spring_mass", "newmark", {"k": (0.5, 20.0), "m": (0.5, 2.0)}, "a:rms")),
-        ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end"),
+        *long(
+            ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end")
+        ),
         ("pendulum", ADAPTIVE, {"rtol": (1e-5, 1e-2), "th0": (0.5, 3.0)}, "a:end"),
         *long(("pendulum", ADAPTIVE, {"th0": (0.5, 3.0), "rtol": (1e-5, 1e-2)}, "lam:rms")),
         ("soft_impact", ADAPTIVE, {"rtol": (1e-5, 1e-2), "atol": (1e-6, 1e-2)}, "q:max"),

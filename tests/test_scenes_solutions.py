@@ -319,6 +319,7 @@ def test_the_start_is_consistent_and_can_be_drawn(scene):
         assert len(scene.coordinates) == len(q)
 
 
+@pytest.mark.long
 def test_a_drawing_shows_where_the_bodies_are():
     def later(scene):
         t = scene.interval[0] + 0.2 * np.ptp(scene.interval)
