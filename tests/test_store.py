@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 import sqlite3
 import tempfile
@@ -11,11 +9,8 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from bench.results.csv_text import csv_text
-from bench.results.quantities import group_and_norm
 from bench.results.records import (
     Damping,
     Environment,
@@ -24,11 +19,8 @@ from bench.results.records import (
     Rows,
     SceneRecord,
     Study,
-    flatten,
-    median,
 )
 from bench.results.store import FILE, Store, StoreError
-from problems.spec import SpecError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
 NO_ROWS = Rows(t=[], values={})
@@ -365,48 +357,3 @@ def test_a_full_disk_keeps_what_was_stored(tmp_path):
             store.save(a_record("second"), big)
     with Store(tmp_path) as store:
         assert list(store.records()) == ["first"]
-
-
-def test_flat_rows_open_in_pandas():
-    record = a_record(run_s=[0.3, 0.1, 0.2])
-    row = flatten(record)
-    assert row["error_q_end"] == 1e-3
-    assert row["error_q_max"] is None
-    assert row["work_steps"] == 10
-    assert (row["run_s_median"], row["run_s_min"], row["run_s_max"]) == (0.2, 0.1, 0.3)
-    assert row["pattern"] == "0.3/0.7"
-    for frame in (
-        pd.read_csv(io.StringIO(csv_text([row]))),
-        pd.read_json(io.StringIO(json.dumps([row]))),
-    ):
-        assert frame.loc[0, "error_q_end"] == 1e-3
-        assert frame.loc[0, "integrator"] == "newmark"
-
-
-def test_the_median_of_samples():
-    assert median([]) is None
-    assert median([3.0]) == 3.0
-    assert median([4.0, 1.0, 2.0, 3.0]) == 2.5
-
-
-def test_csv_has_the_columns_in_order_of_appearance():
-    rows = [{"b": 1, "a": 'say "no", please'}, {"c": None, "b": 2.5}]
-    assert csv_text(rows) == 'b,a,c\n1,"say ""no"", please",\n2.5,,\n'
-    assert csv_text([{"a": 1, "b": 2}], ["b", "a"]) == "b,a\n2,1\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [("a:rms", ("a", "rms")), (" a : max ", ("a", "max")), ("a", ("a", "end"))],
-)
-def test_an_error_is_read_as_group_and_norm(text, expected):
-    assert group_and_norm(text, ["q", "a"]) == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [("x:max", "no error of 'x'; known: a, q"), ("a:mx", "no norm 'mx'; did you mean 'max'")],
-)
-def test_an_error_that_is_not_known_is_named(text, words):
-    with pytest.raises(SpecError, match=words):
-        group_and_norm(text, ["q", "a"])
