@@ -163,6 +163,7 @@ def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     assert json.loads(second.stdout) == [json.loads(msgspec.json.encode(stored["condition"]))]
 
 
+@pytest.mark.long
 def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkeypatch):
     wrong = tmp_path / "01_wrong.toml"
     text = built_in_experiments()["condition"].read_text(encoding="utf-8")

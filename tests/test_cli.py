@@ -71,6 +71,7 @@ def test_an_order_that_is_not_there_is_null(stepbench):
     assert answer["orders"]["q"]["max"] == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_tables_for_people_show_the_same(stepbench):
     shown = stepbench("solve", "pendulum", "newmark", "--step", "0.01", "--set", "th0=1.0")
     assert shown.exit_code == 0, shown.output

@@ -149,6 +149,7 @@ def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_
     assert "1 of 20 checks failed." in result.stderr
 
 
+@pytest.mark.long
 def test_the_command_answers_in_json(stepbench):
     result = stepbench("check", "spring_mass", "--json")
     assert result.exit_code == 0, result.output

@@ -121,6 +121,7 @@ print(json.dumps([work.jacobians, missed.count("/jax/compilation_cache/cache_mis
 """
 
 
+@pytest.mark.long
 def test_a_counted_solve_comes_out_of_the_cache_in_the_next_process_and_counts(tmp_path):
     tests = Path(__file__).parent
     places = {

@@ -144,6 +144,7 @@ def test_an_implicit_method_finds_the_reference():
     assert (np.abs(solution.y.T - known).max(axis=0) < 1e-9 * np.abs(known).max(axis=0)).all()
 
 
+@pytest.mark.long
 def test_generalized_alpha_is_second_order_in_the_whole_loop():
     scene, t_end = QuarterCar(), 1.2
     reference = Reference(scene, t_end)

@@ -230,6 +230,7 @@ def test_without_the_libraries_sparse_is_refused_and_auto_is_dense(monkeypatch):
         GeneralizedAlpha(linear_solver="sparse").program(scene)
 
 
+@pytest.mark.long
 def test_a_product_that_is_not_the_mass_matrix_is_found(stepbench, tmp_path):
     (tmp_path / "wrong.py").write_text(
         "from dataclasses import dataclass\n"

@@ -209,6 +209,7 @@ def test_the_relaxation_of_the_controller():
     assert limit == pytest.approx(0.7, abs=5e-3)
 
 
+@pytest.mark.long
 def test_runge_kutta_methods_by_running_them():
     found = spectrum(Kvaerno5())
     assert found.integrator == "kvaerno5[steps=constant]"
