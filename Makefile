@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 TESTS := $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test test-long bench clean
+.PHONY: run test types tests test-long bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -17,7 +17,12 @@ run: .venv/installed  ## run the quick suite and write its report
 
 test: .venv/installed  ## check style and types, and pass the tests; five minutes
 	$(BIN)/ruff check .
+	$(MAKE) --no-print-directory -j2 types tests
+
+types:
 	$(BIN)/pyright
+
+tests:
 	$(TESTS)
 
 test-long: .venv/installed  ## further scenes, members and sweeps of what `make test` proves

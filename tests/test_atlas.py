@@ -24,7 +24,8 @@ from problems.spec import SpecError
 
 NAMES = list(built_in_experiments())
 #: Experiments that take many seconds each.
-LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity"}
+LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
+LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure

@@ -56,6 +56,7 @@ def cells(integrator, *steps):
     return [Cell("spring_mass", integrator, 1.0, Steps(h)) for h in steps]
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_answers_of_this_machine(cluster):
     tasks = [measure_task(cell) for cell in cells("newmark", 0.1, 0.05)]
     with Runner([], 1, 60.0, 4.0) as here:

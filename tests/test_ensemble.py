@@ -55,6 +55,7 @@ def check_member(found, k, run, rtol):
             assert table[k] == pytest.approx(end, rel=0, abs=rtol * scale), name
 
 
+@pytest.mark.long
 def test_members_are_single_runs_whatever_varies():
     vary = {"k": [20000.0, 24453.1, 31000.0], "h": [5e-3, 4e-3, 1e-2], "rho_inf": [0.2, 0.8, 0.5]}
     scene = REGISTRY.problem("quarter_car")
@@ -123,7 +124,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
 @pytest.mark.parametrize(
     ("problem", "vary"),
     [
-        ("pendulum", {"rtol": [1e-5, 1e-2, 1e-3], "th0": [2.0, 0.5, 1.0]}),
+        *long(("pendulum", {"rtol": [1e-5, 1e-2, 1e-3], "th0": [2.0, 0.5, 1.0]})),
         *long(("quarter_car", {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]})),
         ("spring_mass", {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}),
     ],

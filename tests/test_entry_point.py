@@ -69,6 +69,7 @@ def stepbench(python, folder, *arguments):
     return done.stdout
 
 
+@pytest.mark.long
 def test_a_package_with_entry_points_is_listed_run_and_reported(python, tmp_path):
     listed = json.loads(stepbench(python, tmp_path, "list", "--json"))
     for kind, name in (("problems", "ramp_oscillator"), ("integrators", "euler")):
@@ -87,6 +88,7 @@ def test_a_package_with_entry_points_is_listed_run_and_reported(python, tmp_path
     assert "A mass on a spring under a force that grows with time" in page
 
 
+@pytest.mark.long
 def test_the_package_is_not_in_this_environment(python):
     ours = subprocess.run([sys.executable, "-c", "import tiny_plugins"], capture_output=True)
     assert b"ModuleNotFoundError" in ours.stderr

@@ -174,6 +174,7 @@ def test_momenta_energy_and_controller_are_balanced():
     check_balances(FullCar(anti_roll=1e4))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("block", "what"), [(block, what) for block, names in MUTANTS.items() for what in names]
 )
@@ -199,6 +200,7 @@ def test_the_ride_model_has_the_published_frequencies():
     assert frequencies == pytest.approx(published, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", [FullCar(), *long(FullCarPassive())], ids=lambda s: s.name)
 def test_it_starts_calmly_on_its_weight(scene):
     start = consistent_start(scene)
@@ -251,6 +253,7 @@ def test_the_controlled_car_rolls_and_heaves_less_than_the_passive_one():
     assert less[2] < 0.92
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", [FullCar(), *long(FullCarPassive())], ids=lambda s: s.name)
 def test_the_car_leans_outward_and_drifts_after_the_lane_change(scene):
     run, loads = lane_change(scene)
@@ -266,6 +269,7 @@ def test_the_car_leans_outward_and_drifts_after_the_lane_change(scene):
     assert 9 < np.hypot(*run.v[-1, :2]) < 9.95
 
 
+@pytest.mark.long
 def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     scene = FullCar()
     run, _ = lane_change(scene)

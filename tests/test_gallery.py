@@ -105,6 +105,7 @@ class Invisible(MechatronicSystem):
 """
 
 
+@pytest.mark.long
 def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tmp_path):
     plugin = tmp_path / "invisible.py"
     plugin.write_text(INVISIBLE)

@@ -173,6 +173,7 @@ def test_other_parameters_compile_nothing_new():
     assert programs.values.program._cache_size() == 1
 
 
+@pytest.mark.long
 # ---- the choice ------------------------------------------------------------------------
 def test_size_and_fill_choose_the_solver():
     assert is_sparse(prepared(Chain(links=50), 0.1))

@@ -42,16 +42,16 @@ def tolerances_of(scene, settings):
 @pytest.mark.parametrize(
     ("problem", "integrator", "over", "error"),
     [
-        ("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "a:end"),
+        *long(("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "a:end")),
         ("pendulum", "generalized_alpha", {"h": None, "rho_inf": (0.0, 1.0)}, "lam:settled"),
         *long(("pendulum", "generalized_alpha", {"th0": (0.5, 3.0), "h": (0.01, 0.1)}, "q:max")),
         *long(("spring_mass", "newmark", {"k": (0.5, 20.0), "m": (0.5, 2.0)}, "a:rms")),
         *long(
             ("duffing", "kvaerno3[steps=constant]", {"h": (0.01, 0.3), "k3": (0.1, 1.0)}, "a:end")
         ),
-        ("pendulum", ADAPTIVE, {"rtol": (1e-5, 1e-2), "th0": (0.5, 3.0)}, "a:end"),
+        *long(("pendulum", ADAPTIVE, {"rtol": (1e-5, 1e-2), "th0": (0.5, 3.0)}, "a:end")),
         *long(("pendulum", ADAPTIVE, {"th0": (0.5, 3.0), "rtol": (1e-5, 1e-2)}, "lam:rms")),
-        ("soft_impact", ADAPTIVE, {"rtol": (1e-5, 1e-2), "atol": (1e-6, 1e-2)}, "q:max"),
+        *long(("soft_impact", ADAPTIVE, {"rtol": (1e-5, 1e-2), "atol": (1e-6, 1e-2)}, "q:max")),
     ],
 )
 def test_a_point_is_a_single_run(problem, integrator, over, error):
@@ -73,7 +73,9 @@ def test_a_point_is_a_single_run(problem, integrator, over, error):
     assert len(set(found.error.ravel())) > 6
 
 
-@pytest.mark.parametrize(("beta", "limit"), [(0.0, 2.0), (1 / 6, math.sqrt(12)), (1 / 12, 6**0.5)])
+@pytest.mark.parametrize(
+    ("beta", "limit"), [(0.0, 2.0), *long((1 / 6, math.sqrt(12)), (1 / 12, 6**0.5))]
+)
 def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, limit):
     """Newmark with gamma = 1/2: omega h = (1/4 - beta)^(-1/2); the scene has omega = sqrt(k)."""
     # Errors are of no interest here, and the reference over so many periods takes long.

@@ -61,6 +61,7 @@ def test_the_report_has_no_faults_and_its_pictures_exist(folder):
     assert len(missing(path)) == 1
 
 
+@pytest.mark.long
 def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
     bare = edited(folder, tmp_path / "bare", lambda record: None)
     with Store(bare, create=True) as store:

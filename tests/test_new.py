@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from helpers import long
 
 from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
@@ -32,7 +33,9 @@ def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, r
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
-@pytest.mark.parametrize(("kind", "integrator"), [("integrator", None), ("problem", "newmark")])
+@pytest.mark.parametrize(
+    ("kind", "integrator"), [("integrator", None), *long(("problem", "newmark"))]
+)
 def test_the_command_that_it_names_next_runs(stepbench, kind, integrator):
     told = stepbench("new", kind, "brand_new").stdout
     command = next(line.split() for line in told.splitlines() if "solve" in line)

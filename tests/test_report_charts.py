@@ -19,6 +19,7 @@ from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.series import series_of
 
 
+@pytest.mark.long
 def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
     records = [r for r in everything() if r.problem == "pendulum"]
     for record in records:

@@ -181,6 +181,7 @@ def test_size_and_fill_choose_the_solver():
         GeneralizedAlpha(linear_solver="sparse").program(short, sparse=False)
 
 
+@pytest.mark.long
 def test_a_thousand_links_keep_their_length_and_energy():
     scene = Chain(links=1000)
     run = end(GeneralizedAlpha(rho_inf=0.8), scene, 20, 1e-3)
@@ -253,6 +254,7 @@ class Dense(Chain):
     mass_product = Chain.__mro__[1].mass_product
 
 
+@pytest.mark.long
 def test_a_scene_without_a_product_takes_its_matrix():
     assert not Dense.has("mass_product")
     one = end(GeneralizedAlpha(linear_solver="sparse"), Dense(links=4), 5, 1e-3)

@@ -49,7 +49,7 @@ def assert_agree(run, other, steps, h):
         assert gap <= steps * left + 4 * eps * size, group
 
 
-@pytest.mark.parametrize("form", ["index3", "stabilised_index2"])
+@pytest.mark.parametrize("form", ["stabilised_index2", *long("index3")])
 @pytest.mark.parametrize(
     "scene",
     [Chain(links=5), *long(SpringMass(), SliderCrank(), QuarterCar())],
@@ -63,6 +63,7 @@ def test_kept_factorisations_give_the_run_of_dense_tangents(scene, form):
     assert_agree(sparse, dense, steps, h)
 
 
+@pytest.mark.long
 def test_a_factorisation_serves_many_steps_of_a_long_chain():
     full, modified = (
         run_of(Chain(links=300), 100, 1e-3, newton=kind).measure() for kind in ("full", "modified")
@@ -142,6 +143,7 @@ def held():
         getattr(library, f"SuiteSparse_config_{name}_func_set")(address(old))
 
 
+@pytest.mark.long
 def test_a_long_run_frees_every_factorisation(held):
     """At this step an old tangent is soon too old, so that there are many."""
     run = run_of(Chain(links=9), 3000, 0.01, newton="modified")
@@ -233,7 +235,7 @@ def test_a_step_that_fails_ends_the_run_with_its_time(held, singular, newton, pa
     assert set(held) == analysis
 
 
-@pytest.mark.parametrize("newton", ["full", "modified"])
+@pytest.mark.parametrize("newton", ["full", *long("modified")])
 def test_too_few_iterations_are_a_status(held, newton):
     run = run_of(Chain(links=10), 10, 1e-3, newton=newton, newton_max=1)
     analysis = set(held)
@@ -243,6 +245,7 @@ def test_too_few_iterations_are_a_status(held, newton):
     assert set(held) == analysis
 
 
+@pytest.mark.long
 def test_a_factorisation_of_another_matrix_is_given_up():
     scene, h = Chain(links=8), 1e-3
     start = consistent_start(scene)

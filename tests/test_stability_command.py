@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from helpers import long
 from planted import Document
 from test_contributing import EXAMPLES
 
@@ -26,6 +27,7 @@ def found_by(stepbench, *arguments):
     return json.loads(result.stdout)
 
 
+@pytest.mark.long
 def test_numbers_at_the_steps_that_are_asked_for(stepbench):
     (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.8]", "--at", "1,10")
     assert found["at"]["omega_h"] == [1.0, 10.0]
@@ -91,7 +93,7 @@ def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
     assert "nan" not in page.words.lower().split()
 
 
-@pytest.mark.parametrize("system", ["relaxation", "loop", "coupled", "joined"])
+@pytest.mark.parametrize("system", ["relaxation", "joined", *long("loop", "coupled")])
 def test_other_systems_have_radii(stepbench, system):
     (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.5]", "--system", system)
     assert found["system"].startswith(system)

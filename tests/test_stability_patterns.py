@@ -79,7 +79,7 @@ def test_the_safe_ratio_is_searched_for():
     assert worst(method_of(0.0, "updated"), fractions(ALTERNATING, 2.8))[0] <= 1 + 1e-10
 
 
-@pytest.mark.parametrize(("rho_inf", "safe", "grows"), [(0.5, 2.2, 2.35), *long((0.8, 1.16, 1.19))])
+@pytest.mark.parametrize(("rho_inf", "safe", "grows"), long((0.5, 2.2, 2.35), (0.8, 1.16, 1.19)))
 def test_the_safe_ratio_holds_for_all_words(rho_inf, safe, grows):
     # Doubling and halving at will is safe with rho_inf = 0.5, but not with 0.8.
     method = method_of(rho_inf, "updated")

@@ -9,6 +9,7 @@ import sys
 import diffrax
 import jax
 import pytest
+from helpers import long
 
 from bench.plugins.registry import Registry
 from bench.running.plan import Cell, make_suite
@@ -52,6 +53,7 @@ def test_only_a_process_that_takes_times_has_one_thread(own, after):
     assert done.stdout.split() == [own or "None", after]
 
 
+@pytest.mark.long
 def test_workers_that_are_expected_load_while_it_is_decided_what_they_do():
     tasks = [measure_task(Cell("pendulum", "newmark", 1.0, Steps(h))) for h in (0.1, 0.05, 0.025)]
     with Runner([], jobs=2, budget_s=60.0, memory_gib=4.0) as runner:
@@ -75,7 +77,7 @@ def test_workers_that_are_expected_load_while_it_is_decided_what_they_do():
         ("ida", Tolerances(1e-3), [Tolerances(1e-5)]),
     ],
 )
-@pytest.mark.parametrize("problem", ["pendulum", "spring_mass"])
+@pytest.mark.parametrize("problem", ["spring_mass", *long("pendulum")])
 def test_what_one_cell_traced_no_other_traces_again(problem, integrator, first, others):
     """Not even to find out the dimensions of the scene."""
     registry = Registry()
