@@ -135,7 +135,11 @@ def timing_spread(record: Record) -> float | None:
 
 def cost_of(record: Record, cost: str) -> float | None:
     """The cost of a run, in seconds or in counts."""
-    return seconds_of(record) if cost == "seconds" else record.work.get(cost)
+    if cost == "seconds":
+        return seconds_of(record)
+    if cost == "operations":
+        return sum(record.operations.values()) or None
+    return record.work.get(cost)
 
 
 def with_values(

@@ -27,10 +27,14 @@ NORM_NAMES = {
     "settled": "largest after the start transient",
 }
 NORMS = tuple(NORM_NAMES)
+#: Norm of every error that is shown or judged unless another is asked for.
+NORM = "max"
 #: Levels at which a run can violate the constraints: Phi and its two time derivatives.
 LEVELS = ("position", "velocity", "acceleration")
-#: Titles of the costs of a run: the time in s, and counts of `integrators.contract.Work`.
+#: Titles of the costs of a run: operations of its bill, the time in s, and counts of
+#: `integrators.contract.Work`.
 COST_NAMES = {
+    "operations": "floating-point operations",
     "seconds": "median seconds per run",
     "residuals": "residual evaluations",
     "jacobians": "Jacobian evaluations",
@@ -40,6 +44,8 @@ COST_NAMES = {
     "solves": "linear solves",
     "rejected": "rejected steps",
 }
+#: Cost by which runs are compared unless another is asked for.
+COST = "operations"
 #: Below this many times the reference's own error, an error says nothing.
 TRUST = 100.0
 
@@ -50,7 +56,7 @@ def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
     Parameters
     ----------
     text
-        A group, a colon and a norm; without a norm, the norm is "end".
+        A group, a colon and a norm; without a norm, the norm is `NORM`.
     groups
         The groups that have errors.
 
@@ -62,7 +68,7 @@ def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
     group, _, norm = (part.strip() for part in text.partition(":"))
     if group not in groups:
         raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
-    return group, checked_norm(norm or "end")
+    return group, checked_norm(norm or NORM)
 
 
 def checked_norm(norm: str) -> str:

@@ -37,8 +37,10 @@ class Record(msgspec.Struct, kw_only=True):
     that is not finite is None. ``constraint[level]`` is the largest residual over the rows.
     ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
-    relative like ``errors``: below a hundred times that, an error says nothing. ``run_s`` holds
-    every timing sample in s; ``environment`` points to the row of the machine that measured.
+    relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
+    the bill of the run: floating-point operations by part, empty where a part is not known.
+    ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
+    that measured.
     """
 
     key: str
@@ -60,6 +62,7 @@ class Record(msgspec.Struct, kw_only=True):
     constraint: dict[str, float | None] = {}
     energy_drift: float | None = None
     work: dict[str, int | None] = {}
+    operations: dict[str, float] = {}
     compile_s: float | None = None
     run_s: list[float] = []
     environment: int = 0
