@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
-_ROW_BLOCK = 256
+#: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
+_ROW_BLOCK, _LARGE_BLOCK = 256, 4096
 
 
 class Compiled(NamedTuple):
@@ -86,16 +87,19 @@ def _compiled(template: MechatronicSystem) -> Compiled:
 
 
 def _over_rows(function: Callable) -> Callable:
-    """Vectorise over rows, filled up to whole blocks, so that few row counts are compiled."""
+    """Vectorise over rows, filled up to whole blocks."""
 
     @jax.jit
-    def blocks(p: Mapping, rows: tuple[Array, ...]) -> Any:
+    def block(p: Mapping, rows: tuple[Array, ...]) -> Any:
         return jax.vmap(lambda *row: function(p, *row))(*rows)
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
-        count = len(rows[0])
-        fill = -count % _ROW_BLOCK
-        filled = tuple(np.concatenate([r, np.repeat(r[-1:], fill, axis=0)]) for r in rows)
-        return jax.tree.map(lambda out: np.asarray(out)[:count], blocks(p, filled))
+        count, parts, first = len(rows[0]), [], 0
+        while first < count:
+            size = _LARGE_BLOCK if count - first > 4 * _ROW_BLOCK else _ROW_BLOCK
+            chosen = np.minimum(np.arange(first, first + size), count - 1)
+            parts.append(block(p, tuple(np.asarray(r)[chosen] for r in rows)))
+            first += size
+        return jax.tree.map(lambda *outs: np.concatenate(outs)[:count], *parts)
 
     return call

@@ -85,22 +85,43 @@ class Reference:
         return self._evaluate(self._tight, t)
 
     @cached_property
-    def error(self) -> dict[str, float]:
-        """Estimated absolute error per group: the largest at 500 times, in the group's units.
+    def error(self) -> dict[str, Float[np.ndarray, " n"]]:
+        """Estimated absolute error of each component by group: the largest at `times`, in its unit.
 
         For a closed form it is the change under one unit of rounding of the time and of every
         value, for an integration the difference between the two integrations.
         """
-        t = np.linspace(self.scene.interval[0], self.t_end, 500)
-        ours = self(t)
+        t, ours = self.times, self._values
         if self.scene.has("exact"):
             other = self._closed_form(np.nextafter(t, np.inf))
         else:
             other = self._evaluate(self._check, t)
         eps = np.finfo(float).eps
         return {
-            g: float(np.max(np.abs(ours[g] - other[g]) + eps * np.abs(ours[g]), initial=0.0))
-            for g in GROUPS
+            g: np.max(np.abs(ours[g] - other[g]) + eps * np.abs(ours[g]), axis=0) for g in GROUPS
+        }
+
+    @cached_property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """Equally spaced times in s, 500 or more, and the ends of the integration's own steps."""
+        t0 = self.scene.interval[0]
+        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
+        even = np.linspace(t0, self.t_end, int(count))
+        return even if self.scene.has("exact") else np.union1d(even, self._tight.ts)
+
+    @cached_property
+    def _values(self) -> dict[str, Float[np.ndarray, "k n"]]:
+        return self(self.times)
+
+    @cached_property
+    def largest(self) -> dict[str, tuple[Float[np.ndarray, " n"], float]]:
+        """By group, the largest absolute value of each component, and the largest Euclidean norm.
+
+        They are taken at `times`, in the units of the scene.
+        """
+        return {
+            g: (np.abs(rows).max(axis=0), float(np.linalg.norm(rows, axis=1).max()))
+            for g, rows in ((g, self._values[g]) for g in GROUPS)
         }
 
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:

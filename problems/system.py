@@ -67,6 +67,31 @@ class State(NamedTuple):
     x: Float[np.ndarray, " nx"] = np.zeros(0)
 
 
+class Component(NamedTuple):
+    """A component of a group: its name, its unit, and the natural size of its values, if stated."""
+
+    name: str
+    unit: str = ""
+    scale: float | None = None
+
+    @classmethod
+    def read(cls, text: str) -> Component:
+        """Read "name", "name [unit]" or "name [unit] ~ scale"."""
+        name, _, scale = (part.strip() for part in text.partition("~"))
+        name, bracket, unit = name.partition(" [")
+        return cls(name, unit.rstrip("]") if bracket else "", float(scale) if scale else None)
+
+    @property
+    def text(self) -> str:
+        """Name and unit, as a scene writes them."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def rate(self) -> Component:
+        """Its derivative by time: the same name, the unit per s or s^2, no natural size."""
+        unit = f"{self.unit[:-2]}/s^2" if self.unit.endswith("/s") else f"{self.unit or 1}/s"
+        return Component(self.name, unit)
+
+
 class Sizes(NamedTuple):
     """Numbers of coordinates, multipliers, controller states and outputs."""
 
@@ -125,8 +150,10 @@ class MechatronicSystem:
         words to search by; `stepbench check` tries integrators on scenes with "conformance"
     ``difficulties``
         a sentence for each difficulty, and the methods that it concerns
-    ``coordinates``
-        names of the entries of q, for plots
+    ``coordinates``, ``multipliers``, ``states``, ``outputs``
+        names of the entries of q, lam, x and y, as "heave [m]" or "heave [m] ~ 0.05": the unit, and
+        the natural size of the values, by which errors are divided; without it, an error is
+        relative to the largest value of the component in the reference
     ``source``
         publication of the equations and data
     """
@@ -137,6 +164,9 @@ class MechatronicSystem:
     tags: ClassVar[tuple[str, ...]] = ()
     difficulties: ClassVar[tuple[str, ...]] = ()
     coordinates: ClassVar[tuple[str, ...]] = ()
+    multipliers: ClassVar[tuple[str, ...]] = ()
+    states: ClassVar[tuple[str, ...]] = ()
+    outputs: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -230,6 +260,16 @@ class MechatronicSystem:
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""
         return {name: float(getattr(self, name)) for name in spec.numbers_of(type(self))}
+
+    def components(self, group: str) -> list[Component]:
+        """Return the components of a group, named by numbers where the scene gives no names."""
+        stated = {"lam": self.multipliers, "x": self.states, "y": self.outputs}
+        texts = stated.get(group, self.coordinates)
+        found = [Component.read(text) for text in texts]
+        for _ in range("qva".find(group)):
+            found = [component.rate() if component.unit else component for component in found]
+        numbers = range(len(found), self.sizes.of(group))
+        return found[: self.sizes.of(group)] + [Component(str(k + 1)) for k in numbers]
 
     def describe(self) -> dict[str, Any]:
         """Title, description and parameters as text and numbers, for reports and lists."""

@@ -3,7 +3,7 @@
 From Python they are Altair charts:
 
 >>> from reports.figures import work_precision
->>> work_precision("stepbench-results", scene="pendulum", error="a:max", cost="residuals")
+>>> work_precision("stepbench-results", scene="pendulum", error="a:max", cost="operations")
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.results.quantities import COST_NAMES, group_and_norm
+from bench.results.quantities import COST, COST_NAMES, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
 from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
@@ -20,9 +20,9 @@ from reports.charts.line_styles import paper_line_styles
 from reports.charts.over_time import reference_line, run_lines, wide_rows
 from reports.charts.paper_style import FORMATS, on_paper
 from reports.charts.vega_lite import ChartOptions, Dataset, Spec
-from reports.formatting import component_name, words
+from reports.formatting import component_title, words
 from reports.selection import Selection, group_and_place
-from reports.series import Series, ok_runs
+from reports.series import Series, cost_of, ok_runs
 
 if TYPE_CHECKING:
     import altair
@@ -32,8 +32,8 @@ def work_precision(
     folder: str | Path,
     *,
     scene: str | None = None,
-    error: str = "q:end",
-    cost: str = "residuals",
+    error: str = "q",
+    cost: str = COST,
     integrators: Sequence[str] = (),
     t_end: float | None = None,
 ) -> altair.LayerChart:
@@ -48,7 +48,7 @@ def work_precision(
     error
         Group and norm, such as "a:max".
     cost
-        "seconds", or a count such as "residuals" or "steps".
+        "operations", "seconds", or a count such as "residuals" or "steps".
     integrators
         Names or full specs of those to show; all if empty.
     t_end
@@ -70,7 +70,7 @@ def convergence(
     folder: str | Path,
     *,
     scene: str | None = None,
-    error: str = "q:end",
+    error: str = "q",
     integrators: Sequence[str] = (),
     t_end: float | None = None,
 ) -> altair.LayerChart:
@@ -124,14 +124,15 @@ def write_figure(
 
 
 # ---- kinds -------------------------------------------------------------------------------
-def _work_precision(chosen: Selection, error: str = "q:end", cost: str = "residuals") -> Spec:
-    counted = {name for r in ok_runs(chosen.series) for name in r.work}
-    if cost not in (known := {"seconds", *counted}):
+def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
+    runs = ok_runs(chosen.series)
+    known = ["seconds", *(c for c in COST_NAMES if any(cost_of(r, c) is not None for r in runs))]
+    if cost not in known:
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
     return _errors(chosen, chosen.series, error, cost, COST_NAMES.get(cost, cost))
 
 
-def _convergence(chosen: Selection, error: str = "q:end") -> Spec:
+def _convergence(chosen: Selection, error: str = "q") -> Spec:
     constant_steps = [s for s in chosen.series if s.controls == "step"]
     return _errors(chosen, constant_steps, error, "h", "step size h in s", slope_guides)
 
@@ -146,8 +147,8 @@ def _errors(
 ) -> Spec:
     group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
     options = ChartOptions(paper_line_styles(s.label for s in series), norm)
-    counts = dict.fromkeys(["residuals", field]) if field not in ("h", "seconds") else ["residuals"]
-    data = error_data(series, group, options, list(counts))
+    counts = [COST] if field in ("h", "seconds", COST) else [COST, field]
+    data = error_data(series, group, options, counts)
     behind = floor_rule(series, data, options) + (guides(series, data, options) if guides else [])
     panel = error_panel(data, (field, title), options, True, behind) if data.rows else None
     if panel is None:
@@ -159,10 +160,10 @@ def _errors(
 
 
 def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
-    names = chosen.scene.coordinates if chosen.scene else []
+    names = chosen.scene.components if chosen.scene else {}
     runs = [chosen.rows(s.finest) for s in chosen.series]
     group, place = group_and_place(component, runs[0].values, names)
-    field, title = f"{group}0", component_name(group, place, names)
+    field, title = f"{group}0", component_title(group, place, names)
     labels = [s.label for s in chosen.series]
     drawn = Dataset("runs", [row for k, r in enumerate(runs) for row in _rows(r, group, place, k)])
     reference = chosen.scene.reference if chosen.scene else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 #: The sign for "no value".
 NO_VALUE = "–"  # noqa: RUF001
@@ -52,7 +52,19 @@ def paragraphs(text: str) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def component_name(group: str, i: int, coordinates: Sequence[str]) -> str:
-    """A component by coordinate or number: q[X], lam[1]; ``i`` counts from 0."""
-    name = coordinates[i] if group in "qva" and i < len(coordinates) else str(i + 1)
-    return f"{group}[{name}]"
+def component_name(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:
+    """A component by name or number: q[X], lam[1]; ``i`` counts from 0."""
+    return f"{group}[{component_text(group, i, components).partition(' [')[0]}]"
+
+
+def component_title(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:
+    """A component with its unit, if it is known: q[X] in m."""
+    _, bracket, unit = component_text(group, i, components).partition(" [")
+    name = component_name(group, i, components)
+    return f"{name} in {unit.rstrip(']')}" if bracket else name
+
+
+def component_text(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:
+    """Name and unit of a component, as a scene states them; its number if it has no name."""
+    names = components.get(group, ())
+    return names[i] if i < len(names) else str(i + 1)

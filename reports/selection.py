@@ -58,7 +58,9 @@ class Selection:
 
 
 def group_and_place(
-    text: str, values: Mapping[str, Sequence[Sequence[float]]], coordinates: Sequence[str]
+    text: str,
+    values: Mapping[str, Sequence[Sequence[float]]],
+    components: Mapping[str, Sequence[str]],
 ) -> tuple[str, int]:
     """Read "a:Y" or "lam:1": a group with values and a place in it, counted from 0.
 
@@ -72,8 +74,7 @@ def group_and_place(
     if group not in known:
         raise SpecError(f"There is no component {group!r}; {suggest(group, known)}.")
     names = {str(i + 1): i for i in range(len(values[group][0]))}
-    if group in "qva":
-        names |= {name: i for i, name in enumerate(coordinates)}
+    names |= {text.partition(" [")[0]: i for i, text in enumerate(components.get(group, ()))}
     place = place or "1"
     if place not in names:
         raise SpecError(f"{group} has no component {place!r}; {suggest(place, names)}.")

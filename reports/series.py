@@ -110,6 +110,20 @@ def error_of(record: Record, group: str, norm: str) -> float | None:
     return record.errors.get(group, {}).get(norm)
 
 
+def worst_component(record: Record, group: str, norm: str) -> int | None:
+    """Place of the component with the largest error, from 0; None of a group of one component."""
+    errors = [math.inf if e is None else e for e in record.components.get(group, {}).get(norm, [])]
+    return errors.index(max(errors)) if len(errors) > 1 else None
+
+
+def measured_at(record: Record) -> str:
+    """The steps at which errors were measured: "all steps", or how many."""
+    steps = record.work.get("steps")
+    if steps is None or record.rows >= steps:
+        return "all steps" if record.rows == steps else f"{record.rows} steps"
+    return f"{record.rows} of {steps} steps"
+
+
 def reference_error(records: Iterable[Record], group: str, norm: str) -> float:
     """The largest error of the references that the records were compared with."""
     return max((r.reference_error.get(group, {}).get(norm, 0.0) for r in records), default=0.0)

@@ -26,7 +26,10 @@ def planted(
     family: str = "alpha",
     **changes,
 ) -> Record:
-    """A record with errors C h^p for {group: (C, p)} and three residuals per step."""
+    """A record with errors C h^p for {group: (C, p)} and three residuals per step.
+
+    Its bill of operations is ten per residual unless another is given.
+    """
     steps = round(1 / h)
     known = {
         "key": f"{problem} | {integrator} | h={h!r}",
@@ -45,10 +48,13 @@ def planted(
         },
         "reference_error": {g: dict.fromkeys(NORMS, 1e-15) for g in groups},
         "work": {"steps": steps, "residuals": 3 * steps},
+        "rows": steps,
         "compile_s": 1.5,
         "environment": 1,
     }
-    return Record(**(known | changes))
+    known |= changes
+    count = known["work"].get("residuals")
+    return Record(**({"operations": {"residuals": 10.0 * count} if count else {}} | known))
 
 
 def curves(t_end: float, names: dict[str, int], amplitude: float = 1.0) -> Rows:
@@ -118,7 +124,10 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                     description="A first paragraph\nover two lines.\n\nA second paragraph.",
                     source="A book, p. 11",
                     parameters=[{"name": "m", "value": 1.25, "unit": "kg", "doc": "mass & load"}],
-                    coordinates=["X", "Y"][: names[problem]["q"]],
+                    components={
+                        group: [f"{name} [{unit}]" for name in "XY"[: names[problem]["q"]]]
+                        for group, unit in (("q", "m"), ("v", "m/s"), ("a", "m/s^2"))
+                    },
                     sizes=sizes[problem],
                     t0=0.0,
                     reference_method="closed form",

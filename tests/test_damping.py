@@ -39,7 +39,7 @@ steps = [0.02]
 def scene(name="duffing", nominal_step=0.05, rates=None) -> SceneRecord:
     return SceneRecord(
         problem=name, t_end=1.0, title="", description="", source="", parameters=[],
-        coordinates=[], sizes={}, t0=0.0, reference_method="", reference_error={},
+        components={}, sizes={}, t0=0.0, reference_method="", reference_error={},
         reference=Rows(t=[], values={}), nominal_step=nominal_step, rates=rates,
     )  # fmt: skip
 

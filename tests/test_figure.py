@@ -50,7 +50,9 @@ def rows(figure: dict, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(figure["datasets"][name])))
 
 
-@pytest.mark.parametrize(("error", "group", "norm"), [("a:max", "a", "max"), ("lam", "lam", "end")])
+@pytest.mark.parametrize(
+    ("error", "group", "norm"), [("a:max", "a", "max"), ("lam:end", "lam", "end")]
+)
 @pytest.mark.parametrize("cost", ["residuals", "seconds", "steps"])
 def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, group, norm, cost):
     chart = work_precision(folder, scene="pendulum", error=error, cost=cost)
@@ -84,7 +86,11 @@ def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
 
 @pytest.mark.parametrize(
     ("component", "group", "place", "title"),
-    [("a:Y", "a", 1, "a[Y]"), ("a:2", "a", 1, "a[Y]"), ("lam", "lam", 0, "lam[1]")],
+    [
+        ("a:Y", "a", 1, "a[Y] in m/s^2"),
+        ("a:2", "a", 1, "a[Y] in m/s^2"),
+        ("lam", "lam", 0, "lam[1]"),
+    ],
 )
 def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
     folder, component, group, place, title

@@ -10,7 +10,7 @@ from helpers import long, slope
 from scipy.integrate import solve_ivp
 from test_scenes_identities import flipped, options, solved
 
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp

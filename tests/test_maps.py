@@ -14,7 +14,7 @@ from helpers import long
 from planted import Document
 
 from bench.plugins.registry import Registry
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from bench.sweeps.outcome_map import OUTCOMES, outcome_map
 from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
@@ -66,7 +66,7 @@ def test_a_point_is_a_single_run(problem, integrator, over, error):
             for name in settings.keys() & vars(of).keys():
                 object.__setattr__(of, name, float(settings[name]))  # both were made here
         run = method.prepare(scene, t_end, resolution).measure()
-        errors, _ = relative_errors(run, Reference(scene, t_end))
+        errors, *_ = relative_errors(run, Reference(scene, t_end))
         wanted = errors[group][norm]
         assert found.error[j, i] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
         assert OUTCOMES[found.outcome[j, i]] == ("ok" if wanted <= 0.1 else "inaccurate")

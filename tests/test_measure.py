@@ -7,17 +7,27 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from helpers import long
 
-from bench.results.quantities import GROUPS
+from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record
 from bench.results.store import Store
-from bench.running.measure import histories, norms, relative_errors, rows_of
+from bench.running.errors import norms, relative_errors
+from bench.running.measure import histories, rows_of
 from bench.running.scene_records import rates
+from integrators import Steps, Tolerances
+from integrators.adapters.diffrax_methods import Kvaerno3
+from integrators.adapters.ida import IDA
+from integrators.adapters.scipy_ode import Radau
 from integrators.contract import Trajectory
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from problems import MechatronicSystem, State, jnp
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
+from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
+from problems.system import Sizes
 
 TIMES = np.linspace(0.0, 0.4, 5)
 
@@ -102,26 +112,121 @@ def test_norms_are_those_worked_out_by_hand_at_unequal_times():
     assert found == {"end": [2.0], "max": [9.0], "rms": [5.0], "settled": [3.0]}
 
 
-def test_errors_are_relative_in_each_norm_by_itself():
-    t = np.array([0.0, 1.0, 4.0])
-    exact = np.array([[3.0, 4.0], [0.0, 10.0], [8.0, 0.0]])  # sizes 5, 10, 8
-    off = np.array([[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])  # sizes 0, 5, 2
+class Known(Reference):
+    """A reference with three rows of two coordinates, and some errors of its own."""
 
-    class Known:
-        error = MappingProxyType({"q": 1e-3})
+    exact = np.array([[3.0, 4.0], [0.0, 10.0], [8.0, 0.0]])  # norms 5, 10, 8
+    error = MappingProxyType({"q": np.array([1e-3, 4e-3])})
 
-        def __call__(self, at):
-            none = dict.fromkeys(GROUPS, np.zeros((len(at), 0)))
-            return none | {"q": exact}
+    def __call__(self, t):
+        none = dict.fromkeys(GROUPS, np.zeros((len(t), 0)))
+        return none | {"q": self.exact}
 
-    run = trajectory(t=t, q=exact + off)
-    errors, floors = relative_errors(run, Known())
-    assert errors["q"]["end"] == 2 / 8
-    assert errors["q"]["max"] == 5 / 10
-    assert errors["q"]["settled"] == 2 / 8
-    # Trapezoids of the squares: (0 + 25)/2 + 3 (25 + 4)/2 = 56 and (25 + 100)/2 + 3 (100 + 64)/2.
-    assert errors["q"]["rms"] == pytest.approx(np.sqrt(56 / 308.5), rel=1e-15)
-    assert floors["q"]["max"] == 1e-3 / 10
+    @property
+    def times(self):
+        return np.array([0.0, 1.0, 4.0])
+
+
+class Named(MechatronicSystem):
+    """Two coordinates without equations; only their names matter."""
+
+    coordinates = ("x [m]", "y [m]")
+    sizes = Sizes(2, 0, 0, 0)
+
+
+class Scaled(Named):
+    coordinates = ("x [m]", "y [m] ~ 0.5")
+
+
+def errors_of(scene, off):
+    run = trajectory(t=np.array([0.0, 1.0, 4.0]), q=Known.exact + np.array(off))
+    return relative_errors(run, Known(scene, 4.0))
+
+
+def test_a_group_is_judged_by_its_worst_component_and_every_norm_has_one_denominator():
+    errors, floors, components = errors_of(Named(), [[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])
+    # The largest values of the components are 8 and 10, that of the norm is 10.
+    assert components["q"]["max"] == [3 / 8, 4 / 10]
+    assert components["q"]["end"] == [0.0, 2 / 10]
+    assert errors["q"] == {
+        "max": 4 / 10,
+        "end": 2 / 10,
+        "settled": 2 / 10,
+        # Trapezoids of the squares over 4 s: x 9/2 + 3*9/2 = 18, y 16/2 + 3*(16+4)/2 = 38.
+        "rms": pytest.approx(max(np.sqrt(18 / 4) / 8, np.sqrt(38 / 4) / 10), rel=1e-15),
+    }
+    # Norms of the differences: 0, 5, 2.
+    assert errors["|q|"] == {
+        "max": 5 / 10,
+        "end": 2 / 10,
+        "settled": 2 / 10,
+        "rms": pytest.approx(np.sqrt((25 / 2 + 3 * 29 / 2) / 4) / 10, rel=1e-15),
+    }
+    assert floors["q"] == dict.fromkeys(NORMS, pytest.approx(4e-3 / 10, rel=1e-15))
+    assert floors["|q|"]["end"] == pytest.approx(np.sqrt(17) * 1e-3 / 10, rel=1e-15)
+
+
+def test_a_natural_size_replaces_the_largest_value_of_its_component():
+    errors, floors, components = errors_of(Scaled(), [[0.0, 0.0], [3.0, 0.01], [0.0, -0.02]])
+    assert components["q"]["max"] == [3 / 8, 0.02 / 0.5]
+    assert errors["q"]["max"] == 3 / 8
+    assert errors["q"]["end"] == 0.02 / 0.5
+    assert floors["q"]["max"] == 4e-3 / 0.5
+
+
+def test_a_component_that_hardly_moves_is_measured_by_its_group(monkeypatch):
+    monkeypatch.setattr(Known, "exact", np.array([[10.0, 1e-9], [0.0, -1e-12], [1.0, 0.0]]))
+    _, _, components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]])
+    assert components["q"]["max"] == [0.0, pytest.approx(1e-7)]
+
+
+def test_components_have_the_units_of_their_coordinates_by_time():
+    assert [c.text for c in Named().components("v")] == ["x [m/s]", "y [m/s]"]
+    assert [c.text for c in Scaled().components("a")] == ["x [m/s^2]", "y [m/s^2]"]
+    assert [c.scale for c in Scaled().components("q")] == [None, 0.5]
+    assert Scaled().components("v")[1].scale is None
+    assert [c.text for c in Pendulum(copies=2).components("lam")] == ["rod [N/m]", "2"]
+
+
+@pytest.mark.parametrize(
+    ("method", "resolution"),
+    [
+        (GeneralizedAlpha(), Steps(2.0 / 1500)),
+        *long(
+            (GeneralizedAlphaAdaptive(), Tolerances(3e-5)),
+            (Kvaerno3(), Tolerances(1e-9)),
+            (Radau(), Tolerances(1e-9)),
+            (IDA(), Tolerances(1e-9)),
+        ),
+    ],
+)
+def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(method, resolution):
+    scene = Pendulum()
+    run = method.prepare(scene, 2.0, resolution).measure()
+    assert run.work.steps == len(run.t) - 1 > 300
+    assert (np.diff(run.t) > 0).all()
+    stored = rows_of(run)
+    assert len(stored.t) < 240
+    reference = Reference(scene, 2.0)
+    _, _, components = relative_errors(run, reference)
+    worst = np.abs(run.a - reference(run.t)["a"]).max(axis=0) / np.abs(reference.largest["a"][0])
+    assert components["a"]["max"] == pytest.approx(worst, rel=1e-12)
+
+
+def test_a_very_long_run_keeps_a_bounded_number_of_rows():
+    run = GeneralizedAlpha().prepare(SpringMass(), 20.0, Steps(20.0 / 40_000)).measure()
+    assert (run.status, run.work.steps) == ("ok", 40_000)
+    assert 3_000 < len(run.t) < 5_000
+    assert run.t[:17] == pytest.approx(np.arange(17) * 5e-4)
+    assert (run.t[-1], run.notes["h"].size) == (20.0, len(run.t))
+
+
+@pytest.mark.long
+def test_an_impact_between_stored_rows_is_not_missed():
+    scene = SoftImpact()
+    run = GeneralizedAlpha(rho_inf=0.8).prepare(scene, scene.interval[1], Steps(6.25e-5)).measure()
+    errors, *_ = relative_errors(run, Reference(scene, scene.interval[1]))
+    assert errors["v"]["max"] == pytest.approx(2.615e-4, rel=2e-3)
 
 
 @dataclass(frozen=True)

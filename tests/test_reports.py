@@ -63,17 +63,17 @@ def test_every_number_of_the_summary_is_one_of_the_store(
     for row in rows:
         own = [r for r in records if r.integrator == row["integrator"] and r.status == "ok"]
         for group in groups:
-            smallest = min((r.errors[group]["end"] for r in own), default=None)
+            smallest = min((r.errors[group]["max"] for r in own), default=None)
             assert row[f"error in {group}"] == (f"{smallest:.3g}" if own else number(None))
         if own:
-            best = min(own, key=lambda r: r.errors["q"]["end"])
+            best = min(own, key=lambda r: r.errors["q"]["max"])
             assert row["residual evaluations"] == str(best.work["residuals"])
             assert row["time in ms"] == milliseconds(median(best.run_s))
             assert row["most accurate run"] == best.resolution
 
 
 def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> None:
-    rows = page.rows("Fitted orders of the error largest after the start transient", 1)
+    rows = page.rows("Fitted orders of the error largest in the last quarter", 1)
     assert len(rows) == 3
     for row in rows:
         own = [r for r in stored(folder) if r.problem == "pendulum"]
@@ -205,7 +205,7 @@ def test_the_page_asks_nothing_of_any_network(folder: Path, page: Document) -> N
 
 def test_the_charts_carry_the_numbers_of_the_store(folder: Path, page: Document) -> None:
     found = set()
-    for text in page.charts["scene-2-1-convergence-end"]["datasets"].values():
+    for text in page.charts["scene-2-1-convergence-max"]["datasets"].values():
         found |= {
             (row["series"], row["norm"], row["run"], float(row["error"]))
             for row in csv.DictReader(io.StringIO(text))
@@ -233,7 +233,7 @@ def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> 
     plant(tmp_path, some())
     figures = tmp_path / FIGURES
     figures.mkdir()
-    for name in ("scene-9-1-convergence-end.svg", "mine.txt"):
+    for name in ("scene-9-1-convergence-max.svg", "mine.txt"):
         (figures / name).write_text("old", encoding="utf-8")
     text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     shown = {Path(name).name for name in re.findall(r"\]\(([^)]+\.svg)\)", text)}
@@ -300,7 +300,7 @@ def test_the_size_of_the_motion_is_that_of_the_reference(folder: Path, paper: st
         rows = next(s for (p, _), s in store.scenes().items() if p == "pendulum").reference
     values = [row[1] for row in rows.values["q"]]
     rms = math.sqrt(sum(v * v for v in values) / len(values))
-    assert f"| `q[Y]` | {number(max(map(abs, values)))} | {number(rms)} |" in paper
+    assert f"| `q[Y] in m` | {number(max(map(abs, values)))} | {number(rms)} |" in paper
 
 
 def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
@@ -348,7 +348,7 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
         r.status != "ok" for r in planted_records
     ) else []  # fmt: skip
     assert shown == [r.message for r in planted_records if r.status != "ok"]
-    drawn = any(name.endswith("convergence-end") for name in page.charts)
+    drawn = any(name.endswith("convergence-max") for name in page.charts)
     assert drawn == any(r.status == "ok" for r in planted_records)
 
 

@@ -23,7 +23,7 @@ from reports.charts.line_styles import line_styles
 def scene(problem, t_end, nq, nl):
     return SceneRecord(
         problem=problem, t_end=t_end, title="", description="", source="", parameters=[],
-        coordinates=[], sizes={"nq": nq, "nl": nl, "nx": 0, "ny": 0}, t0=0.0,
+        components={}, sizes={"nq": nq, "nl": nl, "nx": 0, "ny": 0}, t0=0.0,
         reference_method="", reference_error={}, reference=Rows(t=[], values={}),
     )  # fmt: skip
 

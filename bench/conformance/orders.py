@@ -9,7 +9,7 @@ from bench.conformance.trials import reference
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
 from bench.results.quantities import TRUST
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
 
@@ -97,7 +97,7 @@ def _refine(
         run = method.prepare(scene, t_end, Steps(length / steps)).measure()
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
         if not trouble:  # coarse steps may be too coarse
-            errors, own = relative_errors(run, known)
+            errors, own, _ = relative_errors(run, known)
             for group in claims:
                 error = errors[group][_NORM]
                 floors[group] = max(floors[group], own[group][_NORM])
@@ -173,7 +173,7 @@ def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
                 raise Failed(
                     f"On {scene.spec} at rtol={rtol:g} it ends with {run.status}: {run.message}"
                 )
-            measured, _ = relative_errors(run, reference(scene, t_end))
+            measured, *_ = relative_errors(run, reference(scene, t_end))
             done.append(rtol)
             for group, values in errors.items():
                 values.append(measured[group]["max"] or 0.0)

@@ -13,7 +13,7 @@ from bench.conformance.trials import reference
 from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
 from bench.results.quantities import LEVELS
-from bench.running.measure import relative_reference_error
+from bench.running.errors import relative_reference_error
 from problems import jax, jnp
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
@@ -45,16 +45,18 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
             f"The nominal step {step:g} s does not fit the interval of {t_end - t0:g} s; take "
             f"the largest step that resolves the motion."
         )
-    names, nq = scene.coordinates, scene.sizes.nq
-    if names and len(names) != nq:
-        raise Failed(f"{len(names)} coordinates are named, q has {nq} entries.")
+    stated = ("coordinates", "q"), ("multipliers", "lam"), ("states", "x"), ("outputs", "y")
+    for attribute, group in stated:
+        named, size = len(getattr(scene, attribute)), scene.sizes.of(group)
+        if named not in (0, size):
+            raise Failed(f"{named} {attribute} are named, {group} has {size} entries.")
     parameters = scene.describe()["parameters"]
     for item in parameters:
         if isinstance(item["value"], float) and not item["unit"].strip():
             raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")
         if not item["doc"].strip():
             raise Failed(f"The parameter {item['name']} has no description; say what it is.")
-    return f"Described, {nq} coordinates, {len(parameters)} parameters with units."
+    return f"Described, {scene.sizes.nq} coordinates, {len(parameters)} parameters with units."
 
 
 def check_name(registry: Registry, scene: MechatronicSystem) -> str:

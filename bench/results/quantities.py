@@ -19,12 +19,26 @@ GROUP_NAMES = {
     "x": "controller state x",
     "y": "output y",
 }
-#: Titles of the norms over time; `bench.running.measure.norms` computes them.
+
+
+def whole(group: str) -> str:
+    """Name of the error of a whole group, in the Euclidean norm of its components: "|q|"."""
+    return f"|{group}|"
+
+
+#: Titles of the errors of a run. The error of a group is that of its worst component.
+ERROR_NAMES = GROUP_NAMES | {whole(g): f"{name}, 2-norm" for g, name in GROUP_NAMES.items()}
+#: The error that is meant where no other is named.
+ERROR_MEANING = (
+    "The error of a group is that of its worst component: |value - reference|, divided by the "
+    "component's largest absolute value in the reference, the largest over all steps."
+)
+#: Titles of the norms over time; `bench.running.errors.norms` computes them.
 NORM_NAMES = {
+    "max": "largest over time",
     "end": "at the end",
-    "max": "largest over all times",
     "rms": "root mean square over time",
-    "settled": "largest after the start transient",
+    "settled": "largest in the last quarter",
 }
 NORMS = tuple(NORM_NAMES)
 #: Norm of every error that is shown or judged unless another is asked for.
@@ -51,12 +65,13 @@ TRUST = 100.0
 
 
 def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
-    """Read an error as a person writes it, such as "a:max".
+    """Read an error as a person writes it, such as "a:max" or "|a|:end".
 
     Parameters
     ----------
     text
-        A group, a colon and a norm; without a norm, the norm is `NORM`.
+        A group, a colon and a norm; without a norm, the norm is `NORM`. A group between bars means
+        its 2-norm, without them its worst component.
     groups
         The groups that have errors.
 
@@ -66,7 +81,7 @@ def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
         If the group is not among ``groups``, or there is no such norm.
     """
     group, _, norm = (part.strip() for part in text.partition(":"))
-    if group not in groups:
+    if group.strip("|") not in groups or group not in ERROR_NAMES:
         raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
     return group, checked_norm(norm or NORM)
 

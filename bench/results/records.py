@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.results.quantities import GROUPS, LEVELS, NORMS, whole
 
 #: Version of the records below. A store of another version is refused with a hint.
-SCHEMA = 1
+SCHEMA = 2
 
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.
@@ -33,8 +33,10 @@ class Environment(msgspec.Struct, kw_only=True):
 class Record(msgspec.Struct, kw_only=True):
     """One cell: one integrator on one scene at one resolution.
 
-    ``errors[group][norm]`` are relative errors; a group that the scene lacks is absent, a value
-    that is not finite is None. ``constraint[level]`` is the largest residual over the rows.
+    ``errors[group][norm]`` are relative errors of the worst component of each group, of "|q|" in
+    the 2-norm of the group, and ``components[group][norm]`` those of all components; a group that
+    the scene lacks is absent, a value that is not finite is None. They are measured at ``rows`` of
+    the steps of the run. ``constraint[level]`` is the largest residual over the rows.
     ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
@@ -59,6 +61,8 @@ class Record(msgspec.Struct, kw_only=True):
     message: str = ""
     errors: dict[str, dict[str, float | None]] = {}
     reference_error: dict[str, dict[str, float]] = {}
+    components: dict[str, dict[str, list[float | None]]] = {}
+    rows: int = 0
     constraint: dict[str, float | None] = {}
     energy_drift: float | None = None
     work: dict[str, int | None] = {}
@@ -97,7 +101,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     description: str
     source: str
     parameters: list[dict[str, Any]]
-    coordinates: list[str]
+    components: dict[str, list[str]]
     sizes: dict[str, int]
     t0: float
     reference_method: str
@@ -175,6 +179,11 @@ def flatten(record: Record) -> dict[str, Any]:
             row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
             floor = record.reference_error.get(group, {}).get(norm)
             row[f"reference_error_{group}_{norm}"] = floor
+            row[f"error_{group}_2norm_{norm}"] = record.errors.get(whole(group), {}).get(norm)
+            each = record.components.get(group, {}).get(norm, [])
+            row[f"error_{group}_components_{norm}"] = " ".join(
+                "nan" if e is None else f"{e:.9g}" for e in each
+            )
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
@@ -185,7 +194,7 @@ def flatten(record: Record) -> dict[str, Any]:
     row["run_s_max"] = samples[-1] if samples else None
     row["pattern"] = "/".join(f"{f:g}" for f in record.pattern)
     row["run_s"] = " ".join(f"{s:.9g}" for s in record.run_s)
-    for nested in ("errors", "reference_error", "constraint", "work"):
+    for nested in ("errors", "reference_error", "components", "constraint", "work"):
         del row[nested]
     return row
 

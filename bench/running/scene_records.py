@@ -10,10 +10,11 @@ import numpy as np
 from bench.plugins.fingerprint import fingerprint
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
+from bench.running.errors import relative_reference_error
 from problems.formulations import ode_rate
 from problems.reference import Reference
 from problems.runtime import jax
-from problems.system import MechatronicSystem
+from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene.
 GHOSTS = 7
@@ -40,7 +41,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
         t = np.linspace(scene.interval[0], reference.t_end, 301)
         known = {
             "reference_method": reference.method,
-            "reference_error": measure.relative_reference_error(reference),
+            "reference_error": relative_reference_error(reference),
             "reference": measure.rows_of({"t": t} | reference(t)),
             "drawings": drawings(scene, reference, GHOSTS),
             "rates": rates(scene, reference),
@@ -49,7 +50,9 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
         problem=scene.spec,
         t_end=reference.t_end,
         source=scene.source,
-        coordinates=list(scene.coordinates),
+        components={
+            g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS
+        },
         sizes=scene.sizes._asdict(),
         t0=scene.interval[0],
         fingerprint=fingerprint(type(scene)),

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from bench.plugins.registry import Registry, explain
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
+from bench.running.errors import finite, relative_errors
 from bench.running.plan import Cell
 from bench.running.processes import Notify
 from bench.running.scene_records import scene_record
@@ -86,7 +87,7 @@ class Worker:
         scene = self.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
         record = cell.record(self.registry, trajectory.status, trajectory.message)
-        record.work = asdict(trajectory.work)
+        record.work, record.rows = asdict(trajectory.work), max(0, len(trajectory.t) - 1)
         record.compile_s = compile_s
         if trajectory.status == "ok":
             self._compare(record, trajectory, scene, errors)
@@ -102,11 +103,13 @@ class Worker:
                 if reference.missing:
                     record.message = f"No errors are known. {reference.missing}"
                 else:
-                    record.errors, record.reference_error = measure.relative_errors(run, reference)
+                    record.errors, record.reference_error, record.components = relative_errors(
+                        run, reference
+                    )
             except Exception as error:
                 record.message = f"No errors are known, the reference failed: {explain(error)}"
         histories = measure.histories(scene, run)
-        largest = {name: measure.finite(values.max()) for name, values in histories.items()}
+        largest = {name: finite(values.max()) for name, values in histories.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
         run.notes |= histories

@@ -11,7 +11,7 @@ from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
 from bench.results.records import Damping, Record, SceneRecord
 from bench.results.store import Store
-from bench.running.measure import finite
+from bench.running.errors import finite
 from bench.running.plan import Suite
 from bench.running.processes import NoAnswer
 from bench.running.runner import Runner, Task

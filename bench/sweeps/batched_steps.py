@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator, Steps, Tolerances, spread_rows
 from integrators.native import adaptive_steps, constant_steps
 from integrators.native.adaptive_steps import Span
 from integrators.native.endings import Ending
@@ -86,8 +86,8 @@ class ConstantSteps:
     def __init__(self, steps: Sequence[Steps], t0: float, t_end: float, every_row: bool) -> None:
         self._t_end = t_end
         different, self._of = distinct(steps)
-        clocks, rows = zip(*(constant_steps.grid(t0, t_end, s) for s in different), strict=True)
-        rows = [numbers if every_row else numbers[-1:] for numbers in rows]
+        clocks, ends = zip(*(constant_steps.grid(t0, t_end, s) for s in different), strict=True)
+        rows = [spread_rows(end)[1:] if every_row else np.array([end]) for end in ends]
         self.numbers = list(clocks)
         self._row_counts = np.array([len(numbers) for numbers in rows])
         self._rows = np.zeros((len(rows), self._row_counts.max()), dtype=np.int64)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
-from bench.running import measure
+from bench.running.errors import Scales, component_errors, finite, scales, whole_error
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, BatchRun, Block, refuse
 from bench.sweeps.ensemble import within_budget
@@ -90,7 +90,7 @@ class OutcomeMap:
             "error": f"{self.group}:{self.norm}",
             "threshold": self.threshold,
             "outcome": [[OUTCOMES[k] for k in row] for row in self.outcome.tolist()],
-            "log10_error": [[measure.finite(e) for e in row] for row in logs.tolist()],
+            "log10_error": [[finite(e) for e in row] for row in logs.tolist()],
             "counts": self.counts(),
             "reasons": self.reasons,
             "compile_s": self.compile_s,
@@ -99,7 +99,7 @@ class OutcomeMap:
 
 
 def read_error(text: str, scene: MechatronicSystem) -> tuple[str, str]:
-    """Read text such as "a:end" as a group of the scene and a norm ("end" if none is given).
+    """Read text such as "a:end" as a group of the scene and a norm ("max" if none is given).
 
     Raises
     ------
@@ -136,7 +136,8 @@ def outcome_map(
     t_end
         End time in s; the scene's own if not given.
     error
-        Group and norm of the relative error, as `bench.running.measure.relative_errors` takes it.
+        Group and norm of the relative error, as `bench.running.errors.relative_errors` takes it,
+        but at some 200 rows spread over the run.
     threshold
         A run with a larger error is inaccurate.
     budget
@@ -195,7 +196,7 @@ class _ErrorMeter:
     def __init__(self, runs: list[BatchRun], t_end: float, group: str, norm: str) -> None:
         self._runs, self._t_end, self._group, self._norm = runs, t_end, group, norm
         self._references: dict[MechatronicSystem, Reference] = {}
-        self._exact: dict[tuple[MechatronicSystem, bytes], np.ndarray | str] = {}
+        self._exact: dict[tuple[MechatronicSystem, bytes], tuple[np.ndarray, Scales] | str] = {}
 
     def errors(self, block: Block) -> tuple[np.ndarray, dict[int, str]]:
         """Return relative errors ``(k,)`` of the members of a block, NaN for those that are not
@@ -207,22 +208,25 @@ class _ErrorMeter:
             together.setdefault((self._runs[block.members[k]].scene, times), []).append(k)
         for (scene, times), places in together.items():
             t = np.frombuffer(times)
-            exact = self._at(scene, t)
-            if isinstance(exact, str):
-                failed |= dict.fromkeys(places, exact)
+            known = self._at(scene, t)
+            if isinstance(known, str):
+                failed |= dict.fromkeys(places, known)
                 continue
-            norm = measure.norms(t)[self._norm]
-            value = block.values[self._group][places, : len(t)]
-            scale = float(norm(np.linalg.norm(exact, axis=-1))) or 1.0
-            found[places] = norm(np.linalg.norm(value - exact, axis=-1)) / scale
+            exact, sizes = known
+            difference = block.values[self._group.strip("|")][places, : len(t)] - exact
+            if self._group.startswith("|"):
+                found[places] = whole_error(difference, t, sizes, self._norm)
+            else:
+                found[places] = component_errors(difference, t, sizes, self._norm).max(axis=-1)
         return found, failed
 
-    def _at(self, scene: MechatronicSystem, t: np.ndarray) -> np.ndarray | str:
+    def _at(self, scene: MechatronicSystem, t: np.ndarray) -> tuple[np.ndarray, Scales] | str:
         key = scene, t.tobytes()
         if key not in self._exact:
             reference = self._references.setdefault(scene, Reference(scene, self._t_end))
             try:
-                self._exact[key] = reference(t)[self._group]
+                group = self._group.strip("|")
+                self._exact[key] = reference(t)[group], scales(reference, group)
             except Exception as error:  # the scene may be a plugin, which may do anything
                 self._exact[key] = f"The reference failed: {error}"
         return self._exact[key]

@@ -12,7 +12,7 @@ import numpy as np
 from integrators.adapters.counting import run_counted, watch
 from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import PreparedRun, Tolerances, Trajectory, spread_rows
+from integrators.contract import PreparedRun, Tolerances, Trajectory, kept_rows
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
@@ -128,7 +128,7 @@ class AdaptiveRun(PreparedRun):
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
         status, message = self._outcome(result, t[-1], s[-1])
-        keep, nq = spread_rows(accepted), self._scene.sizes.nq
+        keep, nq = kept_rows(accepted), self._scene.sizes.nq
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
         work = work_of(self._scheme, counts, accepted, rejected)

@@ -21,8 +21,8 @@ from integrators.contract import (
     Tolerances,
     Trajectory,
     Work,
+    kept_rows,
     option,
-    spread_rows,
 )
 from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout
@@ -198,7 +198,7 @@ class _IDARun(PreparedRun):
             jacobians=equations.jacobians,
             factorisations=equations.jacobians,  # IDA factorises each Jacobian once
         )
-        keep = spread_rows(len(t) - 1)
+        keep = kept_rows(len(t) - 1)
         trajectory = dae.trajectory_from_vectors(
             self._scene, self.layout, np.array(t)[keep], np.array(w)[keep]
         )

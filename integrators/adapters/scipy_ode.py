@@ -24,8 +24,8 @@ from integrators.contract import (
     PreparedRun,
     Tolerances,
     Trajectory,
+    kept_rows,
     option,
-    spread_rows,
 )
 from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
@@ -134,7 +134,7 @@ class ScipyRun(PreparedRun):
             w.append(values)
 
         end = self._solve(equations, equations.count_linear_algebra, keep)
-        rows = spread_rows(len(t) - 1)
+        rows = kept_rows(len(t) - 1)
         trajectory = self._trajectory(np.array(t)[rows], np.array(w)[rows])
         work = equations.work(len(t) - 1)
         if end is None:

@@ -28,13 +28,14 @@ import numpy as np
 
 from integrators.contract import (
     FIRST_ROWS,
-    SPREAD_ROWS,
+    MOST_ROWS,
     PreparedRun,
     Tolerances,
     Trajectory,
     Work,
 )
 from integrators.native import small_matrices
+from integrators.native.constant_steps import ROW_SLOTS
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
@@ -69,7 +70,8 @@ _SHARPEST, _AFTER_FAILURE = 0.1, 0.25
 #: The first step is at most this part of the interval.
 _FIRST_PART = 0.01
 
-_SPREAD_SLOTS = 2 * SPREAD_ROWS
+#: Rows of one run among many, besides the first: they are spread over the run.
+_SPREAD_SLOTS = 400
 
 
 class Span(NamedTuple):
@@ -118,7 +120,7 @@ class AdaptiveRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         packs = [scene.parameters(), numbers, self._start]
         self.arguments = self.kernel.pack(*packs, self._span)
-        self._keep, self.end_only = jnp.asarray(1), (jnp.asarray(0),)
+        self.end_only = (jnp.zeros(ROW_SLOTS, dtype=int),)
         # A loop over no time compiles the kernel and costs nothing else.
         nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
         jax.block_until_ready(self.kernel(nothing, *self.end_only))
@@ -127,12 +129,21 @@ class AdaptiveRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        early, spread, last, end = map(np.asarray, self.kernel(self.arguments, self._keep))
+        first, steps, parts, last, end = 1, MOST_ROWS, [], np.zeros(0), np.zeros(0)
+        # Each call begins at the start again, and keeps the next rows.
+        while first <= steps:
+            wanted = jnp.full(ROW_SLOTS, first)
+            window, spread, last, end = map(np.asarray, self.kernel(self.arguments, wanted))
+            steps, first = int(end[2]), first + ROW_SLOTS
+            parts.append(window)
+            if steps > MOST_ROWS:
+                parts.append(spread)
+                break
         ending, t, *counts = end
         status, message = Ending(int(ending)).outcome(
             float(t), float(self._span.t_end), int(self._span.max_steps)
         )
-        rows = in_order(np.concatenate([early, spread, last[None]]))
+        rows = in_order(np.concatenate([*parts, last[None]]))
         values = with_start(self._start, rows[:, 1:], self._noted)
         work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
@@ -165,8 +176,9 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
     It returns the first rows, rows spread over the run, and the last row, each ``[step, t, q, v, a,
     lam, x, xdot, y, notes]`` (step 0: no row), and ``[ending, t, steps, rejected, newton, ...]``.
-    With ``wanted`` 0 only the last row is stored. With None the program has no memory for other
-    rows: many runs side by side would copy it in every step.
+    ``wanted`` is the number of the step with which the first rows begin, repeated for each slot of
+    them; a scalar has `FIRST_ROWS` slots. With 0 only the last row is stored. With None the program
+    has no memory for other rows: many runs side by side would copy it in every step.
     """
     order = program.functions.order
 
@@ -213,15 +225,17 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
         When the spread is full, every other row of it is dropped and the stride doubles.
         """
-        early = m.early.at[jnp.where(wanted & (n <= FIRST_ROWS), n - 1, FIRST_ROWS)].set(
+        slots = len(m.early)
+        place = n - wanted
+        early = m.early.at[jnp.where((wanted > 0) & (place >= 0), place, slots)].set(
             row, mode="drop"
         )
-        slot, hit = n // m.stride - 1, wanted & (n % m.stride == 0)
+        slot, hit = n // m.stride - 1, (wanted > 0) & (n % m.stride == 0)
         spread = m.spread.at[jnp.where(hit, slot, _SPREAD_SLOTS)].set(row, mode="drop")
         full = hit & (slot == _SPREAD_SLOTS - 1)
 
         def thin(spread: Array) -> Array:
-            return jnp.zeros_like(spread).at[:SPREAD_ROWS].set(spread[1::2])
+            return jnp.zeros_like(spread).at[: _SPREAD_SLOTS // 2].set(spread[1::2])
 
         spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
         return m._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * m.stride)
@@ -278,7 +292,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
             row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat(now)])
             if wanted is not None:
-                m = keep(m, counts[0], row, accepted & (wanted > 0))
+                m = keep(m, counts[0], row, jnp.where(accepted, jnp.ravel(wanted)[0], 0))
 
             def choose(new: Any, old: Any) -> Any:
                 return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
@@ -291,6 +305,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             )  # fmt: skip
 
         width, room = 2 + flat(first).size, 0 if wanted is None else 1
+        slots = wanted.size if wanted is not None and wanted.ndim else room * FIRST_ROWS
         m = jax.lax.while_loop(
             going,
             try_step,
@@ -302,7 +317,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 peaks=sizes_of(first),
                 ending=jnp.asarray(_OK),
                 counts=(jnp.asarray(0),) * (1 + len(StepReport._fields)),
-                early=jnp.zeros((room * FIRST_ROWS, width)),
+                early=jnp.zeros((slots, width)),
                 spread=jnp.zeros((room * _SPREAD_SLOTS, width)),
                 stride=jnp.asarray(1),
             ),

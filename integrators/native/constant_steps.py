@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import (
-    FIRST_ROWS,
-    SPREAD_ROWS,
     PreparedRun,
     Steps,
     Trajectory,
     Work,
-    spread_rows,
+    kept_rows,
 )
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
@@ -42,8 +40,9 @@ _OK, _NEWTON_FAILED, _DIVERGED = (
     int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED)
 )
 _PATTERN_SLOTS = 16
-#: Most rows that a run can ask for: the first steps, the first macro steps and the spread.
-_ROW_SLOTS = 2 * FIRST_ROWS + SPREAD_ROWS + 1
+#: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
+#: anew in every call.
+ROW_SLOTS = 1024
 
 
 class Clock(NamedTuple):
@@ -60,23 +59,22 @@ class Clock(NamedTuple):
     slots: Int[Array, ""] | int
 
 
-def step_times(clock: Clock, n: Int[Array, ""] | int) -> tuple[Time, Time]:
+def step_times(clock: Clock, n: Array | np.ndarray | int) -> tuple[Time, Time]:
     """Time at the end of the n-th step (from zero) and size of the step, in s."""
     macro, j = n // clock.slots, n % clock.slots
     t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
     return t, clock.length / clock.macro_steps * clock.fractions[j]
 
 
-def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, np.ndarray]:
-    """The clock of a run, and the numbers of the steps whose ends are its rows, in order."""
+def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, int]:
+    """The clock of a run, and its number of steps."""
     macro = resolution.count(t0, t_end)
     slots = len(resolution.pattern)
     fractions = np.zeros(_PATTERN_SLOTS)
     fractions[:slots] = resolution.pattern
     ends = np.cumsum(fractions)
     ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
-    rows = np.union1d(np.arange(min(FIRST_ROWS, macro * slots) + 1), spread_rows(macro) * slots)
-    return Clock(t0, t_end - t0, macro, fractions, ends, slots), rows[rows > 0]
+    return Clock(t0, t_end - t0, macro, fractions, ends, slots), macro * slots
 
 
 class ConstantStepsRun(PreparedRun):
@@ -91,15 +89,12 @@ class ConstantStepsRun(PreparedRun):
         t_end: float,
         resolution: Steps,
     ) -> None:
-        self._clock, self._rows = grid(scene.interval[0], t_end, resolution)
-        padded = np.zeros(_ROW_SLOTS, dtype=np.int64)
-        padded[: len(self._rows)] = self._rows
+        self._clock, self._steps = grid(scene.interval[0], t_end, resolution)
         start = consistent_start(scene)
         self._start, self._noted, self._t_end = start, noted, float(t_end)
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
-        self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
-        self.end_only = jnp.full(_ROW_SLOTS, self._rows[-1]), jnp.asarray(1)
+        self.end_only = jnp.full(ROW_SLOTS, self._steps), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
 
@@ -107,14 +102,22 @@ class ConstantStepsRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        rows, end = (np.asarray(part) for part in self.kernel(self.arguments, *self._all_rows))
-        kept = np.flatnonzero(rows[: len(self._rows), 0] == self._rows)
+        numbers, parts, end = kept_rows(self._steps)[1:], [], np.zeros(0)
+        # Each call begins at the start again, and keeps the next rows.
+        for first in range(0, len(numbers), ROW_SLOTS):
+            wanted = numbers[first : first + ROW_SLOTS]
+            asked = jnp.asarray(np.resize(wanted, ROW_SLOTS)), jnp.asarray(len(wanted))
+            kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
+            parts.append(kept[: len(wanted)][kept[: len(wanted), 0] == wanted])
+            if Ending(int(end[0])) is not Ending.OK:
+                break
         ending, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         status, message = Ending(int(ending)).outcome(float(t), self._t_end)
-        values = with_start(self._start, rows[kept, 1:], self._noted)
-        sizes = [step_times(self._clock, n - 1)[1] for n in self._rows[kept]]
-        values["notes"].setdefault("h", np.array([np.nan, *sizes]))
+        rows = np.concatenate(parts)
+        values = with_start(self._start, rows[:, 1:], self._noted)
+        _, sizes = step_times(self._clock, rows[:, 0].astype(int) - 1)
+        values["notes"].setdefault("h", np.append(np.nan, sizes))
         return Trajectory(**values, status=status, message=message, work=work)
 
 

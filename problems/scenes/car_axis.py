@@ -29,7 +29,8 @@ class CarAxis(MechatronicSystem):
         "stiff springs against light masses: explicit methods are held to short steps",
         "the right wheel's motion makes a constraint depend on time: velocities need Phi_t, too",
     )
-    coordinates = ("left x", "left y", "right x", "right y")
+    coordinates = ("left x [m]", "left y [m]", "right x [m]", "right y [m]")
+    multipliers = ("wheel [N/m]", "axle [N/m]")
     source = "Mazzia & Magherini, Test Set for IVP Solvers, problem caraxis; Schneider (1995)"
 
     eps: float = parameter(0.01, "-", "stiffness parameter: the springs are 1/eps^2", low=1e-9)

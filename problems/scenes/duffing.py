@@ -24,7 +24,7 @@ class Duffing(MechatronicSystem):
     nominal_step = 0.05
     tags = ("smooth", "nonlinear", "driven", "damped")
     difficulties = ("the classical forms of generalized-alpha report a first-order acceleration",)
-    coordinates = ("position",)
+    coordinates = ("position [m]",)
     source = "Duffing (1918), Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)

@@ -25,7 +25,7 @@ class Friction(MechatronicSystem):
     difficulties = (
         "the force jumps at every turn: with equal steps longer than the jump the order is 1",
     )
-    coordinates = ("position",)
+    coordinates = ("position [m]",)
     source = "Coulomb friction with a smoothed sign; the amplitude falls by 2 mu/k at every turn"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)

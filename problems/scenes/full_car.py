@@ -30,9 +30,11 @@ class _Car(MechatronicSystem):
     interval = (0.0, 12.0)
     nominal_step = 0.01
     coordinates = (
-        "x", "y", "heave", "roll", "pitch", "yaw", "wheel front left", "wheel front right",
-        "wheel rear left", "wheel rear right", "steer left", "steer right",
+        "x [m]", "y [m]", "heave [m]", "roll [rad]", "pitch [rad]", "yaw [rad]",
+        "wheel front left [m]", "wheel front right [m]", "wheel rear left [m]",
+        "wheel rear right [m]", "steer left [rad]", "steer right [rad]",
     )  # fmt: skip
+    multipliers = ("tie rod left [N]", "tie rod right [N]")
     source = (
         "Scenario of Bruels & Arnold (2008), section 7, Figs 12-15; data of the BMW 320i in "
         "CommonRoad's vehicle models; steering linkage, road and dampers are synthetic"
@@ -280,6 +282,19 @@ class FullCar(SemiActiveDamper, _Car):
         "stiff chamber pressures and currents that run from limit to limit",
         "at the nominal step a and y are far from the asymptotic range",
     )
+
+    states = (
+        "rebound pressure front left [MPa]", "rebound pressure front right [MPa]",
+        "rebound pressure rear left [MPa]", "rebound pressure rear right [MPa]",
+        "compression pressure front left [MPa]", "compression pressure front right [MPa]",
+        "compression pressure rear left [MPa]", "compression pressure rear right [MPa]",
+        "heave velocity [m/s]", "roll velocity [rad/s]", "pitch velocity [rad/s]",
+    )  # fmt: skip
+    outputs = (
+        "current front left [A]", "current front right [A]", "current rear left [A]",
+        "current rear right [A]", "damper front left [N]", "damper front right [N]",
+        "damper rear left [N]", "damper rear right [N]",
+    )  # fmt: skip
 
     # Softer than for one wheel, as with bushings, so that an explicit reference takes little time.
     bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)

@@ -32,7 +32,8 @@ class HeavyTop(MechatronicSystem):
         "M(q) alone is singular: a method that inverts it cannot take this scene",
         "lam loses an order on index 3 with the plain start",
     )
-    coordinates = ("x", "y", "z", "p0", "p1", "p2", "p3")
+    coordinates = ("x [m]", "y [m]", "z [m]", "p0", "p1", "p2", "p3")
+    multipliers = ("x [N]", "y [N]", "z [N]", "unit length [N m]")
     source = "Geradin & Cardona (2001); data as in Bruels & Cardona (2010), doi:10.1115/1.4001370"
 
     m: float = parameter(15.0, "kg", "mass", low=1e-12)

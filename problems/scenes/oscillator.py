@@ -21,7 +21,7 @@ class Oscillator(MechatronicSystem):
     nominal_step = 0.1
     tags = ("linear", "smooth", "closed form", "conservative")
     difficulties = ("errors of amplitude and phase add up over many periods",)
-    coordinates = ("position",)
+    coordinates = ("position [m]",)
     source = "q = q0 cos(omega t); e.g. Hughes (1987), The Finite Element Method, ch. 9"
 
     omega: float = parameter(1.0, "rad/s", "frequency", low=1e-12)

@@ -28,7 +28,8 @@ class Pendulum(MechatronicSystem):
         "the plain start leaves a first-order transient in a and lam",
         "near the upright position (th0 close to pi) small errors grow exponentially",
     )
-    coordinates = ("X", "Y")
+    coordinates = ("X [m]", "Y [m]")
+    multipliers = ("rod [N/m]",)
     source = "Closed form by Jacobi elliptic functions, e.g. Landau & Lifshitz, Mechanics, par. 11"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)

@@ -40,7 +40,9 @@ class QuarterCar(SemiActiveDamper):
         "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
         "currents run from limit to limit: the asymptotic range begins at small steps",
     )
-    coordinates = ("body", "wheel")
+    coordinates = ("body [m]", "wheel [m]")
+    states = ("rebound pressure [MPa]", "compression pressure [MPa]", "body velocity [m/s]")
+    outputs = ("valve current [A]", "damper force [N]")
     source = (
         "Application of Bruels & Arnold (2008), section 7, reduced to one wheel; masses, spring "
         "and tyre of the BMW 320i in CommonRoad's vehicle models; synthetic damper"

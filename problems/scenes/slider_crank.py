@@ -77,7 +77,13 @@ class SliderCrank(_FreeCrank):
         "six constraints on seven coordinates: index 3 with one freedom left",
         "the plain start leaves a first-order transient in a and lam",
     )
-    coordinates = ("crank x", "crank y", "crank angle", "rod x", "rod y", "rod angle", "slider x")
+    coordinates = (
+        "crank x [m]", "crank y [m]", "crank angle [rad]", "rod x [m]", "rod y [m]",
+        "rod angle [rad]", "slider x [m]",
+    )  # fmt: skip
+    multipliers = (
+        "crank x [N]", "crank y [N]", "rod x [N]", "rod y [N]", "slider x [N]", "guide [N]",
+    )  # fmt: skip
     source = "Standard planar mechanism; data of the IVP test set's crank, rounded, rigid rod"
 
     def mass(self, q: jax.Array) -> jax.Array:
@@ -125,7 +131,7 @@ class SliderCrankMinimal(_FreeCrank):
     """
 
     tags = ("smooth", "nonlinear", "conservative", "multibody")
-    coordinates = ("crank angle",)
+    coordinates = ("crank angle [rad]",)
     source = "Lagrange's equation of slider_crank"
 
     def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
@@ -176,7 +182,8 @@ class SliderCrankDriven(MechatronicSystem):
     nominal_step = 5e-4
     tags = ("constrained", "index 3", "closed form", "rheonomic")
     difficulties = ("with l1 = l2 the constraints lose rank at a crank angle of pi/2",)
-    coordinates = ("crank angle", "slider x")
+    coordinates = ("crank angle [rad]", "slider x [m]")
+    multipliers = ("rod [N/m]", "drive [N m]")
     source = "Closed form: x = l1 cos(p) + sqrt(l2^2 - l1^2 sin(p)^2), p = Omega t"
 
     l1: float = parameter(0.15, "m", "length of the crank", low=1e-9)

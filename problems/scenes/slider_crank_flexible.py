@@ -55,8 +55,11 @@ class SliderCrankFlexible(MechatronicSystem):
         "vibrations of the rod are a thousand times faster than the motion",
         "the benchmark's start excites them slightly: errors in a and lam stall at usual steps",
     )
-    coordinates = ("crank angle", "rod angle", "slider x", "bending 1", "bending 2",
-                   "elongation middle", "elongation end")  # fmt: skip
+    coordinates = (
+        "crank angle [rad]", "rod angle [rad]", "slider x [m]", "bending 1 [m]", "bending 2 [m]",
+        "elongation middle [m]", "elongation end [m]",
+    )  # fmt: skip
+    multipliers = ("guide [N]", "slider x [N]", "drive [N m]")
     source = "Mazzia & Magherini, Test Set for IVP Solvers, problem crank; Simeon (1996)"
 
     l1: float = parameter(0.15, "m", "length of the crank", low=1e-9)

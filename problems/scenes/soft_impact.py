@@ -26,7 +26,7 @@ class SoftImpact(MechatronicSystem):
         "equal steps have to be as short as the impact everywhere",
         "an error in the time of the impact is an error of the size of v",
     )
-    coordinates = ("distance from the wall",)
+    coordinates = ("distance from the wall [m]",)
     source = "one-dimensional motion in an exponential (Toda) potential; textbook closed form"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)

@@ -26,7 +26,9 @@ class SpringMass(MechatronicSystem):
     difficulties = (
         "the acceleration is fed back in the step: a first-order one spoils everything",
     )
-    coordinates = ("position",)
+    coordinates = ("position [m]",)
+    states = ("controller [N]",)
+    outputs = ("demanded force [N]", "limited force [N]")
     source = "Bruels & Arnold (2008), section 6, Figs 3-6"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)

@@ -33,7 +33,7 @@ class StiffBar(MechatronicSystem):
         "an axial frequency of 18124 rad/s beside a period of 2.5 s",
         "the trapezoidal rule gains energy until Newton's method fails",
     )
-    coordinates = ("x", "y")
+    coordinates = ("x [m]", "y [m]")
     source = "Kuhl & Crisfield (1999), Int. J. Numer. Meth. Engng 45, 569-599"
 
     length: float = parameter(3.0443, "m", "length of the bar at rest", low=1e-9)

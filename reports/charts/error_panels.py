@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, NORMS
+from bench.results.quantities import COST, COST_NAMES, ERROR_NAMES, NORMS
 from reports.charts import vega_lite as vl
 from reports.series import (
     Series,
+    cost_of,
     error_of,
     ok_runs,
     reference_error,
@@ -29,7 +30,7 @@ def error_data(
     series: Sequence[Series],
     group: str,
     options: vl.ChartOptions,
-    counts: Sequence[str] = ("residuals",),
+    counts: Sequence[str] = (COST,),
 ) -> vl.Dataset:
     """One row per run and norm with an error above zero, named after the group."""
     rows, labels = [], list(options.styles)
@@ -42,7 +43,7 @@ def error_data(
                 "seconds": vl.short(seconds_of(record)),
                 "fastest": vl.short(min(record.run_s, default=None)),
                 "slowest": vl.short(max(record.run_s, default=None)),
-                **{name: record.work.get(name) for name in counts},
+                **{name: cost_of(record, name) for name in counts},
             }
             for norm in options.norms:
                 error = vl.short(error_of(record, group, norm))
@@ -81,12 +82,12 @@ def error_panel(
     )
     y_axis = vl.log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
     x = vl.log_quantity(field, title=title, axis=x_axis)
-    y_title = f"relative error in {GROUP_NAMES[data.name]}"
+    y_title = f"relative error in {ERROR_NAMES[data.name]}"
     y = vl.log_quantity("error", title=y_title, axis=y_axis | {"minExtent": 38})
     tooltip = vl.run_tooltip(
         vl.quantity("error", title=f"error in {data.name}", format=".3g"),
         vl.quantity("seconds", title="median s", format=".3g"),
-        vl.quantity("residuals", title="residual evaluations", format="d"),
+        vl.quantity(COST, title=COST_NAMES[COST], format=".3s"),
     )
     layers = error_lines(options, {"x": x}, "h", tooltip, size=55)
     if field == "seconds":

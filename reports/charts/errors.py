@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST_NAMES, GROUP_NAMES, NORMS
+from bench.results.quantities import COST_NAMES, GROUP_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
     error_data,
@@ -23,7 +23,7 @@ def convergence(
     series: Sequence[Series],
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
-    norm: str = "end",
+    norm: str = NORM,
     interactive: bool = False,
 ) -> vl.Spec | None:
     """Error against step size, one panel per group; None if there is nothing to draw.
@@ -60,7 +60,7 @@ def work_precision(
     series: Sequence[Series],
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
-    norm: str = "end",
+    norm: str = NORM,
 ) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.
 
@@ -83,7 +83,7 @@ def work_precision(
 def acceleration_accuracy(
     series: Sequence[Series],
     styles: Mapping[str, LineStyle],
-    norm: str = "max",
+    norm: str = NORM,
     interactive: bool = False,
 ) -> vl.Spec | None:
     """Error in the acceleration over the error in the position, a line per integrator.

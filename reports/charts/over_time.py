@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from bench.results.records import Rows
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.formatting import component_name
+from reports.formatting import component_title
 
 #: Components of a group that are drawn if no others are chosen.
 MOST_COMPONENTS = 3
@@ -28,7 +29,7 @@ def trajectory(
     reference: Rows | None,
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
-    coordinates: Sequence[str] = (),
+    names: Mapping[str, Sequence[str]] = MappingProxyType({}),
     interactive: bool = False,
     components: Sequence[tuple[str, int]] = (),
 ) -> vl.Spec | None:
@@ -38,8 +39,8 @@ def trajectory(
     ----------
     runs
         Label and sampled values of each run.
-    coordinates
-        Names of the entries of q, which also name those of v and a.
+    names
+        Names of the components by group, with units.
     components
         Pairs (group, number from 0) that are drawn; the first few of every group if empty.
     """
@@ -52,7 +53,7 @@ def trajectory(
     options = vl.ChartOptions(styles, interactive=interactive)
     panels: list[vl.Spec] = []
     for group, i in components:
-        name, title = f"{group}{i}", component_name(group, i, coordinates)
+        name, title = f"{group}{i}", component_title(group, i, names)
         layers = []
         if name in behind.columns:
             layers.append(reference_line(behind, name, title))

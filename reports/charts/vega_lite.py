@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.results.csv_text import csv_text
-from bench.results.quantities import NORM_NAMES, NORMS
+from bench.results.quantities import NORM, NORM_NAMES, NORMS
 from reports.charts.line_styles import LineStyle
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.
@@ -32,7 +32,7 @@ class ChartOptions:
     """The line styles by label, the norm shown, and whether the chart is interactive."""
 
     styles: Mapping[str, LineStyle]
-    norm: str = "end"
+    norm: str = NORM
     interactive: bool = False
     #: Text of the legend after a label, for each norm: notes[norm][label].
     notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)

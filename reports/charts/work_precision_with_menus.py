@@ -6,11 +6,11 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import COST_NAMES, GROUP_NAMES, NORM_NAMES, NORMS
+from bench.results.quantities import COST, COST_NAMES, ERROR_NAMES, NORM, NORM_NAMES, NORMS, whole
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import error_lines, floor_layer, floor_row
 from reports.charts.line_styles import LineStyle, styles_of
-from reports.series import Series, error_of, ok_runs, reference_error, seconds_of
+from reports.series import Series, cost_of, error_of, ok_runs, reference_error, seconds_of
 
 #: Costs of the menu, by the column that holds them.
 _COSTS = {
@@ -26,6 +26,8 @@ def work_precision_with_menus(
     """Error against cost; menus choose group, norm and cost. None if there is nothing to draw."""
     series = [s for s in series if s.ok]
     options = vl.ChartOptions(styles_of(series, styles), interactive=True)
+    known = {name for r in ok_runs(series) for name in r.errors}
+    errors_of = [name for name in (*groups, *map(whole, groups)) if name in known]
     rows: list[dict[str, Any]] = []
     for s in series:
         for r in s.ok:
@@ -38,12 +40,13 @@ def work_precision_with_menus(
                 "seconds": vl.short(seconds_of(r)),
                 "h": vl.short(r.h),
                 "rtol": vl.short(r.rtol),
+                "operations": vl.short(cost_of(r, "operations")),
                 **{cost: r.work.get(cost) for cost in _COSTS if cost in r.work},
             }
             # A column per error, not a row: the page stays small.
             errors = {
                 f"{group}_{norm}": error
-                for group in groups
+                for group in errors_of
                 for norm in NORMS
                 if (error := vl.short(error_of(r, group, norm)))
             }
@@ -54,16 +57,18 @@ def work_precision_with_menus(
     costs = [cost for cost in _COSTS if any(row.get(cost) for row in rows)]
     first = "a" if "a" in groups else groups[0]
     params = [
-        vl.menu("group", first, {g: GROUP_NAMES[g] for g in groups}, "error in "),
-        vl.menu("norm", "max", NORM_NAMES, " taken "),
-        vl.menu("cost", costs[0], {c: _COSTS[c] for c in costs}, " against "),
+        vl.menu("group", first, {name: ERROR_NAMES[name] for name in errors_of}, "error in "),
+        vl.menu("norm", NORM, NORM_NAMES, " taken "),
+        vl.menu(
+            "cost", COST if COST in costs else costs[0], {c: _COSTS[c] for c in costs}, " against "
+        ),
     ]
-    titles = json.dumps(_COSTS), json.dumps(GROUP_NAMES)
+    titles = json.dumps(_COSTS), json.dumps(ERROR_NAMES)
     tooltip = vl.run_tooltip(
         vl.quantity("error", title="error", format=".3g"),
         *(vl.quantity(c, title=_COSTS[c], format=".3g") for c in costs if c not in ("h", "rtol")),
     )
-    floors = _floors(series, groups, rows)
+    floors = _floors(series, errors_of, rows)
     # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
     place = {
         channel: vl.log_quantity(field, title=None, axis=vl.log_axis((1, 50), text, minExtent=40))

@@ -75,7 +75,7 @@ def scene_chapter(
         summary=summary_table(series) if series else None,
         studies=[sections.make(study, f"{anchor}-{n}") for n, study in enumerate(studies, 1)],
         drift=drift_table(series),
-        runs=runs_table(series, sections.ids),
+        runs=runs_table(series, sections.ids, sections.component_names),
     )
 
 

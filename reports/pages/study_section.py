@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from bench.results.quantities import NORM_NAMES
+from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
 from bench.results.records import Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
@@ -70,6 +70,11 @@ class StudySections:
     ids: Mapping[str, str]
     interactive: bool
 
+    @property
+    def component_names(self) -> Mapping[str, Sequence[str]]:
+        """Names of the components by group, with units."""
+        return self.scene.components if self.scene else {}
+
     def make(self, study: Study, anchor: str) -> StudySection:
         """The section of one study; the names of its charts begin with ``anchor``."""
         by_key = {r.key: r for r in self.records}
@@ -97,7 +102,9 @@ class StudySections:
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
-            runs=runs_table(series) if "runs" in study.figures else None,
+            runs=runs_table(series, components=self.component_names)
+            if "runs" in study.figures
+            else None,
             links={s.label: self.ids[s.records[0].key] for s in series},
         )
 
@@ -110,7 +117,7 @@ class StudySections:
         groups = groups_of(ok_runs(series))
         # An interactive chart offers every norm; of pictures there is one for each that matters.
         held = any(r.constraint for r in self.records)
-        norms = ["end", "max"] if held and not self.interactive else ["end"]
+        norms = [NORM, "end"] if held and not self.interactive else [NORM]
         shown = _most_accurate(series, self._most_lines)
         made = {
             f"{name}-{norm}": convergence(shown, groups, self.styles, norm, self.interactive)
@@ -129,19 +136,19 @@ class StudySections:
         else:
             few = [g for g in groups if g in "qa"]
             chart = work_precision(_most_accurate(series, self._most_lines), few, self.styles)
-        where = "" if self.interactive else f" {self._norms_text(['end'])}"
+        where = "" if self.interactive else f" {self._norms_text([NORM])}"
         caption = (
             f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
-            "or counted work. A line joins the resolutions of one integrator. "
+            f"or counted work. A line joins the resolutions of one integrator. {ERROR_MEANING} "
             f"{self._reference_error(groups)}{_left_out(series, self._most_lines)}"
         )
         return captioned(caption, {name: chart})
 
     def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         shown = _most_accurate(series, self._most_lines)
-        chart = acceleration_accuracy(shown, self.styles, "max", self.interactive)
+        chart = acceleration_accuracy(shown, self.styles, NORM, self.interactive)
         caption = (
-            f"Acceleration beside position {self._norms_text(['max'])}: good in q is not always "
+            f"Acceleration beside position {self._norms_text([NORM])}: good in q is not always "
             "good in a. On the dashed line both have the same relative error."
             f"{_left_out(series, self._most_lines)}"
         )
@@ -167,11 +174,13 @@ class StudySections:
         return words(NORM_NAMES[norm] for norm in norms)
 
     def _reference_error(self, groups: Iterable[str]) -> str:
-        errors = {g: reference_error(self.records, g, "max") for g in groups}
+        errors = {g: reference_error(self.records, g, NORM) for g in groups}
         shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
         if not shown:
             return ""
-        return f"The reference's own error (dashed where near), relative to the peaks: {shown}."
+        return (
+            f"The reference's own error (dashed where near), relative to the same sizes: {shown}."
+        )
 
     def _trajectory(
         self, series: Sequence[Series], name: str, components: Sequence[tuple[str, int]]
@@ -193,7 +202,7 @@ class StudySections:
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]
         )
-        names = self.scene.coordinates if self.scene else []
+        names = self.component_names
         chart = trajectory(lines, reference, groups, styles, names, self.interactive, components)
         caption = "Values over time"
         caption += "; the reference is the broad grey line." if reference else "."
@@ -226,7 +235,7 @@ def _most_accurate(series: Sequence[Series], most: int) -> Sequence[Series]:
     """At most so many series, those with the smallest errors in q, in their order."""
     if len(series) <= most:
         return series
-    ranked = sorted(series, key=lambda s: error_of(s.finest, "q", "max") or math.inf)
+    ranked = sorted(series, key=lambda s: error_of(s.finest, "q", NORM) or math.inf)
     chosen = {s.label for s in ranked[:most]}
     return [s for s in series if s.label in chosen]
 

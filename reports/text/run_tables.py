@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from bench.results.orders import Fit
-from bench.results.quantities import LEVELS, NORM_NAMES, NORMS, TRUST
+from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORM_NAMES, NORMS, TRUST
 from bench.results.records import Record, median
-from reports.formatting import NO_VALUE, milliseconds, number, order_text, text_range
+from reports.formatting import (
+    NO_VALUE,
+    component_text,
+    milliseconds,
+    number,
+    order_text,
+    text_range,
+)
 from reports.series import (
     Series,
     error_of,
     groups_of,
+    measured_at,
     ok_runs,
     seconds_of,
     timing_spread,
     trusted_error,
     with_values,
+    worst_component,
 )
 from reports.text.table import Table
 
@@ -28,10 +38,10 @@ def summary_table(series: Sequence[Series]) -> Table:
     for i, s in enumerate(series):
         errors = {}
         for j, group in enumerate(groups):
-            found = [e for r in s.ok if (e := error_of(r, group, "end")) is not None]
+            found = [e for r in s.ok if (e := error_of(r, group, NORM)) is not None]
             errors[name := f"error in {group}"] = number(min(found, default=None))
             if found:
-                if min(found) <= trusted_error(s.ok, group, "end"):
+                if min(found) <= trusted_error(s.ok, group, NORM):
                     errors[name] += " *"
                     doubtful = True
                 else:
@@ -52,9 +62,8 @@ def summary_table(series: Sequence[Series]) -> Table:
         )
     best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
     note = (
-        "Smallest relative error at the end over the runs. Orders: fitted in the largest error "
-        "after the start transient. Time and counts are those of the run that is most accurate "
-        "in q."
+        f"Smallest error over the runs. {ERROR_MEANING} Orders: fitted in the largest error of the "
+        "last quarter. Time and counts are those of the run that is most accurate in q."
     )
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
@@ -62,7 +71,7 @@ def summary_table(series: Sequence[Series]) -> Table:
 
 
 def _most_accurate(s: Series) -> Record | None:
-    runs = with_values(s.ok, lambda r: error_of(r, "q", "end"))
+    runs = with_values(s.ok, lambda r: error_of(r, "q", NORM))
     return min(runs, key=lambda pair: pair[0])[1] if runs else None
 
 
@@ -110,8 +119,15 @@ def _fit(fit: Fit) -> str:
     return f"{prefix}{order_text(fit.order)} ({window})"
 
 
-def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -> Table | None:
-    """Every run with its errors, work and ending; ``ids`` are the anchors of the rows by key."""
+def runs_table(
+    series: Sequence[Series],
+    ids: Mapping[str, str] | None = None,
+    components: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Table | None:
+    """Every run with its errors, work and ending.
+
+    ``ids`` are the anchors of the rows by key, ``components`` the names of components by group.
+    """
     records = [(s, r) for s in series for r in s.records]
     groups = groups_of(r for _, r in records)
     if not records:
@@ -121,7 +137,7 @@ def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -
             "integrator": s.label,
             "run": r.resolution,
             "ending": r.status,
-            **{f"error in {group}": number(error_of(r, group, "max")) for group in groups},
+            **{f"error in {group}": _error(r, group, components) for group in groups},
             "steps": _count(r.work.get("steps")),
             "rejected": _count(r.work.get("rejected")),
             "residual evaluations": _count(r.work.get("residuals")),
@@ -129,10 +145,27 @@ def runs_table(series: Sequence[Series], ids: Mapping[str, str] | None = None) -
         }
         for s, r in records
     ]
-    note = "Relative errors, the largest over all times. The reasons of failed runs are below."
+    note = f"{ERROR_MEANING} The worst component is named. "
+    sampled = [
+        f"{r.resolution} of {s.label} at {measured_at(r)}" for s, r in records if _sampled(r)
+    ]
+    if sampled:
+        note += f"Not all steps were measured: {'; '.join(sampled)}. "
+    note += "The reasons of failed runs are below."
     return Table.from_dicts(
         "All runs", rows, note=note, ids=[ids[r.key] for _, r in records] if ids else []
     )
+
+
+def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) -> str:
+    """The error with its worst component: 0.7 roll."""
+    worst = worst_component(record, group, NORM)
+    name = "" if worst is None else component_text(group, worst, components).partition(" [")[0]
+    return f"{number(error_of(record, group, NORM))} {name}".strip()
+
+
+def _sampled(record: Record) -> bool:
+    return record.status == "ok" and record.rows < (record.work.get("steps") or 0)
 
 
 def drift_table(series: Sequence[Series]) -> Table | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.results.quantities import GROUPS
 from bench.results.records import SceneRecord
-from reports.formatting import component_name, number
+from reports.formatting import component_title, number
 from reports.text.table import Table
 
 
@@ -38,7 +38,7 @@ def motion_table(scene: SceneRecord) -> Table | None:
     for group in GROUPS:
         for i, values in enumerate(zip(*scene.reference.values.get(group, []), strict=True)):
             mean_square = sum(value * value for value in values) / len(values)
-            name = component_name(group, i, scene.coordinates)
+            name = component_title(group, i, scene.components)
             sizes = [number(f) for f in (max(map(abs, values)), mean_square**0.5)]
             rows.append([name, *sizes])
     if not rows:

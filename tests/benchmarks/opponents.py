@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.plugins.registry import Registry
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from problems.reference import Reference
 from problems.scenes.slider_crank import SliderCrank

@@ -17,7 +17,7 @@ class NewProblem(MechatronicSystem):
     interval = (0.0, 2.0)  # s
     nominal_step = 0.02  # s: the largest step of a convergence study
     tags = ("constrained", "conservative")
-    coordinates = ("x", "y")  # names of the entries of q
+    coordinates = ("x [m]", "y [m]")  # names of the entries of q, with units
     source = ""  # where it is published, with its DOI
 
     m: float = parameter(1.0, "kg", "mass", low=1e-9)
