@@ -26,7 +26,10 @@ def planted(
     family: str = "alpha",
     **changes,
 ) -> Record:
-    """A record with errors C h^p for {group: (C, p)} and three residuals per step."""
+    """A record with errors C h^p for {group: (C, p)} and three residuals per step.
+
+    Its bill of operations is ten per residual unless another is given.
+    """
     steps = round(1 / h)
     known = {
         "key": f"{problem} | {integrator} | h={h!r}",
@@ -48,7 +51,9 @@ def planted(
         "compile_s": 1.5,
         "environment": 1,
     }
-    return Record(**(known | changes))
+    known |= changes
+    count = known["work"].get("residuals")
+    return Record(**({"operations": {"residuals": 10.0 * count} if count else {}} | known))
 
 
 def curves(t_end: float, names: dict[str, int], amplitude: float = 1.0) -> Rows:

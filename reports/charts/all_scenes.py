@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import GROUP_NAMES
+from bench.results.quantities import COST, GROUP_NAMES
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
-from reports.ranking import COST, GROUP, RANKED_COSTS, RANKED_GROUPS, TARGET, TARGETS, RankEntry
+from reports.ranking import GROUP, RANKED_COSTS, RANKED_GROUPS, TARGET, TARGETS, RankEntry
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0

@@ -29,7 +29,7 @@ from reports.text.measurement import (
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table
 from reports.text.table import Table
-from reports.text.winners import overall, winners
+from reports.text.winners import overall, verdicts
 
 
 @dataclass
@@ -102,7 +102,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
         missing=missing_data(plan, scenes, records, keys, environments),
-        winners=winners_table(winners(ranking), ids),
+        winners=winners_table(verdicts(ranking), ids),
         overall=overall(ranking),
         overview=[
             *_overview(ranking, series, styles, interactive),
