@@ -143,6 +143,27 @@ def test_the_worst_is_told_first(old, tmp_path, stepbench):
     assert ratios == worst
 
 
+def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
+    def edit(record):
+        if record.integrator == "poor":
+            record.errors["a"]["max"] *= 3 if record.h == STEPS[0] else 0.5
+            record.errors["x"]["max"] /= 10
+            record.errors["v"]["rms"] *= 99  # not the default norm
+
+    found = compare(old, edited(old, "new", edit))
+    count = sum(found.judged.values())
+    assert found.judgement() == [
+        f"Error (largest over all times), of {count} runs: a 1 worse, 5 better; x 6 better. "
+        "Worst: poor on spring_mass, h=0.1: error a max 0.3 -> 0.9 (x3)."
+    ]
+    assert "poor on spring_mass: error (a) x3 in 1 of 6 runs" in found.summary()
+    assert "poor on spring_mass: error (a) x0.5 in 5 of 6 runs" in found.summary()
+    back = compare(old.parent / "new", old)
+    assert "a 5 worse, 1 better; x 6 worse. Worst: " in back.judgement()[0]
+    halved = compare(old, edited(old, "halved", lambda r: r.errors.get("a", {}).update(max=0.0)))
+    assert halved.judgement()[0].endswith("a 36 better. Nothing is worse.")
+
+
 def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.errors["q"]["end"] = None

@@ -195,6 +195,8 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     assert by["residuals"].text == "lean (3; next: quick, 3 times); not measured: dark"
     assert by["seconds"].text == "not measured"
     assert not by["seconds"].votes
+    dark = {name: series_of([records[0], records[2]]) for name in ("s1", "s2")}
+    assert not any(line.startswith("Fewest") for line in overall(rank(dark)))  # one of them counts
     by = judged(records[0], run("one", "lean", 0.04, None, 1))
     assert by["residuals"].text == "quick alone reaches it (9)"
     many = [run("one", f"m{k}", 0.01, None, 5, {"a": (1 - k / 100, 2)}) for k in range(6)]
