@@ -7,7 +7,7 @@ do the same on a scene are one contestant there, and share its numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES
@@ -94,6 +94,14 @@ def contestants(series: Sequence[Series]) -> dict[str, str]:
             firsts.append(s)
         found[s.label] = twin.label
     return found
+
+
+def several_contestants(entries: Iterable[RankEntry]) -> set[str]:
+    """The scenes on which there is something to win."""
+    found: dict[str, set[str]] = {}
+    for s in entries:
+        found.setdefault(s.scene, set()).add(s.contestant)
+    return {scene for scene, own in found.items() if len(own) > 1}
 
 
 def _same(one: Series, two: Series) -> bool:

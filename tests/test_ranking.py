@@ -13,7 +13,7 @@ from planted import planted
 from bench.results.records import IntegratorFacts
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
-from reports.ranking import contestants, rank
+from reports.ranking import RankEntry, contestants, rank
 from reports.series import series_of
 from reports.text.ranking_tables import integrators_table, winners_table
 from reports.text.winners import overall, verdicts
@@ -284,20 +284,49 @@ def test_wins_and_ties_add_up_to_the_scenes_with_several_contestants(counts):
             assert sum(map(int, re.findall(r"tied on (\d+)", shown))) == ties
 
 
-def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
+def profile(found):
+    """Points (tau, part) and the scenes tried, by integrator."""
     labels = [(s.label, "alpha") for s in found]
     spec = performance_profile(found, line_styles(labels), interactive=False)
-    rows = [line.split(",") for line in spec["datasets"]["profile"].splitlines()]
-    head, *rows = rows
-    table = [dict(zip(head, row, strict=True)) for row in rows]
-    lean = [(float(r["tau"]), float(r["part"])) for r in table if r["series"] == "lean"]
-    # the best in residuals on won, tied and untimed, of five scenes; never nearer on the others
-    assert max(part for tau, part in lean if tau <= 1) == pytest.approx(3 / 5)
-    assert lean[-1] == (100.0, pytest.approx(3 / 5))
-    quick = [(float(r["tau"]), float(r["part"])) for r in table if r["series"] == "quick"]
-    assert max(part for tau, part in quick if tau <= 1) == pytest.approx(2 / 5)  # tied, alone
-    assert max(part for tau, part in quick if tau <= 3.0) == pytest.approx(3 / 5)
-    assert max(part for _, part in quick) == pytest.approx(4 / 5)
+    head, *rows = (line.split(",") for line in spec["datasets"]["profile"].splitlines())
+    points: dict[str, list] = {}
+    tried = {}
+    for row in (dict(zip(head, row, strict=True)) for row in rows):
+        points.setdefault(row["series"], []).append((float(row["tau"]), float(row["part"])))
+        tried[row["series"]] = row["tried"]
+    return points, tried
+
+
+def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
+    points, tried = profile(found)
+    # the best in operations on won, tied and untimed, of four; "alone" and "vague" do not count
+    assert max(part for tau, part in points["lean"] if tau <= 1) == pytest.approx(3 / 4)
+    assert points["lean"][-1] == (100.0, pytest.approx(3 / 4))
+    assert max(part for tau, part in points["quick"] if tau <= 1) == pytest.approx(1 / 4)
+    assert max(part for tau, part in points["quick"] if tau <= 3) == pytest.approx(2 / 4)
+    assert max(part for _, part in points["quick"]) == pytest.approx(3 / 4)
+    assert tried["quick"] == "4 of 4 scenes (reached on 3)"
+
+
+def test_the_profile_counts_not_tried_apart_from_not_reached():
+    def entry(scene, label, value, reached=True):
+        ratio = value / 100 if value else None
+        run_ = None
+        return RankEntry(
+            scene, label, label, label, "a", 1e-4, "operations", reached, run_, value, ratio
+        )
+
+    scenes = [f"s{k}" for k in range(4)]
+    found = [entry(scene, "all", 100.0) for scene in scenes]
+    found += [entry("s0", "once", 100.0)]
+    found += [entry("s0", "poor", 100.0), *(entry(s, "poor", None, False) for s in scenes[1:])]
+    found += [entry("s1", "dark", 100.0), *(entry(s, "dark", None) for s in scenes[2:])]
+    points, tried = profile(found)
+    parts = {label: max(part for _, part in own) for label, own in points.items()}
+    assert parts == {"all": 1.0, "once": 1.0, "poor": 0.25, "dark": 1.0}
+    assert tried["once"] == "1 of 4 scenes (reached on 1)"
+    assert tried["poor"] == "4 of 4 scenes (reached on 1)"
+    assert tried["dark"] == "1 of 4 scenes (reached on 1)"
 
 
 def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
@@ -321,8 +350,9 @@ def test_each_integrator_is_described_by_claims_and_measurements(found):
     }
     known = {"slow": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
     rows = {row[0]: row for row in integrators_table(series, found, known).rows}
-    assert rows["slow"][1:4] == ["A method", "q 2, a 2", "q 2.00, a 1.00 to 2.00"]
-    assert rows["slow"][4:] == ["none (–)", "none (–)", "me"]  # noqa: RUF001
-    # quick: 3 times the best on "won", the best on "tied" and "alone", 10 times on "untimed"
-    assert rows["quick"][5] == "untimed (10)"
-    assert rows["quick"][4].endswith("(1)")
+    assert rows["slow"][1:4] == ["A method", "q 2, a 2", "q 2.00; a 1.00 to 2.00"]
+    assert rows["slow"][4:] == ["not judged", "none (–)", "none (–)", "me"]  # noqa: RUF001
+    # quick: 3 times the best on "won", 10 times on "untimed"; on "tied" 1; "alone" does not count
+    assert rows["quick"][4] == "5 of 6 scenes tried"
+    assert rows["quick"][6] == "untimed (10)"
+    assert rows["quick"][5] == "tied (1)"

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
-from bench.results.quantities import COST, NORM, NORM_NAMES
+from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import IntegratorFacts, Record
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import named, number, order_text, text_range
@@ -22,6 +22,7 @@ from reports.ranking import (
     RankEntry,
     accuracy_text,
     reaches,
+    several_contestants,
     told_apart,
 )
 from reports.series import (
@@ -161,16 +162,17 @@ def integrators_table(
     known: Mapping[str, IntegratorFacts],
 ) -> Table | None:
     """Each integrator with its orders claimed and measured, its best and its worst scene."""
-    rows = []
+    rows, compared = [], several_contestants(entries)
     for label in dict.fromkeys(s.label for series in scenes.values() for s in series):
         mine = [s for series in scenes.values() for s in series if s.label == label]
         facts = known.get(mine[0].records[0].integrator)
         claimed = ", ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
-        ratios = [
-            (s.ratio, s.scene)
+        tried = [
+            s
             for s in entries
-            if (s.label, s.group, s.target, s.cost) == (label, GROUP, TARGET, COST) and s.ratio
+            if (s.label, s.group, s.target, s.cost) == (label, GROUP, TARGET, COST)
         ]
+        ratios = [(s.ratio, s.scene) for s in tried if s.ratio and s.scene in compared]
         best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
         rows.append(
             {
@@ -178,6 +180,9 @@ def integrators_table(
                 "what it is": facts.title.rstrip(".") if facts else "",
                 "orders claimed": claimed,
                 "orders measured": _measured(mine),
+                "reached": f"{sum(s.reached for s in tried)} of {len(tried)} scenes tried"
+                if tried
+                else "not judged",
                 "best scene": best,
                 "worst scene": worst,
                 "source": facts.source if facts else "",
@@ -188,9 +193,11 @@ def integrators_table(
     return Table.from_dicts(
         "Integrators",
         rows,
-        note="Orders measured: of the largest error after the start transient, from the smallest "
-        "to the largest over the scenes; at constant steps only. Best and worst scene: residual "
-        "evaluations to an acceleration within 1e-4, as a multiple of the best integrator's.",
+        note=f"Orders measured: of the relative error, {NORM_NAMES[NORM]}, from the smallest to "
+        "the largest over the scenes; at constant steps only. None: the error does not converge. "
+        f"Reached, best and worst scene: {accuracy_text(GROUP, TARGET)}; the cost "
+        f"({COST_NAMES[COST]}) as a multiple of the cheapest integrator's on a scene with several "
+        "contestants.",
     )
 
 
@@ -201,8 +208,19 @@ def _ends(ratios: Sequence[tuple[float, str]]) -> Sequence[tuple[float | None, s
 def _measured(series: Sequence[Series]) -> str:
     said = []
     for group in groups_of(ok_runs(series)):
-        fits = [s.fit(group, "settled") for s in series if s.controls == "step"]
-        orders = sorted(f.order for f in fits if f.verdict == "converges" and f.order is not None)
-        if orders:
-            said.append(f"{group} {text_range(map(order_text, orders))}")
-    return ", ".join(said)
+        shown = _orders(series, group, NORM)
+        settled = _orders(series, group, "settled")
+        later = f" (after the start transient {settled})" if settled not in ("", shown) else ""
+        if shown or later:
+            said.append(f"{group} {shown or 'not determined'}{later}")
+    return "; ".join(said)
+
+
+def _orders(series: Sequence[Series], group: str, norm: str) -> str:
+    """Fitted orders over the scenes, and the scenes on which the error does not converge."""
+    fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
+    orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
+    stuck = [problem for problem, f in fits if f.verdict == "does not converge"]
+    parts = [text_range(map(order_text, orders))] if orders else []
+    parts += [f"none on {named(dict.fromkeys(stuck))}"] if stuck else []
+    return ", ".join(parts)

@@ -14,6 +14,7 @@ from reports.ranking import (
     TARGET,
     RankEntry,
     accuracy_text,
+    several_contestants,
     told_apart,
 )
 
@@ -84,14 +85,15 @@ def verdicts(
     entries: Iterable[RankEntry], group: str = GROUP, target: float = TARGET
 ) -> dict[str, dict[str, Verdict]]:
     """The verdicts on each scene with several contestants, by scene and cost."""
+    entries = [s for s in entries if (s.group, s.target) == (group, target)]
+    several = several_contestants(entries)
     found: dict[str, dict[str, Verdict]] = {}
     cases: dict[tuple[str, str], list[RankEntry]] = {}
     for s in entries:
-        if (s.group, s.target) == (group, target):
+        if s.scene in several:
             cases.setdefault((s.scene, s.cost), []).append(s)
     for (scene, cost), case in cases.items():
-        if len({s.contestant for s in case}) > 1:
-            found.setdefault(scene, {})[cost] = _verdict(scene, cost, case)
+        found.setdefault(scene, {})[cost] = _verdict(scene, cost, case)
     return found
 
 
