@@ -9,6 +9,7 @@ from bench.results.records import IntegratorFacts
 from reports.ranking import rank
 from reports.series import series_of
 from reports.text.lost_orders import PATTERN, TRANSIENT, UNDAMPED, lost_orders_table
+from reports.text.observations import observations
 from reports.text.ranking_tables import integrators_table
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
@@ -42,7 +43,7 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     assert table.links == {(1, 5): ["atlas-undamped_index3"]}  # the other is not on the page
     row = integrators_table(held, rank(held), known).rows[0]
     assert row[2] == "q 2, a 2, lam 2"
-    assert row[3] == ("q 2.00; a 1.00 (after the start transient 2.00); lam none on pendulum")
+    assert row[3] == ("q 2.00; a 1.00, after the start transient 2.00; lam none on pendulum")
     # Uneven steps have an experiment of their own; without constraints there is none.
     for changes, why in (
         ({"pattern": (0.3, 0.7)}, "stepbench atlas variable_steps"),
@@ -59,3 +60,16 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
 def test_the_experiments_that_explain_losses_exist():
     for name in (PATTERN, TRANSIENT, UNDAMPED):
         assert name in built_in_experiments()
+
+
+def test_runs_without_errors_make_no_sentence_about_orders_or_tolerances():
+    """As on a scene that is too large for a reference."""
+    steps = [planted("s", "m", {}, h=h, errors={}) for h in STEPS]
+    loose = [
+        planted("s", "n", {}, h=0.1, controls="tolerance", rtol=r, atol=r, errors={}, key=f"{r}")
+        for r in (1e-3, 1e-4)
+    ]
+    assert observations(series_of(steps + loose)) == []
+    failed = [planted("s", "n", {}, h=0.1, errors={}, status="crashed")]
+    (said,) = observations(series_of(failed))
+    assert said.text == "1 of 1 runs did not reach the end: 1 crashed (h=0.1)."

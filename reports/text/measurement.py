@@ -77,14 +77,15 @@ def missing_data(
     return sentences
 
 
-def noise_sentence(records: Iterable[Record]) -> str:
+def noise_sentence(records: Sequence[Record]) -> str:
     """Whether the machine was quiet enough to compare times."""
     spreads = _spreads(records)
+    instead = "operations" if any(r.operations for r in records) else "counts"
     if not spreads:
         return "No run has two timing samples: the noise of the machine is not known."
     noisy = sum(x > NOISY for x in spreads)
     verdict = (
-        "The machine was noisy: judge by operations, or time again on a quiet one"
+        f"The machine was noisy: judge by {instead}, or time again on a quiet one"
         if _noisy(spreads)
         else "The machine was quiet enough to tell larger differences"
     )

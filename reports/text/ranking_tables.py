@@ -37,6 +37,7 @@ from reports.series import (
     trusted_error,
     with_values,
 )
+from reports.text.lost_orders import LOSS
 from reports.text.table import Table
 from reports.text.winners import Verdict, cost_text
 
@@ -206,21 +207,23 @@ def _ends(ratios: Sequence[tuple[float, str]]) -> Sequence[tuple[float | None, s
 
 
 def _measured(series: Sequence[Series]) -> str:
+    """Orders per group; those after the start transient only where they are much higher."""
     said = []
     for group in groups_of(ok_runs(series)):
-        shown = _orders(series, group, NORM)
-        settled = _orders(series, group, "settled")
-        later = f" (after the start transient {settled})" if settled not in ("", shown) else ""
-        if shown or later:
-            said.append(f"{group} {shown or 'not determined'}{later}")
+        orders, stuck = _orders(series, group, NORM)
+        settled, still_stuck = _orders(series, group, "settled")
+        parts = [text_range(map(order_text, orders))] if orders else []
+        parts += [f"none on {named(stuck)}"] if stuck else []
+        gained = orders and settled and settled[0] - orders[0] >= LOSS
+        if settled and (gained or len(stuck) > len(still_stuck)):
+            parts.append(f"after the start transient {text_range(map(order_text, settled))}")
+        if parts:
+            said.append(f"{group} {', '.join(parts)}")
     return "; ".join(said)
 
 
-def _orders(series: Sequence[Series], group: str, norm: str) -> str:
+def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float], list[str]]:
     """Fitted orders over the scenes, and the scenes on which the error does not converge."""
     fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
     orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
-    stuck = [problem for problem, f in fits if f.verdict == "does not converge"]
-    parts = [text_range(map(order_text, orders))] if orders else []
-    parts += [f"none on {named(dict.fromkeys(stuck))}"] if stuck else []
-    return ", ".join(parts)
+    return orders, [problem for problem, f in fits if f.verdict == "does not converge"]

@@ -123,12 +123,14 @@ def overall(entries: Sequence[RankEntry], group: str = GROUP, target: float = TA
     sentences = []
     for cost, least in LEAST_COST.items():
         case = [v for by_cost in found.values() if (v := by_cost[cost]).votes]
+        head = f"{least.capitalize()} to {accuracy_text(group, target)}"
         if len(case) < 2:
+            if len(found) > 1:
+                where = f"{len(case)} of {len(found)} scenes with several contestants"
+                sentences.append(f"{head}: no verdict, the cost is measured on {where}.")
             continue
-        parts = [
-            f"{least.capitalize()} to {accuracy_text(group, target)}, on {len(case)} scenes with "
-            f"several contestants: {_standings(case) or 'nobody reaches it'}"
-        ]
+        standings = _standings(case) or "nobody reaches it"
+        parts = [f"{head}, on {len(case)} scenes with several contestants: {standings}"]
         labels, families = {s.label for s in entries}, {s.family for s in entries}
         if 1 < len(families) < len(labels) and any(v.first for v in case):
             won = [dict.fromkeys(s.family for s in v.first) for v in case]
@@ -151,17 +153,20 @@ def _standings(case: Sequence[Verdict]) -> str:
 
 
 def _counted(first: Sequence[Iterable[str]]) -> str:
-    """'a alone cheapest on 2, tied on 1; b tied on 1' from the names of the first on each scene."""
+    """'a alone cheapest on 2, tied on 1; b and c each tied on 1' from the first on each scene."""
     alone: Counter[str] = Counter()
     tied: Counter[str] = Counter()
     for names in map(list, first):
         (alone if len(names) == 1 else tied).update(names)
-    order = sorted(alone | tied, key=lambda name: (-alone[name], -tied[name]))
+    alike: dict[tuple[int, int], list[str]] = {}
+    for name in alone | tied:
+        alike.setdefault((alone[name], tied[name]), []).append(name)
     parts = []
-    for name in order:
-        said = {"alone cheapest": alone[name], "tied": tied[name]}
-        parts.append(name + " " + ", ".join(f"{how} on {n}" for how, n in said.items() if n))
-    return named(parts, "; ")
+    for (wins, ties), names in sorted(alike.items(), reverse=True):
+        counts = {"alone cheapest": wins, "tied": ties}
+        how = ", ".join(f"{how} on {n}" for how, n in counts.items() if n)
+        parts.append(f"{named(names)} {'each ' if len(names) > 1 else ''}{how}")
+    return "; ".join(parts)
 
 
 def _without(case: Sequence[Verdict]) -> list[str]:
