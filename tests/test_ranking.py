@@ -206,6 +206,13 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     assert judged(*many)["residuals"].text == "m0, m1, m2 and 3 more tie (5)"
 
 
+def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
+    early = run("one", "quick", 0.01, 1e-3, 1)
+    early.errors["a"] |= {"max": 1e-2, "end": 1e-9}
+    by = judged(early, run("one", "lean", 0.01, 1e-3, 9))
+    assert first(by["residuals"]) == ["lean"]
+
+
 def test_the_ranking_equals_a_direct_query(found):
     for s in found:
         runs = [
