@@ -197,11 +197,12 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     assert not by["seconds"].votes
     dark = {name: series_of([records[0], records[2]]) for name in ("s1", "s2")}
     (line,) = (x for x in overall(rank(dark)) if x.startswith("Fewest residual"))
-    assert line.endswith(
-        ": no verdict, the cost is measured on 0 of 2 scenes with several contestants."
-    )
+    unknown = "on 2 of 2 scenes with several contestants it is reached at unknown cost."
+    assert line.endswith(f": no verdict; {unknown}")
     by = judged(records[0], run("one", "lean", 0.04, None, 1))
     assert by["residuals"].text == "quick alone reaches it (9)"
+    by = judged(run("one", "quick", 0.01, None, 206), run("one", "lean", 0.01, None, 205))
+    assert by["residuals"].text == "lean (205; next: quick, 1.00488 times)"
     many = [run("one", f"m{k}", 0.01, None, 5, {"a": (1 - k / 100, 2)}) for k in range(6)]
     assert judged(*many)["residuals"].text == "m0, m1, m2 and 3 more tie (5)"
 
@@ -247,7 +248,7 @@ def test_the_headline_names_what_is_compared_and_counts_wins_and_ties_apart(foun
         "1, tied on 1; lean tied on 1. Nobody reaches it on 1.",
         f"Fewest residual evaluations to {accuracy}, on 4 scenes with several contestants: lean "
         "alone cheapest on 2, tied on 1; quick tied on 1. Nobody reaches it on 1.",
-        f"Nobody reaches {accuracy} on every scene tried.",
+        f"No integrator reaches {accuracy} on every scene on which it was tried.",
     ]
     assert overall([s for s in found if s.scene == "won"]) == []
 

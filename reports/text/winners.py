@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -63,8 +64,8 @@ class Verdict:
         if len(labels) > 1:
             said = f"{named(labels)} tie ({shown})"
         elif self.second:
-            ratio = number(self.second.ratio)
-            said = f"{labels[0]} ({shown}; next: {self.name_of(self.second)}, {ratio} times)"
+            second = self.name_of(self.second)
+            said = f"{labels[0]} ({shown}; next: {second}, {_times(self.second.ratio)})"
         elif self.unknown:
             said = f"{labels[0]} ({shown})"
         else:
@@ -79,6 +80,12 @@ def cost_text(value: float | None, cost: str) -> str:
     if cost == "seconds":
         return f"{milliseconds(value)} ms"
     return number(value) if cost == "operations" else f"{value:g}"
+
+
+def _times(ratio: float | None) -> str:
+    """A ratio with as many digits as tell it from 1."""
+    ratio = math.nan if ratio is None else ratio
+    return f"{ratio:.3g} times" if ratio >= 1.01 else f"{ratio:.6g} times"
 
 
 def verdicts(
@@ -126,8 +133,9 @@ def overall(entries: Sequence[RankEntry], group: str = GROUP, target: float = TA
         head = f"{least.capitalize()} to {accuracy_text(group, target)}"
         if len(case) < 2:
             if len(found) > 1:
-                where = f"{len(case)} of {len(found)} scenes with several contestants"
-                sentences.append(f"{head}: no verdict, the cost is measured on {where}.")
+                unknown = sum(bool(by_cost[cost].unknown) for by_cost in found.values())
+                where = f"{unknown} of {len(found)} scenes with several contestants"
+                sentences.append(f"{head}: no verdict; on {where} it is reached at unknown cost.")
             continue
         standings = _standings(case) or "nobody reaches it"
         parts = [f"{head}, on {len(case)} scenes with several contestants: {standings}"]
@@ -197,5 +205,5 @@ def _reached(entries: Sequence[RankEntry], group: str, target: float) -> list[st
     who = named(f"{label} ({count})" for count, label in always)
     aim = accuracy_text(group, target)
     if not who:
-        return [f"Nobody reaches {aim} on every scene tried."]
+        return [f"No integrator reaches {aim} on every scene on which it was tried."]
     return [f"{aim[0].upper()}{aim[1:]} is reached on every scene tried (their number) by {who}."]
