@@ -187,6 +187,18 @@ def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
     assert regressions(found, {"work": 1.0}) == []
 
 
+def test_bills_of_operations_are_compared_by_their_sum_where_both_are_known(tmp_path):
+    def folder(name, **operations):
+        run = planted("pendulum", "m", FREE, h=0.1, operations=operations)
+        return plant(tmp_path / name, [run], 0)
+
+    old = folder("old", residuals=300.0, factorisations=100.0)
+    (change,) = compare(old, folder("more", residuals=500.0, factorisations=100.0)).changes
+    assert (change.kind, change.name, change.ratio) == ("work", "operations", 1.5)
+    assert compare(old, folder("moved", residuals=100.0, factorisations=300.0)).same
+    assert compare(old, folder("unknown")).same
+
+
 # ---- times -------------------------------------------------------------------------------
 def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
     slow = edited(old, "slow", slower(3.0))
