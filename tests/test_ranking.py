@@ -199,7 +199,6 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     (line,) = (x for x in overall(rank(dark)) if x.startswith("Fewest residual"))
     unknown = "on 2 of 2 scenes with several contestants it is reached at unknown cost."
     assert line.endswith(f": no verdict; {unknown}")
-    records = [run("one", n, 0.01, None, k) for n, k in (("quick", 9), ("lean", 3), ("dark", None))]
     some = {name: series_of(records) for name in ("s1", "s2")}
     (line,) = (x for x in overall(rank(some)) if x.startswith("Fewest residual"))
     assert "lean alone cheapest on 2." in line

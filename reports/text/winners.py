@@ -184,9 +184,7 @@ def _without(case: Sequence[Verdict]) -> list[str]:
     if 0 < nobody < len(case):
         said.append(f"Nobody reaches it on {nobody}")
     if unknown := dict.fromkeys(v.names[s.label][0] for v in case for s in v.unknown):
-        said.append(
-            f"Left out where they reach it at a cost that is not measured: {named(unknown)}"
-        )
+        said.append(f"Left out, as their cost is not measured: {named(unknown)}")
     return said
 
 
