@@ -359,7 +359,7 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
     ]
     assert [(row["rank"], row["end"]) for row in same] == [(1.5, count - 2.5)]
     title = charts["ratio-error"]["title"]["text"]
-    assert title == f"errors: 3 worse, 1 better of {count} runs"
+    assert title == f"errors, furthest of each run: 3 worse, 1 better of {count}"
     work = charts["ratio-work"]["layer"][1]["data"]["values"]
     assert {p["ratio"] for p in work} == {2.0}
     assert [p["rank"] for p in work] == list(range(count - len(STEPS) + 1, count + 1))

@@ -51,6 +51,17 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     ):
         rows = lost_orders_table({"pendulum": series_of(ringing("m", **changes))}, known).rows
         assert [row[5] for row in rows if row[2] == "lam"] == [why]
+    # Of tolerances nothing is claimed, but errors have to fall.
+    loose = ringing("m", controls="tolerance")
+    for k, record in enumerate(loose, 3):
+        record.rtol = record.atol = 10.0**-k
+    (row,) = lost_orders_table({"pendulum": series_of(loose)}, known).rows
+    assert row[2:] == [
+        "lam",
+        "none",
+        "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-06",
+        "no experiment",
+    ]
     # An order that nobody claims cannot be lost, and one as claimed is not.
     assert [r[2] for r in lost_orders_table(held, {}).rows] == ["lam"]
     good = [planted("s", "m", SECOND, h=h) for h in STEPS]

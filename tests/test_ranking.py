@@ -158,6 +158,8 @@ def test_integrators_that_do_the_same_are_one_contestant(found):
         other = [*both("a"), *both("b")]
         change(other[4])
         assert contestants(series_of(other)) == {"a": "a", "b": "b"}
+    nothing_known = [*both("a", errors={}), *both("b", errors={})]
+    assert contestants(series_of(nothing_known)) == {"a": "a", "b": "b"}
     assert contestants(series_of([*both("a"), *both("b")[:2]])) == {"a": "a", "b": "b"}
 
 

@@ -1,4 +1,4 @@
-"""Table of claimed orders that runs at constant steps do not show, and what explains that."""
+"""Table of claimed orders that runs do not show, of errors that never fall, and of reasons."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def lost_orders_table(
     for scene, series in scenes.items():
         for s in series:
             facts = known.get(s.records[0].integrator)
-            claims = facts.orders if facts else {}
+            # An order belongs to constant steps; of tolerances the error has to fall at all.
+            claims = facts.orders if facts and s.controls == "step" else {}
             alike: dict[tuple[str, str, str], list[str]] = {}
-            for group in groups_of(s.ok) if s.controls == "step" else ():
+            for group in groups_of(s.ok):
                 claimed = claims.get(group)
                 fit, settled = s.fit(group, NORM), s.fit(group, "settled")
                 if not is_lost(fit, claimed):
@@ -51,13 +52,13 @@ def lost_orders_table(
     if not rows:
         return None
     return Table(
-        "Orders that were lost",
+        "Orders that were lost, and errors that never converge",
         ["integrator", "scene", "group", "order claimed", "measured", "explained by"],
         rows,
         code=(0, 1),
-        note=f"Relative error, {NORM_NAMES[NORM]}: it does not converge, or its order is lower "
-        f"than the integrator claims by {LOSS:g} or more. The commands show the experiment of the "
-        "failure atlas.",
+        note=f"Relative error, {NORM_NAMES[NORM]}: it does not converge, or its order at "
+        f"constant steps is lower than the integrator claims by {LOSS:g} or more. The commands "
+        "show the experiment of the failure atlas.",
         links=links,
     )
 
@@ -72,8 +73,9 @@ def is_lost(fit: Fit, claimed: int | None) -> bool:
 def _found(s: Series, group: str, fit: Fit) -> str:
     if fit.verdict != "does not converge":
         return order_text(fit.order or 0.0)
+    name = "h" if s.controls == "step" else "rtol"
     ends = [
-        f"{number(error_of(r, group, NORM))} at h={number(step_or_tolerance(r))}"
+        f"{number(error_of(r, group, NORM))} at {name}={number(step_or_tolerance(r))}"
         for r in (s.ok[0], s.ok[-1])
     ]
     return f"none: error {', '.join(ends)}"
@@ -86,7 +88,8 @@ def _explained(s: Series, group: str, fit: Fit, transient: bool) -> str:
     if transient:
         return TRANSIENT
     stuck = fit.verdict == "does not converge" and group in ("a", "lam")
-    return UNDAMPED if stuck and s.formulations == "index3" else ""
+    steady = s.controls == "step" and s.formulations == "index3"
+    return UNDAMPED if stuck and steady else ""
 
 
 def _command(experiment: str) -> str:
