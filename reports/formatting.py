@@ -47,6 +47,16 @@ def words(items: Iterable[str]) -> str:
     return f"{', '.join(head)} and {last}" if head else last
 
 
+def named(items: Iterable[str], separator: str = ", ", most: int = 3) -> str:
+    """'a, b and c'; of more than ``most`` the first ones, and how many there are besides."""
+    texts = list(items)
+    if len(texts) > most:
+        texts = [*texts[:most], f"{len(texts) - most} more"]
+    if separator == ", ":
+        return words(texts) if texts else ""
+    return separator.join(texts)
+
+
 def paragraphs(text: str) -> list[str]:
     """The paragraphs of a docstring, each on one line."""
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]

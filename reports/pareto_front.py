@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from bench.results.quantities import NORM
 from bench.results.records import Record
 from reports.series import Series, cost_of, error_of, ok_runs, trusted_error
 
@@ -19,16 +20,16 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     series
         The integrators of one scene.
     group
-        Group of variables; its largest relative error over all times is compared.
+        Group of variables; its relative error in the norm `NORM` is compared.
     cost
-        "seconds", or a count such as "residuals".
+        A cost of `bench.results.quantities.COST_NAMES`.
     """
     runs = ok_runs(series)
-    least = trusted_error(runs, group, "max")
+    least = trusted_error(runs, group, NORM)
     points = [
         (value, max(error, least), r)
         for r in runs
-        if (value := cost_of(r, cost)) and (error := error_of(r, group, "max")) is not None
+        if (value := cost_of(r, cost)) and (error := error_of(r, group, NORM)) is not None
     ]
     points.sort(key=lambda point: point[:2])
     front: list[tuple[float, float, Record]] = []

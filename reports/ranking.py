@@ -1,36 +1,50 @@
 """Integrators ranked on each scene by the cost of the cheapest run that reaches an accuracy.
 
-A target that lies within a hundred times the reference's own error is left out.
+A target that lies within a hundred times the reference's own error is left out. Integrators that
+do the same on a scene are one contestant there, and share its numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import COST_NAMES
+from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES
 from bench.results.records import Record
-from reports.series import Series, cost_of, error_of, ok_runs, trusted_error
+from bench.results.timings import quotient
+from reports.series import Series, cost_of, error_of, ok_runs, step_or_tolerance, trusted_error
 
-#: Groups, relative errors (largest over all times) and costs by which integrators are ranked.
+#: Groups, relative errors (in the norm `NORM`) and costs by which integrators are ranked.
 RANKED_GROUPS = ("q", "a", "lam")
 TARGETS = (1e-2, 1e-4, 1e-6)
-RANKED_COSTS = {cost: COST_NAMES[cost] for cost in ("seconds", "residuals")}
-LEAST_COST = {"seconds": "least time", "residuals": "fewest residual evaluations"}
-#: Group, target and cost of a page before a reader chooses others.
-GROUP, TARGET, COST = "a", 1e-4, "residuals"
+RANKED_COSTS = {cost: COST_NAMES[cost] for cost in (COST, "seconds", "residuals")}
+LEAST_COST = {
+    "operations": "fewest operations",
+    "seconds": "least time",
+    "residuals": "fewest residual evaluations",
+}
+#: Group and target of a page before a reader chooses others.
+GROUP, TARGET = "a", 1e-4
+#: Bills of operations are told apart from this quotient on: the cost model is no more exact.
+LEAST_OPERATIONS = 1.1
+#: Errors of the same method in two programs differ by rounding, relative to them.
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
 class RankEntry:
-    """One integrator on one scene for one target.
+    """One integrator that was tried on one scene, for one target.
 
+    ``contestant`` is the first integrator that does the same on the scene (itself, as a rule).
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
-    is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest integrator's.
+    is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's.
     """
 
     scene: str
     label: str
+    contestant: str
+    family: str
     group: str
     target: float
     cost: str
@@ -40,41 +54,123 @@ class RankEntry:
     ratio: float | None = None
 
 
+def accuracy_text(group: str, target: float) -> str:
+    """An accuracy in words, with quantity and norm."""
+    digits = f"{target:.0e}".replace("e-0", "e-")
+    return f"a relative error in the {GROUP_NAMES[group]} of at most {digits} ({NORM_NAMES[NORM]})"
+
+
 def reaches(record: Record, group: str, target: float) -> bool:
-    """Whether the largest error of a group is no larger than the target."""
-    error = error_of(record, group, "max")
+    """Whether the error of a group is no larger than the target."""
+    error = error_of(record, group, NORM)
     return error is not None and error <= target
+
+
+def told_apart(one: Record, two: Record, cost: str) -> bool:
+    """Whether the costs of two runs differ beyond what is known of them.
+
+    Times by their quotient within rounds (`bench.results.timings`), operations by more than
+    `LEAST_OPERATIONS`, counts exactly.
+    """
+    if cost == "seconds":
+        found = quotient(one, two)
+        return found is not None and found.differs
+    values = [v for r in (one, two) if (v := cost_of(r, cost)) is not None]
+    least = LEAST_OPERATIONS if cost == "operations" else 1.0
+    return len(values) == 2 and max(values) > least * min(values)
+
+
+def contestants(series: Sequence[Series]) -> dict[str, str]:
+    """The integrators of one scene, each with the first one that does the same there.
+
+    The same are two with the same endings, work and operations at the same resolutions, and
+    errors in all groups and norms that differ by rounding only.
+    """
+    firsts: list[Series] = []
+    found = {}
+    for s in series:
+        twin = next((f for f in firsts if _same(f, s)), s)
+        if twin is s:
+            firsts.append(s)
+        found[s.label] = twin.label
+    return found
+
+
+def several_contestants(entries: Iterable[RankEntry]) -> set[str]:
+    """The scenes on which there is something to win."""
+    found: dict[str, set[str]] = {}
+    for s in entries:
+        found.setdefault(s.scene, set()).add(s.contestant)
+    return {scene for scene, own in found.items() if len(own) > 1}
+
+
+def _same(one: Series, two: Series) -> bool:
+    if not one.ok or len(one.records) != len(two.records):
+        return False
+    return all(map(_same_run, one.records, two.records))
+
+
+def _same_run(one: Record, two: Record) -> bool:
+    if (one.status, one.work, one.pattern, step_or_tolerance(one)) != (
+        two.status, two.work, two.pattern, step_or_tolerance(two)
+    ):  # fmt: skip
+        return False
+    if one.errors.keys() != two.errors.keys() or told_apart(one, two, "operations"):
+        return False
+    if one.status == "ok" and not one.errors:
+        return False  # nothing is known of what they compute
+    return all(
+        _same_error(error, error_of(two, group, norm), trusted_error([one, two], group, norm))
+        for group, norms in one.errors.items()
+        for norm, error in norms.items()
+    )
+
+
+def _same_error(one: float | None, two: float | None, trusted: float) -> bool:
+    if one is None or two is None:
+        return one is two
+    return max(one, two) <= trusted or math.isclose(one, two, rel_tol=_ROUNDING)
 
 
 def rank(scenes: Mapping[str, Sequence[Series]]) -> list[RankEntry]:
     """Rank the integrators of every scene for every target and cost that can be judged."""
     entries = []
     for scene, series in scenes.items():
-        runs = ok_runs(series)
+        runs, firsts = ok_runs(series), contestants(series)
         for group in RANKED_GROUPS:
             if not any(group in r.errors for r in runs):
                 continue
             for target in TARGETS:
-                if trusted_error(runs, group, "max") > target:
+                if trusted_error(runs, group, NORM) > target:
                     continue
                 for cost in RANKED_COSTS:
-                    entries += _entries(scene, series, group, target, cost)
+                    entries += _entries(scene, series, firsts, group, target, cost)
     return entries
 
 
 def _entries(
-    scene: str, series: Sequence[Series], group: str, target: float, cost: str
+    scene: str,
+    series: Sequence[Series],
+    firsts: Mapping[str, str],
+    group: str,
+    target: float,
+    cost: str,
 ) -> list[RankEntry]:
+    able = {s.label: [r for r in s.ok if reaches(r, group, target)] for s in series}
     cheapest: dict[str, tuple[float, Record]] = {}
-    for s in series:
-        able = [(v, r) for r in s.ok if reaches(r, group, target) and (v := cost_of(r, cost))]
-        if able:
-            cheapest[s.label] = min(able, key=lambda pair: pair[0])
+    for label in dict.fromkeys(firsts.values()):
+        if known := [(value, r) for r in able[label] if (value := cost_of(r, cost))]:
+            cheapest[label] = min(known, key=lambda pair: pair[0])
     best = min((value for value, _ in cheapest.values()), default=None)
     entries = []
     for s in series:
-        value, run = cheapest.get(s.label, (None, None))
-        reached = any(reaches(r, group, target) for r in s.ok)
+        first = firsts[s.label]
+        value, run = cheapest.get(first, (None, None))
         ratio = value / best if value is not None and best is not None else None
-        entries.append(RankEntry(scene, s.label, group, target, cost, reached, run, value, ratio))
+        reached = bool(able[first])
+        entries.append(
+            RankEntry(
+                scene, s.label, first, s.family, group, target, cost, reached, run, value, ratio
+            )
+        )
     return entries

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from bench.results.orders import Fit, fit_order
+from bench.results.orders import Fit, fit_orders
 from bench.results.quantities import GROUPS, TRUST
 from bench.results.records import Record, median
 from reports.formatting import number, text_range
@@ -58,11 +58,13 @@ class Series:
     def fit(self, group: str, norm: str) -> Fit:
         """The fitted order of one group in one norm."""
         if (group, norm) not in self._fits:
-            self._fits[group, norm] = fit_order(
+            groups = dict.fromkeys([*groups_of(self.ok), group])
+            fits = fit_orders(
                 [step_or_tolerance(r) for r in self.ok],
-                [error_of(r, group, norm) for r in self.ok],
-                reference_error(self.ok, group, norm),
+                {g: [error_of(r, g, norm) for r in self.ok] for g in groups},
+                {g: reference_error(self.ok, g, norm) for g in groups},
             )
+            self._fits.update({(g, norm): fit for g, fit in fits.items()})
         return self._fits[group, norm]
 
 

@@ -143,6 +143,27 @@ def test_the_worst_is_told_first(old, tmp_path, stepbench):
     assert ratios == worst
 
 
+def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
+    def edit(record):
+        if record.integrator == "poor":
+            record.errors["a"]["max"] *= 3 if record.h == STEPS[0] else 0.5
+            record.errors["x"]["max"] /= 10
+            record.errors["v"]["rms"] *= 99  # not the default norm
+
+    found = compare(old, edited(old, "new", edit))
+    count = sum(found.judged.values())
+    assert found.judgement() == [
+        f"Error (largest over all times), of {count} runs: a 1 worse, 5 better; x 6 better. "
+        "Worst: poor on spring_mass, h=0.1: error a max 0.3 -> 0.9 (x3)."
+    ]
+    assert "poor on spring_mass: error (a) x3 in 1 of 6 runs" in found.summary()
+    assert "poor on spring_mass: error (a) x0.5 in 5 of 6 runs" in found.summary()
+    back = compare(old.parent / "new", old)
+    assert "a 5 worse, 1 better; x 6 worse. Worst: " in back.judgement()[0]
+    halved = compare(old, edited(old, "halved", lambda r: r.errors.get("a", {}).update(max=0.0)))
+    assert halved.judgement()[0].endswith("a 36 better. Nothing is worse.")
+
+
 def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.errors["q"]["end"] = None
@@ -164,6 +185,18 @@ def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
     line = "m on pendulum: work (residuals) counted in one of the two in 1 of 1 runs"
     assert found.summary() == [line]
     assert regressions(found, {"work": 1.0}) == []
+
+
+def test_bills_of_operations_are_compared_by_their_sum_where_both_are_known(tmp_path):
+    def folder(name, **operations):
+        run = planted("pendulum", "m", FREE, h=0.1, operations=operations)
+        return plant(tmp_path / name, [run], 0)
+
+    old = folder("old", residuals=300.0, factorisations=100.0)
+    (change,) = compare(old, folder("more", residuals=500.0, factorisations=100.0)).changes
+    assert (change.kind, change.name, change.ratio) == ("work", "operations", 1.5)
+    assert compare(old, folder("moved", residuals=100.0, factorisations=300.0)).same
+    assert compare(old, folder("unknown")).same
 
 
 # ---- times -------------------------------------------------------------------------------
@@ -326,7 +359,7 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
     ]
     assert [(row["rank"], row["end"]) for row in same] == [(1.5, count - 2.5)]
     title = charts["ratio-error"]["title"]["text"]
-    assert title == f"errors: 3 worse, 1 better of {count} runs"
+    assert title == f"errors, furthest of each run: 3 worse, 1 better of {count}"
     work = charts["ratio-work"]["layer"][1]["data"]["values"]
     assert {p["ratio"] for p in work} == {2.0}
     assert [p["rank"] for p in work] == list(range(count - len(STEPS) + 1, count + 1))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.results.orders import fit_order
+from bench.results.orders import fit_order, fit_orders
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
 
@@ -103,3 +104,34 @@ def test_a_step_given_twice_is_one_point():
     once = fit_order(STEPS, [h**2 for h in STEPS])
     assert fit_order(STEPS + STEPS[:2], [h**2 for h in STEPS + STEPS[:2]]) == once
     assert fit_order([0.1] * 3, [0.3] * 3).verdict == "not determined"
+
+
+def vibration(step, rho=1.0):
+    """Largest errors of a vibration of 3162 rad/s over 10 s, beside a slow motion of order two."""
+    t = np.linspace(0.0, 10.0, 20_001)
+    omega = math.sqrt(1e7)
+    phase = 2 / step * math.atan(omega * step / 2)  # of the trapezoidal rule
+    fast = np.max(np.abs(rho**t * np.cos(phase * t) - np.cos(omega * t)))
+    return {"q": 1e-4 * fast + step**2, "v": 0.25 * fast, "a": fast}
+
+
+@pytest.mark.parametrize("rho", [1.0, 0.5])
+def test_a_phase_that_no_step_resolves_determines_no_order_in_any_group(rho):
+    steps = [2e-4 * 2.0**-k for k in range(4)]
+    found = [vibration(h, rho) for h in steps]
+    errors = {group: [f[group] for f in found] for group in ("q", "v", "a")}
+    assert fit_order(steps, errors["a"]).verdict == "does not converge"  # of itself
+    for fit in fit_orders(steps, errors, dict.fromkeys(errors, 0.0)).values():
+        assert (fit.order, fit.verdict) == (None, "not determined")
+
+
+@given(st.floats(0.01, 100.0), st.floats(0.5, 5.0), st.permutations(range(8)))
+def test_a_group_that_is_stuck_beside_one_that_gains_does_not_converge(level, order, places):
+    steps = [STEPS[k] for k in places]
+    errors = {"q": [h**order for h in steps], "lam": [level] * 8}
+    fits = fit_orders(steps, errors, {"q": 0.0, "lam": 0.0})
+    assert fits["lam"].verdict == "does not converge"
+    assert fits["q"] == fit_order(steps, errors["q"])
+    # A position that is as good as its reference has gained, too.
+    exact = errors | {"q": [1e-15] * 8}
+    assert fit_orders(steps, exact, {"q": 1e-15, "lam": 0.0})["lam"] == fits["lam"]

@@ -54,6 +54,12 @@ def test_costs_decide_which_front_it_is():
     assert on_front([quick, lean, uncounted], cost="seconds") == [("quick", 100)]
 
 
+def test_the_front_is_that_of_the_largest_error_over_all_times():
+    early, late = run("early", 1e-2, 10), run("late", 1e-3, 100)
+    late.errors["a"]["end"] = 1.0
+    assert on_front([early, late]) == [("early", 10), ("late", 100)]
+
+
 def test_errors_below_the_trust_in_the_reference_are_equal():
     coarse, enough = run("a", 1e-2, 1, floor=1e-7), run("b", 9e-5, 10, floor=1e-7)
     finer = run("c", 1e-8, 100, floor=1e-7)

@@ -141,4 +141,4 @@ def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
     controls = {Registry().integrator(c.integrator).controls for c in suite.cells.values()}
     assert (len(suite.cells), scenes) == (115, {"spring_mass", "pendulum"})
     assert controls == {"step", "tolerance"}
-    assert suite.plan.samples == 5
+    assert suite.plan.samples == 9

@@ -70,9 +70,9 @@ def compare(
 ) -> None:
     """Compare the results in OLD and NEW, run by run.
 
-    Errors and counts are compared as they are, times where the samples of both do not overlap
-    and the ratio is beyond the noise. Times from different machines or versions are shown, but
-    are no regression.
+    Errors and counts are compared as they are, times where the interval of the quotient of the
+    medians lies on one side of 1 and the quotient is beyond the noise. Times from different
+    machines or versions, and of runs whose source is the same, are shown, but are no regression.
 
     \b
     Examples:

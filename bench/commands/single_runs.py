@@ -78,7 +78,7 @@ def solve(
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    ((record, rows),) = solve_cells([cell], registry, samples=5, budget_s=budget)
+    ((record, rows),) = solve_cells([cell], registry, samples=7, budget_s=budget)
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:

@@ -4,9 +4,10 @@ A cell is the same if its key is. Where it reached the end in both, three kinds 
 
 - ``error``: per group and norm. Below a hundred times the reference's own error an error says
   nothing, so that both are taken as at least that.
-- ``work``: counts, exactly.
-- ``time``: medians, where the samples of the two runs do not overlap and the ratio is beyond the
-  noise of both folders; on other machines or versions it is shown, but is no regression.
+- ``work``: counts, exactly, and the sum of the bill of operations.
+- ``time``: medians, where the interval of their quotient (`bench.results.timings`) lies on one
+  side of 1 and the quotient is beyond the noise of both folders. On other machines or versions,
+  and where the source was not edited, a change is shown, but is no regression.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from bench.results.comparison import (
 from bench.results.quantities import GROUPS, NORMS, TRUST
 from bench.results.records import Environment, Record
 from bench.results.store import Store
+from bench.results.timings import median_interval, quotient_of_medians
 from problems.spec import SpecError, suggest
 
 #: The word for cells that NEW lacks, in the limits of a regression.
@@ -45,7 +47,8 @@ def compare(old: Path, new: Path) -> Comparison:
     (before, machines), (after, others) = _read(old), _read(new)
     shared = [key for key in after if key in before]
     names = _names([*before.values(), *after.values()])
-    noise = max(LEAST_CHANGE["time"], _noise(before.values()) * _noise(after.values()))
+    noise = _noise(before.values()) * _noise(after.values())
+    noise = max(LEAST_CHANGE["time"], noise, _drift([(before[k], after[k]) for k in shared]))
     judged: Counter[str] = Counter()
     differences: dict[str, None] = {}
     endings, changes, untold = [], [], 0
@@ -59,8 +62,8 @@ def compare(old: Path, new: Path) -> Comparison:
         elif one.status == "ok":
             judged[f"{run.integrator} on {run.scene}"] += 1
             changes += [*_errors(run, one, two), *_work(run, one, two)]
-            changes += _time(run, one, two, noise, comparable=not pair)
-            untold += min(len(one.run_s), len(two.run_s)) < 2
+            changes += _time(run, one, two, noise, not pair and not _unedited(one, two))
+            untold += quotient_of_medians(one.run_s, two.run_s) is None
     return Comparison(
         old=str(old),
         new=str(new),
@@ -200,33 +203,48 @@ def _work(run: ComparedCell, old: Record, new: Record) -> Iterator[Change]:
         if one != two:
             ratio = None if one is None or two is None else _ratio(one, two)
             yield Change(run=run, kind="work", name=name, old=one, new=two, ratio=ratio)
+    one, two = sum(old.operations.values()), sum(new.operations.values())
+    if one and two and _changed(two / one, LEAST_CHANGE["error"]):
+        yield Change(run=run, kind="work", name="operations", old=one, new=two, ratio=two / one)
 
 
 def _noise(records: Iterable[Record]) -> float:
-    """The ratio of slowest to fastest sample that a quarter of the timed runs reach; 1 of none.
+    """The ratio of the ends of a median's interval that a quarter of the timed runs reach.
 
     A busy machine slows all samples of a short run alike, which only the others tell.
     """
-    spreads = sorted(max(r.run_s) / min(r.run_s) for r in records if len(r.run_s) > 1)
-    return spreads[3 * len(spreads) // 4] if spreads else 1.0
+    intervals = [median_interval(r.run_s) for r in records if len(r.run_s) > 1]
+    return _upper_quartile(high / low for low, high in intervals)
+
+
+def _drift(pairs: Iterable[tuple[Record, Record]]) -> float:
+    """The factor that a quarter of the times changed by though no source was edited."""
+    found = (quotient_of_medians(a.run_s, b.run_s) for a, b in pairs if _unedited(a, b))
+    return _upper_quartile(max(q.value, 1 / q.value) for q in found if q)
+
+
+def _unedited(old: Record, new: Record) -> bool:
+    """Whether both were measured with one source, as far as that is known."""
+    return old.fingerprint == new.fingerprint != ""
+
+
+def _upper_quartile(ratios: Iterable[float]) -> float:
+    ordered = sorted(ratios)
+    return ordered[3 * len(ordered) // 4] if ordered else 1.0
 
 
 def _time(
     run: ComparedCell, old: Record, new: Record, noise: float, comparable: bool
 ) -> Iterator[Change]:
-    if min(len(old.run_s), len(new.run_s)) < 2:
-        return
-    apart = min(new.run_s) > max(old.run_s) or min(old.run_s) > max(new.run_s)
-    one, two = statistics.median(old.run_s), statistics.median(new.run_s)
-    ratio = _ratio(one, two)
-    if apart and _changed(ratio, noise):
+    found = quotient_of_medians(old.run_s, new.run_s)
+    if found and found.differs and _changed(found.value, noise):
         yield Change(
             run=run,
             kind="time",
             name="seconds",
-            old=one,
-            new=two,
-            ratio=ratio,
+            old=statistics.median(old.run_s),
+            new=statistics.median(new.run_s),
+            ratio=found.value,
             comparable=comparable,
         )
 

@@ -7,8 +7,11 @@ from collections import defaultdict
 
 import msgspec
 
+from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.timings import LEAST_QUOTIENT
+
 #: Ratios up to these are no change: rounding, exact counts, and the precision of clocks.
-LEAST_CHANGE = {"error": 1.001, "work": 1.0, "time": 1.1}
+LEAST_CHANGE = {"error": 1.001, "work": 1.0, "time": LEAST_QUOTIENT}
 
 
 class ComparedCell(msgspec.Struct, kw_only=True, frozen=True):
@@ -52,6 +55,11 @@ class Change(msgspec.Struct, kw_only=True, frozen=True):
     ratio: float | None
     comparable: bool = True
 
+    @property
+    def worse(self) -> bool:
+        """Whether the number rose, or is none any more."""
+        return self.ratio is not None and self.ratio > 1.0
+
     def __str__(self) -> str:
         what = " ".join(filter(None, (self.kind, self.name, self.norm)))
         return f"{self.run}: {what} {shown(self.old)} -> {shown(self.new)} ({factor(self.ratio)})"
@@ -62,7 +70,8 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
 
     ``differences`` name machines and versions, ``edited`` counts the shared cells whose source
     differs, ``untold`` those whose times cannot be compared for want of two samples each. Ratios
-    of times up to ``noise`` are no change. ``judged`` counts the shared cells that reached the
+    of times up to ``noise`` are no change: so far apart are samples of one run, or the times of
+    runs whose source is the same. ``judged`` counts the shared cells that reached the
     end in both, by scene and integrator.
     """
 
@@ -106,15 +115,43 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
             )
         if self.same:
             said.append("Nothing changed.")
+        return said + self.judgement()
+
+    def judgement(self) -> list[str]:
+        """Say per kind of number which groups are worse and better, and name the worst one.
+
+        Errors are judged in the default norm.
+        """
+        said = []
+        for kind in LEAST_CHANGE:
+            by_name: defaultdict[str, list[Change]] = defaultdict(list)
+            for c in self.changes:
+                if c.kind == kind and c.norm in ("", NORM) and c.ratio is not None:
+                    by_name[c.name].append(c)
+            if not by_name:
+                continue
+            parts = []
+            for name, changes in by_name.items():
+                worse = sum(c.worse for c in changes)
+                counts = {"worse": worse, "better": len(changes) - worse}
+                parts.append(f"{name} {', '.join(f'{n} {how}' for how, n in counts.items() if n)}")
+            norm = f" ({NORM_NAMES[NORM]})" if kind == "error" else ""
+            worst = max((c for own in by_name.values() for c in own), key=lambda c: c.ratio or 0.0)
+            named = f"Worst: {worst}." if worst.worse else "Nothing is worse."
+            count = sum(self.judged.values())
+            said.append(f"{kind.capitalize()}{norm}, of {count} runs: {'; '.join(parts)}. {named}")
         return said
 
     def summary(self) -> list[str]:
-        """List the changes, a line per integrator, scene and quantity, the worst first."""
-        groups: defaultdict[tuple[str, ...], list[Change]] = defaultdict(list)
+        """List the changes, a line per integrator, scene and quantity, the worst first.
+
+        What is worse and what is better have a line each.
+        """
+        groups: defaultdict[tuple[str, str, str, bool], list[Change]] = defaultdict(list)
         for c in self.changes:
-            groups[f"{c.run.integrator} on {c.run.scene}", c.kind, c.name].append(c)
+            groups[f"{c.run.integrator} on {c.run.scene}", c.kind, c.name, c.worse].append(c)
         lines = []
-        for (who, kind, name), changes in groups.items():
+        for (who, kind, name, _), changes in groups.items():
             ratios = [c.ratio for c in changes if c.ratio is not None]
             ends = dict.fromkeys(map(factor, (min(ratios), max(ratios)) if ratios else (None,)))
             count = len({c.run.key for c in changes})

@@ -12,14 +12,15 @@ The rule, from the finest step towards coarser ones:
 
 Fewer than three points give "not determined", and so does a window that does not form: an order
 that is still changing at the finest steps is not claimed. Errors that never fall by half although
-the step does "do not converge".
+the step does "do not converge", if another group of the same runs gains by the smaller steps.
+Where none does, as with a vibration whose phase no step resolves, nothing is known of an order.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import msgspec
@@ -76,6 +77,38 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
         return Fit(None, None, 0, "not determined")
     edges = (math.exp(window[-1][0]), math.exp(window[0][0]))
     return Fit(_slope(window), edges, len(window), "converges")
+
+
+def fit_orders(
+    steps: Sequence[float],
+    errors: Mapping[str, Sequence[float | None]],
+    floors: Mapping[str, float],
+) -> dict[str, Fit]:
+    """Fit the order of every group of the same runs.
+
+    Parameters
+    ----------
+    steps
+        Step sizes in s, in any order.
+    errors
+        Errors at these steps by group, in one norm.
+    floors
+        The reference's own error by group.
+    """
+    fits = {group: fit_order(steps, own, floors[group]) for group, own in errors.items()}
+    if any(_gains(steps, own, floors[group]) for group, own in errors.items()):
+        return fits
+    unknown = Fit(None, None, 0, "not determined")
+    return {g: unknown if f.verdict == "does not converge" else f for g, f in fits.items()}
+
+
+def _gains(steps: Sequence[float], errors: Sequence[float | None], floor: float) -> bool:
+    """Whether the finest step has half the error of the coarsest, or the reference's."""
+    known = [(h, e) for h, e in zip(steps, errors, strict=True) if e is not None and e < math.inf]
+    if not known:
+        return False
+    (_, fine), (_, coarse) = min(known), max(known)
+    return fine <= max(coarse / 2, TRUST * floor)
 
 
 def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.results.orders import fit_order
+from bench.results.orders import fit_orders
 from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record, Rows, median
 
@@ -49,19 +49,20 @@ def orders(records: list[Record]) -> dict[str, Any]:
         "errors": {},
         "status": [record.status for record in records],
     }
-    for group in GROUPS:
-        known = [r.reference_error[group] for r in records if group in r.reference_error]
-        if not known:
-            continue
-        for norm in NORMS:
-            errors = [record.errors.get(group, {}).get(norm) for record in records]
-            fit = fit_order(steps, errors, max(floor[norm] for floor in known))
+    groups = [g for g in GROUPS if any(g in r.reference_error for r in records)]
+    for norm in NORMS:
+        errors = {g: [r.errors.get(g, {}).get(norm) for r in records] for g in groups}
+        floors = {
+            g: max(r.reference_error[g][norm] for r in records if g in r.reference_error)
+            for g in groups
+        }
+        for group, fit in fit_orders(steps, errors, floors).items():
             for name, value in (
                 ("orders", fit.order),
                 ("window", fit.window),
                 ("points", fit.points),
                 ("verdict", fit.verdict),
-                ("errors", errors),
+                ("errors", errors[group]),
             ):
                 result[name].setdefault(group, {})[norm] = value
     return result

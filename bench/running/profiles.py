@@ -47,7 +47,7 @@ class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     study: list[StudyFile]
     title: str = ""
-    samples: int = 5
+    samples: int = 7
     budget_s: float = 60.0
     memory_gib: float = 4.0
     atlas: bool | list[str] = False

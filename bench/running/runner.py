@@ -108,11 +108,16 @@ class Runner:
     def time(
         self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
     ) -> Iterator[tuple[Cell, int, float]]:
-        """Yield (cell, number, seconds): samples taken in turn over all cells, one at a time.
+        """Yield (cell, round, seconds): a sample of each cell in every round, one at a time.
+
+        The cells of a scene follow one another, so that samples of one round are neighbours in
+        time and can be compared by their quotient.
 
         ``have`` are the samples, in s, that were taken before.
         """
         spent = {cell.key: sum(have.get(cell.key, ())) for cell in cells}
+        scenes = list(dict.fromkeys(cell.problem for cell in cells))
+        cells = sorted(cells, key=lambda cell: scenes.index(cell.problem))
         for number in range(samples):
             for cell in cells:
                 if number < len(have.get(cell.key, ())) or spent[cell.key] > TIMING_SECONDS:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import GROUP_NAMES
+from bench.results.quantities import COST, GROUP_NAMES
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
-from reports.ranking import COST, GROUP, RANKED_COSTS, RANKED_GROUPS, TARGET, TARGETS, RankEntry
+from reports.ranking import (
+    GROUP,
+    RANKED_COSTS,
+    RANKED_GROUPS,
+    TARGET,
+    TARGETS,
+    RankEntry,
+    several_contestants,
+)
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
@@ -87,22 +95,29 @@ def performance_profile(
 ) -> vl.Spec | None:
     """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
-    None for fewer than two scenes. Source: Dolan & More (2002), doi:10.1007/s101070100263.
+    Counted are scenes with several contestants, of these for each integrator those on which it was
+    tried and its cost is known if it reached the target. None for fewer than two scenes.
+    Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
+    several = several_contestants(entries)
     cases: dict[tuple[str, float, str], list[RankEntry]] = {}
     for s in entries:
-        if interactive or _shown_first(s):
+        if s.scene in several and (interactive or _shown_first(s)):
             cases.setdefault((s.group, s.target, s.cost), []).append(s)
     rows = []
     for (group, target, cost), case in cases.items():
-        count = len({s.scene for s in case})
-        for label in dict.fromkeys(s.label for s in case) if count > 1 else ():
+        scenes = len({s.scene for s in case})
+        for label in dict.fromkeys(s.label for s in case) if scenes > 1 else ():
+            own = [s for s in case if s.label == label and not (s.reached and s.value is None)]
+            if not own:
+                continue
+            ratios = sorted(s.ratio for s in own if s.ratio is not None)
             named = {"series": label, "group": group, "target": str(target), "cost": cost}
-            ratios = sorted(s.ratio for s in case if s.label == label and s.ratio is not None)
+            named["tried"] = f"{len(own)} of {scenes} scenes (reached on {len(ratios)})"
             steps = [(1.0, 0), *((r, i) for i, r in enumerate(ratios, 1))]
             steps.append((_FAR, sum(r <= _FAR for r in ratios)))
             rows += [
-                {**named, "tau": vl.short(tau), "part": vl.short(done / count)}
+                {**named, "tau": vl.short(tau), "part": vl.short(done / len(own))}
                 for tau, done in steps
                 if tau <= _FAR
             ]
@@ -118,11 +133,17 @@ def performance_profile(
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
             "x": vl.quantity("tau", title="times the best cost", scale=scale),
-            "y": vl.quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
+            "y": vl.quantity("part", title="part of the scenes tried", scale={"domain": [0, 1]}),
             "color": options.colors(),
             "strokeDash": options.dashes(),
             "opacity": options.opacity(),
             "order": vl.quantity("tau"),
+            "tooltip": [
+                vl.category("series", title="integrator"),
+                vl.category("tried"),
+                vl.quantity("tau", title="times the best", format=".3g"),
+                vl.quantity("part", title="part of the scenes tried", format=".3g"),
+            ],
         },
     }
     if interactive:

@@ -81,7 +81,7 @@ def _ratios(comparison: Comparison, kind: str) -> vl.Spec | None:
             "opacity": {"condition": {"test": "datum.comparable", "value": 1}, "value": 0.35},
         },
     }
-    title = f"{_TITLES[kind]}: {worse} worse, {better} better of {count} runs"
+    title = f"{_TITLES[kind]}, furthest of each run: {worse} worse, {better} better of {count}"
     return {
         "title": {"text": title, "color": vl.GREY, "fontSize": 12, "anchor": "start"},
         "layer": [same, changed],

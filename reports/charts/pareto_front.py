@@ -6,11 +6,11 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES
+from bench.results.quantities import COST, GROUP_NAMES, NORM
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.pareto_front import compared_scenes, pareto_front
-from reports.ranking import COST, GROUP, RANKED_COSTS, RANKED_GROUPS
+from reports.ranking import GROUP, RANKED_COSTS, RANKED_GROUPS
 from reports.series import Series, cost_of, error_of, ok_runs, trusted_error
 
 
@@ -87,7 +87,7 @@ def pareto_chart(
 def _rows(scene: str, series: Sequence[Series], labels: Sequence[str]) -> list[dict[str, Any]]:
     """A row per run: its costs and errors, and the pairs of them in which it is on the front."""
     runs = ok_runs(series)
-    least = {group: trusted_error(runs, group, "max") for group in RANKED_GROUPS}
+    least = {group: trusted_error(runs, group, NORM) for group in RANKED_GROUPS}
     fronts = {
         f"{group}_{cost}": {r.key for r in pareto_front(series, group, cost)}
         for group in RANKED_GROUPS
@@ -99,7 +99,7 @@ def _rows(scene: str, series: Sequence[Series], labels: Sequence[str]) -> list[d
             row = {"scene": scene, "s": labels.index(s.label), "run": r.resolution}
             row |= {cost: vl.short(cost_of(r, cost)) for cost in RANKED_COSTS}
             for group in RANKED_GROUPS:
-                if (error := vl.short(error_of(r, group, "max"))) is not None:
+                if (error := vl.short(error_of(r, group, NORM))) is not None:
                     row |= {group: error, f"{group}_least": vl.short(least[group])}
             rows.append(row | {name: 1 for name, keys in fronts.items() if r.key in keys})
     return rows

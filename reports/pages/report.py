@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.quantities import TRUST
+from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
 from bench.results.records import Environment, Plan, Record, SceneRecord
 from bench.results.store import Store
 from reports.charts.all_scenes import cost_heat_map, performance_profile
@@ -17,9 +17,10 @@ from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
-from reports.ranking import RankEntry, rank
+from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
+from reports.text.lost_orders import lost_orders_table
 from reports.text.measurement import (
     method_of_measurement,
     missing_data,
@@ -29,7 +30,7 @@ from reports.text.measurement import (
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table
 from reports.text.table import Table
-from reports.text.winners import overall, winners
+from reports.text.winners import overall, verdicts
 
 
 @dataclass
@@ -47,6 +48,7 @@ class Report:
     integrators: Table | None
     damping: Table | None
     failures: Table | None
+    lost_orders: Table | None
     timing: Table | None
     noise: str
     environments: list[tuple[int, Environment]]
@@ -102,7 +104,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
         missing=missing_data(plan, scenes, records, keys, environments),
-        winners=winners_table(winners(ranking), ids),
+        winners=winners_table(verdicts(ranking), ids),
         overall=overall(ranking),
         overview=[
             *_overview(ranking, series, styles, interactive),
@@ -116,6 +118,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
             [(names[k], scenes[k]) for k in keys if k in scenes],
         ),
         failures=failures_table(runs),
+        lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
         timing=timing_table(series_of(runs)),
         noise=noise_sentence(runs),
         environments=list(environments.items()),
@@ -133,24 +136,27 @@ def _overview(
     """The charts over all scenes, with more than one integrator to compare."""
     if len({s.label for s in entries}) < 2:
         return []
-    which = "(choose above)" if interactive else "(acceleration to 1e-4, residual evaluations)"
+    front = "(choose above)" if interactive else f"({GROUP_NAMES[GROUP]}; {COST_NAMES[COST]})"
+    first = f"({accuracy_text(GROUP, TARGET)}; {COST_NAMES[COST]})"
+    which = "(choose above)" if interactive else first
     made = [
         (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
-            f"scene {which}. Grey: not reached.",
+            f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried.",
             {"overview-heat": cost_heat_map(entries, interactive)},
         ),
         (
             f"Performance profile {which}: part of the scenes on which an integrator costs at "
-            "most so many times the best (Dolan and More 2002). High on the left: often the "
-            "cheapest; high on the right: reaches the accuracy almost everywhere.",
+            "most so many times the best (Dolan and More 2002). On the left: part on which it is "
+            "the cheapest; on the right: part on which it reaches the accuracy. Counted for each "
+            "are the scenes with several contestants on which it was tried; how many, the "
+            "tooltip and the table of integrators say.",
             {"overview-profile": performance_profile(entries, styles, interactive)},
         ),
         (
-            "Largest relative error over all times (up) against cost (to the right) "
-            f"{which if interactive else '(acceleration, residual evaluations)'}. The broad line "
-            "joins the runs that no other run of the scene beats in both (Pareto front); errors "
-            f"below {TRUST:g} times the reference's own count as equal.",
+            f"Relative error, {NORM_NAMES[NORM]} (up), against cost (to the right) {front}. The "
+            "broad line joins the runs that no other run of the scene beats in both (Pareto "
+            f"front); errors below {TRUST:g} times the reference's own count as equal.",
             {"overview-front": pareto_chart(scenes, styles, interactive)},
         ),
     ]

@@ -10,7 +10,7 @@ from reports.text.table import Table
 _CAPTIONS = {
     "error": "Relative errors that changed",
     "work": "Counted work that changed",
-    "time": "Times that changed, beyond the samples of both",
+    "time": "Times that changed, beyond the noise of both",
 }
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord
+from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import number
+from reports.ranking import LEAST_OPERATIONS
 from reports.series import error_of, timing_spread
 
 #: Timing samples that spread further than this, relative to their median, are noisy.
@@ -48,6 +50,8 @@ def missing_data(
     ok = [r for r in records.values() if r.status == "ok"]
     if records and not ok:
         sentences.append("No run reached the end: there are no errors, orders and times to show.")
+    if _noisy(_spreads(ok)):
+        sentences.append(noise_sentence(ok))
     untimed = sum(not r.run_s for r in ok)
     if untimed:
         sentences.append(
@@ -73,15 +77,16 @@ def missing_data(
     return sentences
 
 
-def noise_sentence(records: Iterable[Record]) -> str:
+def noise_sentence(records: Sequence[Record]) -> str:
     """Whether the machine was quiet enough to compare times."""
-    spreads = [x for r in records if (x := timing_spread(r)) is not None]
+    spreads = _spreads(records)
+    instead = "operations" if any(r.operations for r in records) else "counts"
     if not spreads:
         return "No run has two timing samples: the noise of the machine is not known."
     noisy = sum(x > NOISY for x in spreads)
     verdict = (
-        "The machine was noisy: judge by counts, or time again on a quiet one"
-        if noisy > NOISY_PART * len(spreads)
+        f"The machine was noisy: judge by {instead}, or time again on a quiet one"
+        if _noisy(spreads)
         else "The machine was quiet enough to tell larger differences"
     )
     return (
@@ -90,15 +95,31 @@ def noise_sentence(records: Iterable[Record]) -> str:
     )
 
 
+def _noisy(spreads: Sequence[float]) -> bool:
+    return sum(x > NOISY for x in spreads) > NOISY_PART * len(spreads)
+
+
+def _spreads(records: Iterable[Record]) -> list[float]:
+    return [x for r in records if (x := timing_spread(r)) is not None]
+
+
 def method_of_measurement(plan: Plan | None) -> list[str]:
-    """Sentences about times, counts, errors and orders."""
+    """Sentences about times, costs, errors and orders."""
     samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
     return [
         "Timed is the bare solve from start to end, on one thread and warmed up. Tracing, "
         "compiling and consistent initial values are done before and listed apart.",
-        f"{samples}; they are taken in turns over all runs, so that a slow minute of the machine "
-        "hits all alike. Shown is the median, as bars the fastest and the slowest sample.",
-        "Work is counted where it happens. A count that a library does not give is 'not counted'.",
+        f"{samples}, fewer of runs that last long; they are taken in rounds over all runs, those "
+        "of a scene one after the other, so that a slow minute of the machine hits all alike. "
+        "Shown is the median, as bars the fastest and the slowest sample.",
+        "Two runs differ in time if the 95 % interval of the median of their quotients within "
+        f"rounds (order statistics) lies on one side of 1 and the median is beyond "
+        f"{LEAST_QUOTIENT:g}. With fewer than {FEWEST} common rounds there is no such interval, "
+        f"and the quotients must be beyond {LEAST_OF_FEW:g}. Runs that were not measured together "
+        "are compared by the intervals of their own medians.",
+        f"Operations differ by more than a factor of {LEAST_OPERATIONS:g}: the cost model is no "
+        "more exact. Work is counted where it happens; counts differ if they are not equal. A "
+        "count that a library does not give is 'not counted'.",
         "Errors are relative, per group of variables and per norm; 'after the start transient' "
         "is the last part of the interval. Orders are fitted by rule in the finest window where "
         "the slope holds; fewer than three points give 'not determined'.",

@@ -43,14 +43,14 @@ def observations(series: Sequence[Series]) -> list[Observation]:
     """
     alike: dict[Hashable, list[Series]] = {}
     for s in series:
-        if s.controls == "step" and len(s.ok) >= 3:
+        if s.controls == "step" and len(s.ok) >= 3 and groups_of(s.ok):
             alike.setdefault(_signature(s), []).append(s)
     found = [
         Observation(tuple(s.label for s in members), _order_sentence(members))
         for members in alike.values()
     ]
     for s in series:
-        if s.controls == "tolerance" and len(s.ok) >= 2:
+        if s.controls == "tolerance" and len(s.ok) >= 2 and groups_of(s.ok):
             found.append(Observation((s.label,), _tolerance_sentence(s)))
     for s in series:
         if len(s.ok) < len(s.records):

@@ -6,40 +6,53 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
+from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import IntegratorFacts, Record
-from reports.formatting import milliseconds, number, order_text, text_range
+from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
+from reports.formatting import named, number, order_text, text_range
 from reports.pareto_front import compared_scenes, pareto_front
 from reports.ranking import (
-    COST,
     GROUP,
     LEAST_COST,
+    LEAST_OPERATIONS,
     RANKED_COSTS,
     RANKED_GROUPS,
     TARGET,
     TARGETS,
     RankEntry,
+    accuracy_text,
     reaches,
+    several_contestants,
+    told_apart,
 )
 from reports.series import (
     Series,
+    cost_of,
     error_of,
     groups_of,
     label_of,
     ok_runs,
     reference_error,
     run_name,
-    seconds_of,
     trusted_error,
     with_values,
 )
+from reports.text.lost_orders import LOSS
 from reports.text.table import Table
-from reports.text.winners import Winners
+from reports.text.winners import Verdict, cost_text
 
 _VALUE = itemgetter(0)
+#: When costs tie.
+TIES = (
+    "Ties: times whose median quotient within rounds of samples is below "
+    f"{LEAST_QUOTIENT:g} or has a 95 % interval that holds 1 (with fewer than {FEWEST} samples "
+    f"each: below {LEAST_OF_FEW:g}); operations within a factor of {LEAST_OPERATIONS:g}; equal "
+    "counts."
+)
 
 
 def targets_table(series: Sequence[Series]) -> Table | None:
-    """The cheapest runs of a scene that reach each accuracy, by time and by evaluations.
+    """The cheapest runs of a scene that reach each accuracy, by each cost.
 
     None for fewer than two integrators.
     """
@@ -53,70 +66,67 @@ def targets_table(series: Sequence[Series]) -> Table | None:
         return None
     return Table(
         "Cheapest way to an accuracy",
-        ["relative error", "reached by", "least time", "fewest residual evaluations"],
+        ["relative error", "reached by", *LEAST_COST.values()],
         rows,
         code=(),
-        note="Relative error: the largest over all times. The cheapest of the runs that reached "
-        "it; seconds also compare languages, counts do not.",
+        note=f"Relative error: {NORM_NAMES[NORM]}. The cheapest of the runs that reached it. "
+        f"{TIES} Seconds also compare languages; counts and operations do not.",
     )
 
 
 def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
-    if trusted_error(ok_runs(series), group, "max") > target:
-        floor = reference_error(ok_runs(series), group, "max")
-        return [f"cannot be judged: the reference's own error is {number(floor)}", "", ""]
-    tried = [s for s in series if s.ok]
-    reached = {s.label: [r for r in s.ok if reaches(r, group, target)] for s in tried}
+    nothing = [""] * len(LEAST_COST)
+    if trusted_error(ok_runs(series), group, NORM) > target:
+        floor = reference_error(ok_runs(series), group, NORM)
+        return [f"cannot be judged: the reference's own error is {number(floor)}", *nothing]
+    reached = {s.label: [r for r in s.ok if reaches(r, group, target)] for s in series}
     runs = [r for rs in reached.values() for r in rs]
     count = f"{sum(map(bool, reached.values()))} of {len(series)}"
-    if not runs:
-        errors = [(e, r) for s in tried for r in s.ok if (e := error_of(r, group, "max"))]
-        if not errors:
-            return [count, "", ""]
+    if runs:
+        return [count, *(_cheapest(runs, cost) for cost in LEAST_COST)]
+    errors = with_values(ok_runs(series), lambda r: error_of(r, group, NORM))
+    if errors:
         error, record = min(errors, key=_VALUE)
-        nearest = f"nearest: {number(error)} by {run_name(record)}"
-        return [count, nearest, number(None)]
-    return [count, _fastest(runs), _fewest(runs)]
+        nothing[0] = f"nearest: {number(error)} by {run_name(record)}"
+    return [count, *nothing]
 
 
-def _fastest(runs: Sequence[Record]) -> str:
-    timed = sorted(with_values(runs, seconds_of), key=_VALUE)
-    if not timed:
-        return "no timing samples"
-    (seconds, best), *others = timed
-    text = f"{run_name(best)}: {milliseconds(seconds)} ms"
-    # Another method whose samples overlap the winner's has not lost.
-    close = [label_of(r) for _, r in others if min(r.run_s) <= max(best.run_s)]
-    rivals = [label for label in dict.fromkeys(close) if label != label_of(best)]
-    if rivals:
-        more = f" and {len(rivals) - 1} more" if len(rivals) > 1 else ""
-        text += f" (not told apart by its samples: {rivals[0]}{more})"
-    return text
+def _cheapest(runs: Sequence[Record], cost: str) -> str:
+    """The cheapest run, the integrators that tie with it, and those of unknown cost."""
+    known = with_values(runs, lambda r: cost_of(r, cost))
+    if not known:
+        return "not measured"
+    value, best = min(known, key=_VALUE)
+    said = f"{run_name(best)}: {cost_text(value, cost)}"
+    tied = dict.fromkeys(label_of(r) for _, r in known if not told_apart(best, r, cost))
+    tied.pop(label_of(best))
+    if tied:
+        said += f" (tied: {named(tied, most=2)})"
+    measured = {label_of(r) for _, r in known}
+    unknown = dict.fromkeys(label for r in runs if (label := label_of(r)) not in measured)
+    return f"{said}; not measured: {named(unknown, most=2)}" if unknown else said
 
 
-def _fewest(runs: Sequence[Record]) -> str:
-    counted = with_values(runs, lambda r: r.work.get("residuals"))
-    if not counted:
-        return "not counted"
-    count, best = min(counted, key=_VALUE)
-    return f"{run_name(best)}: {count}"
-
-
-def winners_table(found: Sequence[Winners], ids: Mapping[str, str]) -> Table | None:
-    """The winners of each scene; ``ids`` are the anchors of records by key."""
+def winners_table(
+    found: Mapping[str, Mapping[str, Verdict]],
+    ids: Mapping[str, str],
+    group: str = GROUP,
+    target: float = TARGET,
+) -> Table | None:
+    """The verdicts on each scene and cost; ``ids`` are the anchors of records by key."""
     if not found:
         return None
-    rows = [[v.scene, *(v.by.get(cost, "not known") for cost in LEAST_COST)] for v in found]
+    rows = [[scene, *(by[cost].text for cost in LEAST_COST)] for scene, by in found.items()]
     return Table(
-        "Cheapest way to an acceleration within 1e-4",
+        f"Cheapest way to {accuracy_text(group, target)}",
         ["scene", *LEAST_COST.values()],
         rows,
-        note="Largest relative error over all times. Who cannot be told apart from the winner by "
-        "timing samples, or has the same count, ties. Other accuracies and costs: below. The "
+        note=f"{TIES} Integrators joined by = do the same on the scene (equal errors and equal "
+        "work at every resolution) and are one contestant. Other accuracies and costs: below. The "
         "numbers in brackets lead to the runs.",
         links={
-            (i, j): [ids[key] for key in v.keys.get(cost, ()) if key in ids]
-            for i, v in enumerate(found)
+            (i, j): [ids[run.key] for run in by[cost].runs if run.key in ids]
+            for i, by in enumerate(found.values())
             for j, cost in enumerate(LEAST_COST, 1)
         },
     )
@@ -140,8 +150,9 @@ def pareto_table(scenes: Mapping[str, Sequence[Series]], ids: Mapping[str, str])
         "Not beaten in acceleration and cost at once",
         ["scene", *(LEAST_COST[cost] for cost in RANKED_COSTS)],
         rows,
-        note="Integrators from cheap to accurate, with the number of their runs that no other run "
-        "of the scene beats or equals in both (the Pareto front).",
+        note="Integrators from cheap to accurate, with the number of their runs on the Pareto "
+        "front: no other run of the scene has a smaller cost and no larger error, or a smaller "
+        f"error and no larger cost. Error: relative, {NORM_NAMES[NORM]}.",
         links=links,
     )
 
@@ -152,16 +163,17 @@ def integrators_table(
     known: Mapping[str, IntegratorFacts],
 ) -> Table | None:
     """Each integrator with its orders claimed and measured, its best and its worst scene."""
-    rows = []
+    rows, compared = [], several_contestants(entries)
     for label in dict.fromkeys(s.label for series in scenes.values() for s in series):
         mine = [s for series in scenes.values() for s in series if s.label == label]
         facts = known.get(mine[0].records[0].integrator)
         claimed = ", ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
-        ratios = [
-            (s.ratio, s.scene)
+        tried = [
+            s
             for s in entries
-            if (s.label, s.group, s.target, s.cost) == (label, GROUP, TARGET, COST) and s.ratio
+            if (s.label, s.group, s.target, s.cost) == (label, GROUP, TARGET, COST)
         ]
+        ratios = [(s.ratio, s.scene) for s in tried if s.ratio and s.scene in compared]
         best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
         rows.append(
             {
@@ -169,6 +181,9 @@ def integrators_table(
                 "what it is": facts.title.rstrip(".") if facts else "",
                 "orders claimed": claimed,
                 "orders measured": _measured(mine),
+                "reached": f"{sum(s.reached for s in tried)} of {len(tried)} scenes tried"
+                if tried
+                else "not judged",
                 "best scene": best,
                 "worst scene": worst,
                 "source": facts.source if facts else "",
@@ -179,9 +194,11 @@ def integrators_table(
     return Table.from_dicts(
         "Integrators",
         rows,
-        note="Orders measured: of the largest error after the start transient, from the smallest "
-        "to the largest over the scenes; at constant steps only. Best and worst scene: residual "
-        "evaluations to an acceleration within 1e-4, as a multiple of the best integrator's.",
+        note=f"Orders measured: of the relative error, {NORM_NAMES[NORM]}, from the smallest to "
+        "the largest over the scenes; at constant steps only. None: the error does not converge. "
+        f"Reached, best and worst scene: {accuracy_text(GROUP, TARGET)}; the cost "
+        f"({COST_NAMES[COST]}) as a multiple of the cheapest integrator's on a scene with several "
+        "contestants.",
     )
 
 
@@ -190,10 +207,23 @@ def _ends(ratios: Sequence[tuple[float, str]]) -> Sequence[tuple[float | None, s
 
 
 def _measured(series: Sequence[Series]) -> str:
+    """Orders per group; those after the start transient only where they are much higher."""
     said = []
     for group in groups_of(ok_runs(series)):
-        fits = [s.fit(group, "settled") for s in series if s.controls == "step"]
-        orders = sorted(f.order for f in fits if f.verdict == "converges" and f.order is not None)
-        if orders:
-            said.append(f"{group} {text_range(map(order_text, orders))}")
-    return ", ".join(said)
+        orders, stuck = _orders(series, group, NORM)
+        settled, still_stuck = _orders(series, group, "settled")
+        parts = [text_range(map(order_text, orders))] if orders else []
+        parts += [f"none on {named(stuck)}"] if stuck else []
+        gained = orders and settled and settled[0] - orders[0] >= LOSS
+        if settled and (gained or len(stuck) > len(still_stuck)):
+            parts.append(f"after the start transient {text_range(map(order_text, settled))}")
+        if parts:
+            said.append(f"{group} {', '.join(parts)}")
+    return "; ".join(said)
+
+
+def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float], list[str]]:
+    """Fitted orders over the scenes, and the scenes on which the error does not converge."""
+    fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
+    orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
+    return orders, [problem for problem, f in fits if f.verdict == "does not converge"]
