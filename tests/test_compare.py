@@ -153,7 +153,7 @@ def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
     found = compare(old, edited(old, "new", edit))
     count = sum(found.judged.values())
     assert found.judgement() == [
-        f"Error (largest over all times), of {count} runs: a 1 worse, 5 better; x 6 better. "
+        f"Error (largest over time), of {count} runs: a 1 worse, 5 better; x 6 better. "
         "Worst: poor on spring_mass, h=0.1: error a max 0.3 -> 0.9 (x3)."
     ]
     assert "poor on spring_mass: error (a) x3 in 1 of 6 runs" in found.summary()

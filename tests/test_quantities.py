@@ -45,7 +45,12 @@ def test_csv_has_the_columns_in_order_of_appearance():
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("a:rms", ("a", "rms")), (" a : max ", ("a", "max")), ("a", ("a", "end"))],
+    [
+        ("a:rms", ("a", "rms")),
+        (" a : end ", ("a", "end")),
+        ("a", ("a", "max")),
+        ("|q|", ("|q|", "max")),
+    ],
 )
 def test_an_error_is_read_as_group_and_norm(text, expected):
     assert group_and_norm(text, ["q", "a"]) == expected
@@ -53,7 +58,11 @@ def test_an_error_is_read_as_group_and_norm(text, expected):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("x:max", "no error of 'x'; known: a, q"), ("a:mx", "no norm 'mx'; did you mean 'max'")],
+    [
+        ("x:max", "no error of 'x'; known: a, q"),
+        ("|a:max", "no error of"),
+        ("a:mx", "no norm 'mx'; did you mean 'max'"),
+    ],
 )
 def test_an_error_that_is_not_known_is_named(text, words):
     with pytest.raises(SpecError, match=words):

@@ -245,7 +245,7 @@ def test_the_ranking_equals_a_direct_query(found):
 
 def test_the_headline_names_what_is_compared_and_counts_wins_and_ties_apart(found):
     lines = overall(found)
-    accuracy = "a relative error in the acceleration a of at most 1e-4 (largest over all times)"
+    accuracy = "a relative error in the acceleration a of at most 1e-4 (largest over time)"
     assert lines == [
         # won, tied, failed, untimed; "alone" has one contestant, and "vague" cannot be judged.
         f"Fewest operations to {accuracy}, on 4 scenes with several contestants: lean alone "

@@ -59,7 +59,7 @@ class Clock(NamedTuple):
     slots: Int[Array, ""] | int
 
 
-def step_times(clock: Clock, n: Array | np.ndarray | int) -> tuple[Time, Time]:
+def step_times(clock: Clock, n: Int[Array, ""] | int) -> tuple[Time, Time]:
     """Time at the end of the n-th step (from zero) and size of the step, in s."""
     macro, j = n // clock.slots, n % clock.slots
     t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
@@ -116,7 +116,8 @@ class ConstantStepsRun(PreparedRun):
         status, message = Ending(int(ending)).outcome(float(t), self._t_end)
         rows = np.concatenate(parts)
         values = with_start(self._start, rows[:, 1:], self._noted)
-        _, sizes = step_times(self._clock, rows[:, 0].astype(int) - 1)
+        numbers: Any = rows[:, 0].astype(int) - 1  # all at once
+        _, sizes = step_times(self._clock, numbers)
         values["notes"].setdefault("h", np.append(np.nan, sizes))
         return Trajectory(**values, status=status, message=message, work=work)
 
