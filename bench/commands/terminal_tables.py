@@ -229,5 +229,5 @@ def _case_columns(case: CaseResult) -> tuple[str, str, str, str]:
         number,
         "" if case.predicted is None else bounds(case.predicted),
         mark[case.as_predicted],
-        ("spared" if case.healthy else "hit") if case.x else "does not apply",
+        case.verdict + (f" ({escape(case.message)})" if case.message else ""),
     )
