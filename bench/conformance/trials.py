@@ -161,6 +161,18 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     return taken
 
 
+def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
+    """Return the trial scenes that a method takes, and a second one with constraints.
+
+    Raises
+    ------
+    DoesNotApply
+        If it takes no scene at all.
+    """
+    double = DoublePendulum()
+    return trials(registry, method) + ([double] if method.supports(double) is None else [])
+
+
 def trial_end(scene: MechatronicSystem) -> float:
     """Return the end time of a trial run, in s."""
     t0, t_end = scene.interval
