@@ -13,7 +13,11 @@ import pytest
 from helpers import long
 
 from bench.atlas.conditioning import condition
-from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
+from bench.atlas.experiments import (
+    built_in_experiments,
+    read_experiment,
+    read_experiments,
+)
 from bench.atlas.measures import number_of
 from bench.atlas.runs import run_experiments
 from bench.plugins.registry import Registry
@@ -22,6 +26,7 @@ from bench.results.store import Store
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
+EXPERIMENTS = read_experiments()
 NAMES = list(built_in_experiments())
 #: Experiments that take many seconds each.
 LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
@@ -119,6 +124,47 @@ def test_numbers_are_what_the_sweep_says():
         assert number_of(take, [], []) is None
 
 
+#: Parts that hit methods of third order, and why. Nothing else may.
+HIT = {
+    "radau2": {
+        ("condition", "Power of h in the multiplier's error below h = 1e-5 s"),  # eps/h
+        ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
+         "slow motion"),  # stage order 2
+        ("discontinuity", "Part of the interval that is reached with a very sharp jump, "
+         "eps = 1e-6 m/s"),  # Newton's method fails
+    },
+    "kvaerno3": {
+        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("bdf_damping", "Part of the energy that is lost in 100 periods"),
+        ("bdf_damping", "Power of the tolerance in that loss"),
+    },
+    "kvaerno3[steps=constant]": {
+        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
+         "two steps"),  # lam is computed at the fold
+        ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
+         "slow motion"),  # stage order 2
+    },
+}  # fmt: skip
+
+
+@pytest.mark.long
+def test_methods_of_third_order_are_hit_by_nothing_but_failures():
+    plugins = [Path(__file__).parent / "radau2.py"]
+    found = run(EXPERIMENTS, *HIT, plugins=plugins)
+    cases = [
+        (case, (name, part.text))
+        for name, result in found.items()
+        for part in result.parts
+        for case in part.cases
+    ]
+    for method, expected in HIT.items():
+        own = [(case.verdict, where) for case, where in cases if case.label == method]
+        assert {where for verdict, where in own if verdict == "hit"} <= expected
+        assert sum(verdict == "spared" for verdict, _ in own) >= 9
+    assert all(case.message for case, _ in cases if case.verdict == "does not apply")
+
+
 def test_the_scaled_tangent_does_not_depend_on_the_step():
     # Of the pendulum at its start; with m = 1 and Phi_q a unit vector the tangent scaled by
     # beta h^2 is [[1, 0, c], [0, 1, s], [c, s, 0]], with eigenvalues 1 and (1 +- sqrt 5)/2.
@@ -184,6 +230,7 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
         (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
         (('take = "slope"', 'take = "slop"'), "did you mean 'slope'"),
         (("healthy =", "helthy ="), "helthy"),
+        (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would be hit"),
         (("number = 8", "number = 'eight'"), "not as expected"),
         (('group = "lam"', 'group = "lambda"'), "group='lambda' is not known"),
     ],

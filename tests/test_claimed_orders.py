@@ -40,9 +40,7 @@ class Planted(Integrator):
                 t = np.linspace(t0, t_end, steps + 1)
                 values = reference(scene, t_end)(t)
                 values["q"] = values["q"] + ((t_end - t0) / steps) ** order
-                return Trajectory(
-                    t, **{g: values[g] for g in ["q", "v", "a", "lam", "x", "xdot", "y"]}
-                )
+                return Trajectory(t, **{group: values[group] for group in GROUPS})
 
             def execute(self): ...
 
