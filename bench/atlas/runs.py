@@ -213,7 +213,8 @@ def _case(
     y += [None] * (len(x) - len(y))
     number = number_of(sweep.settings.take or take, x, y, rounding)
     if number is None:
-        messages.append("there is no number: a value is missing, or all are rounding")
+        lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
+        messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
