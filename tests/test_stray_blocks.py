@@ -67,11 +67,11 @@ def test_a_method_that_looks_like_a_block_is_named(name, method, nearest):
 
 
 class Helped(Pendulum):
-    def loads(self, q, v, t):
+    def forces(self, q, v, t):
         return jnp.zeros(2)
 
     def force(self, q, v, t):
-        return super().force(q, v, t) + self.loads(q, v, t)
+        return super().force(q, v, t) + self.forces(q, v, t)
 
 
 class Misspelt(Pendulum):
