@@ -91,7 +91,9 @@ def _functions(namespace: Any, module: str) -> Iterator[Callable[..., Any]]:
         if inspect.isclass(value) and value.__module__ == module:
             yield from _functions(vars(value), "")
         for key in ("__func__", "fget", "func", "__wrapped__"):
-            value = getattr(value, key, value)
+            # Statically: JAX is loaded late, when an attribute of it is asked for.
+            if inspect.getattr_static(value, key, None) is not None:
+                value = getattr(value, key)
         if inspect.isfunction(value):
             yield value
 

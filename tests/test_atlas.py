@@ -132,6 +132,8 @@ HIT = {
          "slow motion"),  # stage order 2
         ("discontinuity", "Part of the interval that is reached with a very sharp jump, "
          "eps = 1e-6 m/s"),  # Newton's method fails
+        ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
+         "two steps"),
     },
     "kvaerno3": {
         ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
