@@ -26,7 +26,6 @@ from bench.results.store import Store
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
-EXPERIMENTS = read_experiments()
 NAMES = list(built_in_experiments())
 #: Experiments that take many seconds each.
 LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
@@ -152,8 +151,10 @@ HIT = {
 
 @pytest.mark.long
 def test_methods_of_third_order_are_hit_by_nothing_but_failures():
-    plugins = [Path(__file__).parent / "radau2.py"]
-    found = run(EXPERIMENTS, *HIT, plugins=plugins)
+    alone = read_experiments()
+    for experiment in alone:
+        experiment.part = [msgspec.structs.replace(part, case=[]) for part in experiment.part]
+    found = run(alone, *HIT, plugins=[Path(__file__).parent / "radau2.py"])
     cases = [
         (case, (name, part.text))
         for name, result in found.items()

@@ -105,6 +105,16 @@ def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
     assert "\n" not in finding.text
 
 
+@pytest.mark.parametrize("command", [("solve", "pendulum"), ("stability",)])
+def test_a_run_tells_that_a_step_pattern_is_ignored(stepbench, tmp_path, command):
+    method = "wrong[how=unchanging]"
+    step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
+    given = (*command, method, *step, "--pattern", "0.3,0.7", "--plugins", PLUGINS)
+    result = stepbench(*given)
+    assert result.exit_code == 1
+    assert "it ignores resolution.pattern" in " ".join(result.output.split())
+
+
 def test_a_check_without_an_object_says_why(registry):
     findings = [
         examine(registry, "integrators", "newmark", "tolerance"),
