@@ -17,13 +17,14 @@ import dataclasses
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from problems import spec
 from problems.runtime import jax
+from problems.stray_blocks import fault_of_blocks
 
 if TYPE_CHECKING:
     from jax import Array
@@ -231,6 +232,12 @@ class MechatronicSystem:
         """Whether the scene states this block."""
         return getattr(cls, block) is not getattr(MechatronicSystem, block)
 
+    @classmethod
+    @cache
+    def fault(cls) -> str:
+        """The sentence on blocks that cannot be used, or nothing."""
+        return fault_of_blocks(cls, MechatronicSystem)
+
     @property
     def spec(self) -> str:
         """The printed name with the parameters that are not default."""
@@ -238,20 +245,29 @@ class MechatronicSystem:
 
     @cached_property  # copies with other parameter values keep it: they have the same dimensions
     def sizes(self) -> Sizes:
-        """Dimensions, found from the initial state and the shapes of the blocks."""
-        start = self.initial_state()
+        """Dimensions, found from the initial state and the shapes of the blocks.
+
+        Raises
+        ------
+        SpecError
+            If blocks are missing that belong together, or a method looks like a block and is none.
+        """
+        fault, start = self.fault(), self.initial_state()
+        nx = len(start.x)
+        if nx and not self.has("state_rate"):
+            fault = f"its initial_state has x of length {nx}, but it does not state state_rate."
+        elif self.has("state_rate") and not nx:
+            fault = "it states state_rate, but its initial_state has no x."
+        if fault:
+            raise spec.SpecError(f"{self.spec}: {fault}")
         nl = ny = 0
         if self.has("constraint"):
             (nl,) = jax.eval_shape(self.constraint, start.q, self.interval[0]).shape
         if self.has("output"):
             ny = self._outputs(len(start.q))
-        return Sizes(len(start.q), nl, len(start.x), ny)
+        return Sizes(len(start.q), nl, nx, ny)
 
     def _outputs(self, nq: int) -> int:
-        if not self.has("actuation"):
-            raise spec.SpecError(
-                f"{self.spec} states output but not actuation(), which returns L of shape (nq, ny)."
-            )
         shape = np.shape(self.actuation())
         if len(shape) != 2:
             raise spec.SpecError(f"{self.spec}: actuation has shape {shape}, expected ({nq}, ny).")

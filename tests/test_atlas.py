@@ -13,7 +13,11 @@ import pytest
 from helpers import long
 
 from bench.atlas.conditioning import condition
-from bench.atlas.experiments import built_in_experiments, read_experiment, read_experiments
+from bench.atlas.experiments import (
+    built_in_experiments,
+    read_experiment,
+    read_experiments,
+)
 from bench.atlas.measures import number_of
 from bench.atlas.runs import run_experiments
 from bench.plugins.registry import Registry
@@ -93,7 +97,7 @@ def test_an_experiment_comes_out_as_predicted(name):
     assert not differ, "\n".join(differ)
     assert result.as_predicted
     # A failure is only worth showing beside a method that is spared.
-    assert any(case.healthy for _, case in cases)
+    assert {case.verdict for _, case in cases} == {"spared", "hit"}
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -106,7 +110,7 @@ def test_an_interval_is_narrow_enough_to_say_something(among):
     for result in found(among).values():
         for part in result.parts:
             for case in part.cases:
-                assert case.predicted != (None, None), (result.name, part.text, case.label)
+                assert None not in case.predicted, (result.name, part.text, case.label)
 
 
 def test_numbers_are_what_the_sweep_says():
@@ -117,6 +121,51 @@ def test_numbers_are_what_the_sweep_says():
     for take in ("slope", "last", "largest", "growth"):
         assert number_of(take, x, [1.6, None, 0.1]) is None
         assert number_of(take, [], []) is None
+
+
+#: Parts that hit methods of third order, and why. Nothing else may.
+HIT = {
+    "radau2": {
+        ("condition", "Power of h in the multiplier's error below h = 1e-5 s"),  # eps/h
+        ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
+         "slow motion"),  # stage order 2
+        ("discontinuity", "Part of the interval that is reached with a very sharp jump, "
+         "eps = 1e-6 m/s"),  # Newton's method fails
+        ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
+         "two steps"),
+    },
+    "kvaerno3": {
+        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("bdf_damping", "Part of the energy that is lost in 100 periods"),
+        ("bdf_damping", "Power of the tolerance in that loss"),
+    },
+    "kvaerno3[steps=constant]": {
+        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
+         "two steps"),  # lam is computed at the fold
+        ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
+         "slow motion"),  # stage order 2
+    },
+}  # fmt: skip
+
+
+@pytest.mark.long
+def test_methods_of_third_order_are_hit_by_nothing_but_failures():
+    alone = read_experiments()
+    for experiment in alone:
+        experiment.part = [msgspec.structs.replace(part, case=[]) for part in experiment.part]
+    found = run(alone, *HIT, plugins=[Path(__file__).parent / "radau2.py"])
+    cases = [
+        (case, (name, part.text))
+        for name, result in found.items()
+        for part in result.parts
+        for case in part.cases
+    ]
+    for method, expected in HIT.items():
+        own = [(case.verdict, where) for case, where in cases if case.label == method]
+        assert {where for verdict, where in own if verdict == "hit"} <= expected
+        assert sum(verdict == "spared" for verdict, _ in own) >= 9
+    assert all(case.message for case, _ in cases if case.verdict == "does not apply")
 
 
 def test_the_scaled_tangent_does_not_depend_on_the_step():
@@ -184,6 +233,7 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
         (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
         (('take = "slope"', 'take = "slop"'), "did you mean 'slope'"),
         (("healthy =", "helthy ="), "helthy"),
+        (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would be hit"),
         (("number = 8", "number = 'eight'"), "not as expected"),
         (('group = "lam"', 'group = "lambda"'), "group='lambda' is not known"),
     ],

@@ -44,6 +44,8 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=mute]", "scenes", "supports() answers '' on"),
         ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
         ("wrong[how=order]", "order", "claims order 2 in v on pendulum, is 0.97 (h = 0.016 to"),
+        ("wrong[how=unchanging]", "pattern", "It counts 50 steps where the step pattern has 100"),
+        ("wrong[how=evenly]", "pattern", "ends as steps of 0.05 s do, to the last bit"),
         ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),
         ("wrong[how=off_grid]", "rows", "is no multiple of the step"),
         ("wrong[how=late]", "rows", "the last at 5.0, to the last digit"),
@@ -101,6 +103,16 @@ def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
     assert finding.verdict == FAILED
     assert sentence in finding.text
     assert "\n" not in finding.text
+
+
+@pytest.mark.parametrize("command", [("solve", "pendulum"), ("stability",)])
+def test_a_run_tells_that_a_step_pattern_is_ignored(stepbench, tmp_path, command):
+    method = "wrong[how=unchanging]"
+    step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
+    given = (*command, method, *step, "--pattern", "0.3,0.7", "--plugins", PLUGINS)
+    result = stepbench(*given)
+    assert result.exit_code == 1
+    assert "it ignores resolution.pattern" in " ".join(result.output.split())
 
 
 def test_a_check_without_an_object_says_why(registry):

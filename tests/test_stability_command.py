@@ -93,6 +93,18 @@ def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
     assert "nan" not in page.words.lower().split()
 
 
+def test_a_step_that_does_not_converge_is_told_and_is_no_growth(stepbench, tmp_path):
+    # One iteration finds the solution of a linear step, and no second one confirms it.
+    method = "newmark[newton_max=1]"
+    result = stepbench("stability", method, "--ratios", "none", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert "Newton's method did not converge: for omega h in 0.01 to 10000" in words
+    assert "radius at infinity: not solved" in words
+    assert "grows for omega h in: none" in words
+    assert "not solved" in Document((tmp_path / "stability.html").read_text()).words
+
+
 @pytest.mark.parametrize("system", ["relaxation", "joined", *long("loop", "coupled")])
 def test_other_systems_have_radii(stepbench, system):
     (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.5]", "--system", system)

@@ -23,6 +23,10 @@ class Run(PreparedRun):
     def __init__(self, how, scene, t_end, steps):
         self.how, self.t0, self.executed = how, scene.interval[0], 0
         method = Newmark(beta=0.3025, gamma=0.6) if how == "order" else Newmark()
+        if how == "unchanging":
+            steps = Steps(steps.h)
+        if how == "evenly":
+            steps = Steps(steps.h / len(steps.pattern))
         self.inner = method.prepare(scene, t_end, steps)
 
     def measure(self):

@@ -6,6 +6,7 @@ a part hold for all its cases; a case may have other settings of its own.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from problems.spec import SpecError
 MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "condition", "linear")
 #: ... and rules that make one number of the values of a sweep.
 TAKES = ("last", "largest", "growth", "slope")
+#: Quantities of which less is better, and a higher power of the step.
+_ONE_SIDED = ("error", "energy", "constraint", "work")
 
 
 class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -83,7 +86,10 @@ class Case(Settings, kw_only=True, forbid_unknown_fields=True):
 
 
 class Part(Settings, kw_only=True, forbid_unknown_fields=True):
-    """Numbers of one kind; a method whose number is within ``healthy`` is spared."""
+    """Numbers of one kind; a method whose number is within ``healthy`` is spared.
+
+    A quantity of which less is better bounds ``healthy`` above only, its order below only.
+    """
 
     text: str
     healthy: tuple[float, float]
@@ -150,7 +156,7 @@ def read_experiment(path: Path) -> Experiment:
     made.name = path.stem[3:]
     for part in made.part:
         for case in part.case:
-            _check(merged(part, case), f"{made.name}, {part.text!r}")
+            _check(merged(part, case), case.healthy or part.healthy, f"{made.name}, {part.text!r}")
     return made
 
 
@@ -160,9 +166,16 @@ def merged(part: Part, case: Case | None = None) -> Settings:
     return Settings(**{f: getattr(part, f) if value is None else value for f, value in own.items()})
 
 
-def _check(s: Settings, where: str) -> None:
+def _check(s: Settings, healthy: tuple[float, float], where: str) -> None:
     _one_of(s.measure, MEASURES, f"{where}: measure")
     _one_of(s.take or "last", TAKES, f"{where}: take")
+    good = math.inf if s.take == "slope" else -math.inf
+    if s.measure in _ONE_SIDED and good not in healthy and not (good < 0 and healthy[0] <= 0):
+        side = "above" if good > 0 else "below"
+        raise SpecError(
+            f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would be "
+            f"hit; write {'inf' if good > 0 else 0} there."
+        )
     if s.measure == "error":
         _one_of(s.group, GROUPS, f"{where}: group")
         _one_of(s.norm or "max", NORMS, f"{where}: norm")

@@ -9,11 +9,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.atlas.experiments import Settings
+from bench.results.quantities import TRUST
 from bench.results.records import Record, Rows
+
+#: A relative error or drift below this is rounding.
+ROUND_OFF = 1e-12
 
 
 def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
     """Return the measured value of one run; None if the run does not have it."""
+    if record.status == "unsupported":
+        return None
     if s.measure == "reached":
         if record.status == "ok":
             return 1.0
@@ -32,10 +38,21 @@ def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
     return record.work.get(s.name or "")
 
 
-def number_of(take: str, x: Sequence[float], y: Sequence[float | None]) -> float | None:
+def rounding_of(s: Settings, record: Record) -> float:
+    """Return the size below which a value of one run is rounding or the reference's own error."""
+    if s.measure not in ("error", "energy", "constraint"):
+        return 0.0
+    own = record.reference_error.get(s.group or "", {}).get(s.norm or "max") or 0.0
+    return max(ROUND_OFF, TRUST * own if s.measure == "error" else 0.0)
+
+
+def number_of(
+    take: str, x: Sequence[float], y: Sequence[float | None], rounding: float = 0.0
+) -> float | None:
     """Make one number of a sweep: ``take`` is "last", "largest", "growth" or "slope".
 
-    None if one of the values ``y`` over ``x`` is missing.
+    None if one of the values ``y`` over ``x`` is missing. A slope leaves out the last values below
+    ``rounding``; None if fewer than two are left.
     """
     known = [v for v in y if v is not None and math.isfinite(v)]
     if not y or len(known) < len(y):
@@ -45,9 +62,11 @@ def number_of(take: str, x: Sequence[float], y: Sequence[float | None]) -> float
     if take == "growth":
         return known[-1] / known[0] if known[0] else None
     if take == "slope":
-        if min(known) <= 0:
+        while known and known[-1] <= rounding:
+            known.pop()
+        if len(known) < 2 or min(known) <= 0:
             return None
-        return float(np.polyfit(np.log(x), np.log(known), 1)[0])
+        return float(np.polyfit(np.log(x[: len(known)]), np.log(known), 1)[0])
     return known[-1]
 
 
@@ -77,6 +96,6 @@ def history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
     return None
 
 
-def within(number: float | None, interval: tuple[float, float]) -> bool:
-    """Whether a number is known and lies in an interval."""
-    return number is not None and interval[0] <= number <= interval[1]
+def within(number: float | None, interval: tuple[float, float]) -> bool | None:
+    """Whether a number lies in an interval; None if there is no number."""
+    return None if number is None else interval[0] <= number <= interval[1]

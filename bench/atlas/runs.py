@@ -13,7 +13,14 @@ import msgspec
 
 from bench.atlas.conditioning import conditions
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
-from bench.atlas.measures import history, number_of, quantity, value_of, within
+from bench.atlas.measures import (
+    history,
+    number_of,
+    quantity,
+    rounding_of,
+    value_of,
+    within,
+)
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
@@ -188,12 +195,13 @@ def _case(
 ) -> CaseResult:
     method, sweep, case = trial.integrator, trial.sweep, trial.case
     y: list[float | None] = []
-    messages, shown = [trial.message], None
+    messages, shown, rounding = [trial.message], None, 0.0
     for task in trial.tasks():
         answer = answers[task]
         if task.job is Worker.measure:
             record, rows = result_of(task.arguments[0], answer, registry)
             y.append(value_of(sweep.settings, record, rows))
+            rounding = max(rounding, rounding_of(sweep.settings, record))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
             shown = shown or history(sweep.settings.show or "", rows)
@@ -203,7 +211,10 @@ def _case(
             y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
     x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    number = number_of(sweep.settings.take or take, x, y)
+    number = number_of(sweep.settings.take or take, x, y, rounding)
+    if number is None:
+        lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
+        messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
@@ -213,7 +224,7 @@ def _case(
         y=y,
         number=number,
         predicted=_bounds(case.predicted) if trial.predicted else None,
-        as_predicted=within(number, case.predicted) if trial.predicted else None,
+        as_predicted=bool(within(number, case.predicted)) if trial.predicted else None,
         healthy=within(number, case.healthy or part.healthy),
         message=next(filter(None, messages), ""),
         history=shown,

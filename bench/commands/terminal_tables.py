@@ -161,7 +161,8 @@ def stability_tables(results: Sequence[dict[str, Any]]) -> Group:
         table.add_column(name, style="cyan", no_wrap=True, justify="right")
         _add_numbers(table, _STABILITY_COLUMNS)
         for omega_h, radius, *others in zip(*f["at"].values(), strict=True):
-            size = "inf" if radius is None else f"{radius:.12f}"
+            lost = any(low <= omega_h <= high for low, high in f["unsolved"])
+            size = "not solved" if lost else "inf" if radius is None else f"{radius:.12f}"
             table.add_row(f"{omega_h:.6g}", size, *(_number(value, ".5e") for value in others))
         properties = "\n".join(
             f"[bold]{title}[/bold]: {text}" for title, text in _properties(f, name)
@@ -172,12 +173,17 @@ def stability_tables(results: Sequence[dict[str, Any]]) -> Group:
 
 def _properties(f: dict[str, Any], name: str) -> list[tuple[str, str]]:
     """Titles and texts of the properties of one integrator."""
+    solved = not f["unsolved"] or f["unsolved"][-1][1] < f["omega_h"][-1]
+    at_infinity = "infinite" if solved else "not solved"
     properties = [
-        ("radius at infinity", _number(f["radius_at_infinity"], ".6f", "infinite")),
+        ("radius at infinity", _number(f["radius_at_infinity"], ".6f", at_infinity)),
         ("order", _number(f["order"], "d")),
         (f"grows for {name} in", _ranges(f["growing"])),
         ("bifurcation", _number(f["bifurcation"], ".6g", "none")),
     ]
+    if f["unsolved"]:
+        where = f"for {name} in {_ranges(f['unsolved'])}; there are no numbers there"
+        properties.insert(0, ("Newton's method did not converge", where))
     if f["overshoot_orders"]:
         q, v = f["overshoot_orders"]
         properties.append(("overshoot", f"of q like ({name})^{q}, of v like ({name})^{v}"))
@@ -229,5 +235,5 @@ def _case_columns(case: CaseResult) -> tuple[str, str, str, str]:
         number,
         "" if case.predicted is None else bounds(case.predicted),
         mark[case.as_predicted],
-        ("spared" if case.healthy else "hit") if case.x else "does not apply",
+        case.verdict + (f" ({escape(case.message)})" if case.message else ""),
     )

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from bench.conformance.endings import check_blow_up, check_empty_interval, check_nan
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
     GROUPS,
     TRIAL_RTOL,
-    FiniteTimeBlowUp,
     measured,
     moved,
     names_of,
+    order_trials,
     prepared,
-    resolution,
-    spoilt,
     step_count,
     trial_end,
     trials,
     words,
 )
-from bench.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
-from integrators.contract import STATUSES, Integrator, Trajectory
+from bench.running.measure import ignored_pattern
+from integrators.contract import Integrator, Steps, Trajectory
 from problems.initial_values import consistent_start
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: A power of two: adding it to a time loses as few digits as possible.
 _SHIFT = 64.0
+#: Two steps in turns, by which it is seen whether patterns are followed.
+_PATTERN = (0.3, 0.7)
 #: Depth to which numbers are looked for in nested results of execute().
 _DEEPEST = 4
 
@@ -183,6 +183,32 @@ def check_work(registry: Registry, method: Integrator) -> str:
     return f"Work is counted and grows with the steps on {names_of(scenes)}."
 
 
+def check_pattern(registry: Registry, method: Integrator) -> str:
+    """A step pattern is followed or refused."""
+    if method.controls != "step":
+        raise DoesNotApply("It chooses its steps.")
+    scene, words = trials(registry, method)[0], ",".join(f"{part:g}" for part in _PATTERN)
+    steps = Steps(scene.nominal_step, _PATTERN)
+
+    def run(steps: Steps) -> Trajectory:
+        return method.prepare(scene, trial_end(scene), steps).measure()
+
+    try:
+        varying = run(steps)
+    except SpecError as refusal:
+        return f"Step patterns are refused: {refusal}"
+    if fault := ignored_pattern(varying, steps, scene.interval[0], trial_end(scene)):
+        raise Failed(f"On {scene.spec}: {fault}")
+    for parts in (1, len(_PATTERN)):
+        constant = run(Steps(scene.nominal_step / parts))
+        if np.array_equal(varying.q[-1], constant.q[-1]):
+            raise Failed(
+                f"The pattern {words} on {scene.spec} ends as steps of "
+                f"{scene.nominal_step / parts:g} s do, to the last bit; follow resolution.pattern."
+            )
+    return f"The step pattern {words} is followed on {scene.spec}."
+
+
 def check_start_time(registry: Registry, method: Integrator) -> str:
     """A later start of the scene gives the same motion, later."""
     scenes = trials(registry, method)
@@ -200,68 +226,8 @@ def check_start_time(registry: Registry, method: Integrator) -> str:
     return f"The start may lie at any time on {names_of(scenes)}."
 
 
-def check_empty_interval(registry: Registry, method: Integrator) -> str:
-    """An interval of length zero gives one row or a clear refusal."""
-    scene = trials(registry, method)[0]
-    t0 = scene.interval[0]
-    try:
-        run = method.prepare(scene, t0, resolution(method, scene)).measure()
-    except SpecError as refusal:
-        return f"An interval of length zero is refused: {refusal}"
-    except Exception as error:
-        raise Failed(
-            f"An interval of length zero raises {shortly(error)} Return the start as the only "
-            f"row, or raise SpecError with a sentence."
-        ) from error
-    if run.status != "ok" or len(run.t) != 1 or run.t[0] != t0:
-        raise Failed(
-            f"An interval of length zero gives the status {run.status} and {len(run.t)} rows; "
-            f"return the start as the only row."
-        )
-    return "An interval of length zero gives the start alone."
-
-
-def check_nan(registry: Registry, method: Integrator) -> str:
-    """A force that is no longer a number ends the run with a status."""
-    scene = trials(registry, method)[0]
-    at = 0.5 * (scene.interval[0] + trial_end(scene))
-    return _ends_badly(method, spoilt(scene, at), f"A force that is NaN after t={at:g} s")
-
-
-def check_blow_up(registry: Registry, method: Integrator) -> str:
-    """A solution that ends in finite time ends the run with a status."""
-    scene = FiniteTimeBlowUp()
-    reason = method.supports(scene)
-    if reason:
-        raise DoesNotApply(f"It does not take a scene whose solution blows up: {reason}")
-    return _ends_badly(method, scene, "A solution that is infinite at t=1 s")
-
-
-def _ends_badly(method: Integrator, scene: MechatronicSystem, what: str) -> str:
-    try:
-        end = scene.interval[1]  # behind the blow-up, however many steps that takes
-        run = method.prepare(scene, end, resolution(method, scene)).measure()
-    except Exception as error:
-        raise Failed(
-            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
-            f"diverged, and a message that names the time."
-        ) from error
-    if run.status == "ok" or run.status not in STATUSES:
-        raise Failed(
-            f"{what} ends with the status {run.status!r}; look at the values of every step and "
-            f"end with one of {', '.join(STATUSES[1:5])}."
-        )
-    time = re.search(r"\bt ?= ?([-+.\deE]*\d)", run.message)
-    if not time or not math.isfinite(float(time[1])):
-        raise Failed(
-            f"{what} ends with {run.status} and the message {run.message!r}; name the time, as "
-            f"in 'diverged at t=0.5 s'."
-        )
-    return f"{what} ends with {run.status} at t={time[1]} s."
-
-
 def _order(registry: Registry, method: Integrator) -> str:
-    scenes = trials(registry, method)
+    scenes = order_trials(registry, method)
     return check_order(method, [(scene, trial_end(scene)) for scene in scenes])
 
 
@@ -277,6 +243,7 @@ CHECKS = {
     "repeats": check_repeats,
     "execute": check_execute,
     "work": check_work,
+    "pattern": check_pattern,
     "start time": check_start_time,
     "empty interval": check_empty_interval,
     "nan": check_nan,

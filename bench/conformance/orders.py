@@ -13,8 +13,10 @@ from bench.running.errors import relative_errors
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
 
-#: A measured order may differ from the claimed one by this, or by this part of it.
+#: A measured order may be smaller than the claimed one by this, or by this part of it ...
 _SPREAD, _PART = 0.2, 0.06
+#: ... and the claimed one smaller by this than what is measured on every scene.
+_MODEST = 0.5
 #: Errors of higher orders fall to round-off within three halvings, too few for the rule of
 #: `bench.results.orders`: their last steps count alone, if these slopes agree.
 _LOW, _LAST_POINTS, _AGREEMENT = 4, 4, 0.75
@@ -38,12 +40,15 @@ Levels = list[tuple[float, float]]
 
 
 def check_order(method: Integrator, trials: list[Trial]) -> str:
-    """The order in every group is the claimed one, after the start transient.
+    """The order in every group is at least the claimed one, after the start transient.
+
+    On some scene the order is not more than half an order larger: a claim is not too modest. A
+    single scene may show more than a method has.
 
     Raises
     ------
     Failed
-        With every group and scene whose order is another.
+        With every group and scene whose order is smaller, and every claim that is too modest.
     DoesNotApply
         If nothing is claimed, or steps cannot be constant.
     """
@@ -51,6 +56,7 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     if steady is None:
         raise DoesNotApply("It cannot take constant steps, so that no order can be measured.")
     found, faults = [], []
+    orders: dict[tuple[str, int], list[tuple[float, str]]] = {}
     for scene, t_end in trials:
         if steady.supports(scene):
             continue
@@ -63,17 +69,23 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
             fit = _fit(levels[group], floors[group], claimed)
             if fit.order is None and _at_round_off(levels[group], floors[group]):
                 continue  # exact, or too accurate to show an order
-            if fit.order is None or abs(fit.order - claimed) > _allowed(claimed):
+            if fit.order is None or fit.order < claimed - _allowed(claimed):
                 measured = _in_words(fit, levels[group])
                 faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
+            else:
+                orders.setdefault((group, claimed), []).append((fit.order, scene.spec))
             seen[group] = claimed
         if seen:
             found.append(f"{_words(seen)} on {scene.spec}")
+    for (group, claimed), measured in orders.items():
+        least, name = min(measured)
+        if least > claimed + _MODEST:
+            faults.append(f"claims only order {claimed} in {group}, is {least:.2f} ({name})")
     if faults:
         raise Failed(f"It {'; '.join(faults)}; correct `orders` or the method.")
     if not found:
         raise DoesNotApply("No order is claimed, or errors are round-off; see `orders`.")
-    return f"Measured as claimed: order {'; '.join(found)}."
+    return f"Measured as claimed, at least: order {'; '.join(found)}."
 
 
 def _words(claims: dict[str, int]) -> str:

@@ -74,10 +74,6 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
     for group, size in (("q", sizes.nq), ("v", sizes.nq), ("x", sizes.nx)):
         if np.shape(getattr(z, group)) != (size,):
             raise Failed(f"{group} has shape {np.shape(getattr(z, group))} at the start.")
-    if scene.has("state_rate") != bool(sizes.nx):
-        raise Failed(f"It has {sizes.nx} controller states; state state_rate and x together.")
-    if scene.has("output") != scene.has("actuation"):
-        raise Failed("It states only one of output and actuation; they belong together.")
     for block, size in (("state_rate", sizes.nx), ("output", sizes.ny)):
         shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
         if shape != (size,):

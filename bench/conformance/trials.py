@@ -46,6 +46,34 @@ class ForcedOscillator(MechatronicSystem):
 
 
 @dataclass(frozen=True)
+class DoublePendulum(MechatronicSystem):
+    """Two masses on two rods, thrown against each other; q are their positions in the plane.
+
+    A velocity along the first rod changes both multipliers in proportion. On a single pendulum it
+    changes them by its square, so that an order that velocities lose does not show in them.
+    """
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(jnp.array([1.0, 1.0, 0.5, 0.5]))
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return -9.81 * jnp.array([0.0, 1.0, 0.0, 0.5])
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        rods = jnp.stack([q[:2], q[2:] - q[:2]])
+        return 0.5 * ((rods**2).sum(axis=1) - jnp.array([1.0, 0.64]))
+
+    def initial_state(self) -> State:
+        angles, rates, lengths = np.array([1.0, 0.3]), np.array([1.0, -2.0]), np.array([1.0, 0.8])
+        along = lengths[:, None] * np.stack([np.sin(angles), -np.cos(angles)], axis=1)
+        across = (lengths * rates)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return State(q=np.cumsum(along, axis=0).ravel(), v=np.cumsum(across, axis=0).ravel())
+
+
+@dataclass(frozen=True)
 class FiniteTimeBlowUp(MechatronicSystem):
     """A force that grows exponentially with the position: q = log(2) - 2 log(1 - t), up to 1 s.
 
@@ -131,6 +159,18 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     if not taken:
         raise DoesNotApply("It takes no scene.")
     return taken
+
+
+def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
+    """Return the trial scenes that a method takes, and a second one with constraints.
+
+    Raises
+    ------
+    DoesNotApply
+        If it takes no scene at all.
+    """
+    double = DoublePendulum()
+    return trials(registry, method) + ([double] if method.supports(double) is None else [])
 
 
 def trial_end(scene: MechatronicSystem) -> float:

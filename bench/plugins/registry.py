@@ -265,6 +265,8 @@ def _fault(kind: str, name: str, cls: Any) -> str:
         missing = [b for b in ("mass", "force", "initial_state") if not cls.has(b)]
         if missing:
             return f"it lacks {', '.join(missing)}."
+        if fault := cls.fault():
+            return fault
     # A forgotten decorator leaves bare Field objects behind.
     bare = [n for n, value in vars(cls).items() if isinstance(value, dataclasses.Field)]
     if bare:

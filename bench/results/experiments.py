@@ -9,6 +9,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
     """One case: its sweep (``x``, ``y``; None where there is no value), the number made of it, and
     whether that lies in the predicted interval (None: nothing was predicted, a method was added).
 
+    ``healthy`` is None where there is no number; ``message`` says why, or how the first run failed.
     ``predicted`` bounds that are open are None. ``history`` holds t and the shown component.
     """
 
@@ -21,9 +22,14 @@ class CaseResult(msgspec.Struct, kw_only=True):
     number: float | None
     predicted: tuple[float | None, float | None] | None
     as_predicted: bool | None
-    healthy: bool
+    healthy: bool | None
     message: str = ""
     history: tuple[list[float], list[float]] | None = None
+
+    @property
+    def verdict(self) -> str:
+        """What the failure does to the method: "spared", "hit" or "does not apply"."""
+        return {True: "spared", False: "hit", None: "does not apply"}[self.healthy]
 
 
 class PartResult(msgspec.Struct, kw_only=True):

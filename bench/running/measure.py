@@ -10,7 +10,7 @@ import numpy as np
 from bench.results.quantities import GROUPS, LEVELS
 from bench.results.records import Rows
 from bench.running.errors import finite
-from integrators.contract import Trajectory, spread_rows
+from integrators.contract import Steps, Trajectory, spread_rows
 from problems.compiled import compiled
 from problems.system import MechatronicSystem
 
@@ -58,6 +58,22 @@ def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
             f"It reported success at t={trajectory.t[-1]:.9g} s instead of {t_end:.9g} s."
         )
     return trajectory
+
+
+def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -> str:
+    """Return the sentence on a run over [t0, t_end] (s) that ignored its step pattern, or nothing.
+
+    A run that does not count its steps is believed.
+    """
+    if not isinstance(resolution, Steps) or len(resolution.pattern) == 1 or run.status != "ok":
+        return ""
+    wanted = len(resolution.pattern) * resolution.count(t0, t_end)
+    if run.work.steps in (None, wanted):
+        return ""
+    return (
+        f"It counts {run.work.steps} steps where the step pattern has {wanted}: it ignores "
+        f"resolution.pattern; follow it, or refuse it by SpecError."
+    )
 
 
 #: Of groups with more components than this, only the first ones are stored.

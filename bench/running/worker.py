@@ -137,6 +137,9 @@ class Worker:
             return Trajectory.failed("crashed", f"The integrator failed: {explain(error)}"), None
         self.prepared[cell.key] = run
         self._seconds[cell.key] = time.perf_counter() - measuring
+        span = scene.interval[0], cell.t_end
+        if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
+            trajectory.status, trajectory.message = "crashed", fault
         return measure.checked(trajectory, cell.t_end), compile_s
 
     def time(self, cell: Cell) -> float:

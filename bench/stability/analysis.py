@@ -69,7 +69,7 @@ def analyse(
     maps, safe = [], {}
     if isinstance(method, NativeMethod):
         maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
-        safe = {} if found.growing else _safe_ratios(method, system, ratios)
+        safe = {} if found.growing or found.unsolved else _safe_ratios(method, system, ratios)
     return plain | {
         "family": method.family or method.name,
         "at": {name: [plain[name][k] for k in places] for name in columns},

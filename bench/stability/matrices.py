@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
 from integrators.contract import Integrator, Steps
 from integrators.native.step_method import NativeMethod
@@ -250,7 +251,10 @@ def _two_patterns(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """[q, v, x] of the excited entries after one and after two patterns."""
     scene = system.from_deviation(start)
-    run = method.prepare(scene, 2 * length, Steps(length, pattern)).measure()
+    steps = Steps(length, pattern)
+    run = method.prepare(scene, 2 * length, steps).measure()
+    if fault := ignored_pattern(run, steps, scene.interval[0], 2 * length):
+        raise SpecError(f"{method.spec} has no matrix of a pattern: {fault}")
     blank = np.nan if run.status == "newton_failed" else np.inf
     found = []
     for end in (length, 2 * length):

@@ -55,6 +55,8 @@ class Spectrum:
         Largest |q| and |v| of the first steps, relative to a start of amplitude 1.
     growing
         Ranges of omega h in which the radius is above 1.
+    unsolved
+        Ranges of omega h in which Newton's method did not converge; all numbers are NaN there.
     bifurcation
         omega h where the principal pair turns real; None if it does not.
     order
@@ -75,6 +77,7 @@ class Spectrum:
     overshoot_q: Float[np.ndarray, " k"]
     overshoot_v: Float[np.ndarray, " k"]
     growing: list[tuple[float, float]]
+    unsolved: list[tuple[float, float]]
     bifurcation: float | None
     order: int | None
     overshoot_orders: tuple[int, int] | None
@@ -137,6 +140,7 @@ def spectrum(
         overshoot_q=q[:count],
         overshoot_v=v[:count],
         growing=growing(method, system, pattern, at, sizes[:count]),
+        unsolved=unsolved(at, sizes[:count]),
         bifurcation=bifurcation,
         order=order,
         overshoot_orders=powers,
@@ -223,13 +227,13 @@ def growing(
     at: np.ndarray,
     sizes: np.ndarray,
 ) -> list[tuple[float, float]]:
-    """Return the ranges of omega h where the radius is above 1; a NaN counts as growth.
+    """Return the ranges of omega h where the radius is above 1; a NaN is no growth.
 
     ``sizes`` are the radii at the omega h in ``at``; the ends of ranges are refined between them.
     """
 
     def grows(sizes: np.ndarray) -> np.ndarray:
-        return ~(sizes <= 1 + GROWTH)
+        return sizes > 1 + GROWTH
 
     def again(steps: np.ndarray) -> np.ndarray:
         return grows(radii(eigenvalues(matrices(method, system, steps, pattern).a)))
@@ -243,6 +247,13 @@ def growing(
             ranges.append((begin, edge))
             begin = None
     return ranges if begin is None else [*ranges, (begin, math.inf)]
+
+
+def unsolved(at: np.ndarray, sizes: np.ndarray) -> list[tuple[float, float]]:
+    """Return the first and last omega h of each row of neighbours whose radius is NaN."""
+    lost = np.flatnonzero(np.isnan(sizes))
+    rows = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+    return [(float(at[row[0]]), float(at[row[-1]])) for row in rows if len(row)]
 
 
 def _bifurcation(

@@ -23,7 +23,7 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
         rows.append([f"{f.number}. {f.title}", f"{verdict}, {predicted_counts(f)}", *spared])
     note = "Numbers that lie in the interval predicted for them, of all that were predicted."
     if added:
-        note += " For a method that was added: the parts in which it is spared, of all it can run."
+        note += " For a method that was added: the parts that spare it, of all that apply to it."
     head = ["failure", "verdict", *added]
     return Table("Where methods fail", head, rows, code=(), note=note)
 
@@ -35,11 +35,10 @@ def predicted_counts(f: ExperimentResult) -> str:
 
 
 def _spared(f: ExperimentResult, label: str) -> str:
-    """The count of parts that spare the method: '2 of 3'."""
-    own = [c for part in f.parts for c in part.cases if c.label == label and c.x]
-    if not own:
-        return "does not apply"
-    return f"{sum(c.healthy for c in own)} of {len(own)}"
+    """The count of parts that spare the method, of those that apply to it: '2 of 3'."""
+    own = [c for part in f.parts for c in part.cases if c.label == label]
+    judged = [c.healthy for c in own if c.healthy is not None]
+    return f"{sum(judged)} of {len(judged)}" if judged else "does not apply"
 
 
 def part_table(part: PartResult) -> Table:
@@ -52,8 +51,7 @@ def part_table(part: PartResult) -> Table:
         verdict = {True: "as predicted", False: "DIFFERS", None: "-"}[case.as_predicted]
         predicted = "-" if case.predicted is None else bounds(case.predicted)
         found = "none" if case.number is None else number(case.number)
-        spared = "spared" if case.healthy else "hit"
-        rows.append([case.label, found, predicted, verdict, spared if case.x else "-"])
+        rows.append([case.label, found, predicted, verdict, case.verdict])
         if case.message:
             rows[-1][3] += f" ({case.message.split(';')[0].rstrip('.')})"
         if case.healthy:

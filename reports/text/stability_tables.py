@@ -15,6 +15,7 @@ def stability_tables(found: Sequence[dict[str, Any]], omega_h: str) -> list[Tabl
 
 
 def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
+    lost = any(f["unsolved"] for f in found)
     rows = [
         {
             "integrator": f["integrator"],
@@ -22,6 +23,7 @@ def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
             "roots there": _roots(f["roots_at_infinity"]),
             "order": NO_VALUE if f["order"] is None else str(f["order"]),
             f"grows for {name} in": _ranges(f["growing"]),
+            **({f"step not solved for {name} in": _ranges(f["unsolved"])} if lost else {}),
             "bifurcation": number(f["bifurcation"]),
             "overshoot grows by the power (q, v)": ", ".join(
                 map(str, f["overshoot_orders"] or NO_VALUE)
@@ -34,13 +36,15 @@ def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
         rows,
         note="Order: that of the principal root. Growth: a radius above 1 by more than 1e-9. "
         "Bifurcation: where the principal pair turns real. A root with a times sign is multiple; "
-        "on the unit circle it has to be simple.",
+        "on the unit circle it has to be simple."
+        + " Not solved: Newton's method did not converge, and there are no numbers."
+        * lost,
     )
 
 
 def _numbers(found: Sequence[dict[str, Any]], name: str) -> Table:
     rows = [
-        [f["integrator"], f"{row[0]:.6g}", "inf" if row[1] is None else f"{row[1]:.12f}"]
+        [f["integrator"], f"{row[0]:.6g}", _radius(row[0], row[1], f["unsolved"])]
         + [number(value) for value in row[2:]]
         for f in found
         for row in zip(*f["at"].values(), strict=True)
@@ -48,6 +52,12 @@ def _numbers(found: Sequence[dict[str, Any]], name: str) -> Table:
     head = ["integrator", name, "radius", "damping ratio", "period error", "overshoot q",
             "overshoot v"]  # fmt: skip
     return Table(f"Numbers over {name}", head, rows)
+
+
+def _radius(omega_h: float, radius: float | None, unsolved: Sequence[Sequence[float]]) -> str:
+    if any(low <= omega_h <= high for low, high in unsolved):
+        return "not solved"
+    return "inf" if radius is None else f"{radius:.12f}"
 
 
 def _safe(found: Sequence[dict[str, Any]]) -> list[Table]:

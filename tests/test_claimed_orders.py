@@ -1,0 +1,122 @@
+"""The check of claimed orders, on planted errors and on scenes that tell methods apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from radau2 import Radau2
+
+from bench.conformance.orders import check_order
+from bench.conformance.trials import GROUPS, DoublePendulum, order_trials, reference, trial_end
+from bench.conformance.verdicts import Failed
+from bench.plugins.registry import Registry
+from integrators import Integrator, PreparedRun, Reading, Trajectory, option
+from problems import jax
+from problems.formulations import complete, dae_layout
+from problems.scenes.pendulum import Pendulum
+
+SCENES = [Pendulum(), Pendulum(th0=1.0)]
+
+
+@dataclass(frozen=True)
+class Planted(Integrator):
+    """The closed form with an error h^p in q, p by scene."""
+
+    formulation = "index3"
+    claimed: int = 2
+    true: tuple[float, ...] = (2.0, 2.0)
+
+    def claims(self, scene):
+        return {"q": self.claimed}
+
+    def prepare(self, scene, t_end, resolution):
+        order, t0 = self.true[SCENES.index(scene)], scene.interval[0]
+        steps = resolution.count(t0, t_end)
+
+        class Run(PreparedRun):
+            def measure(self):
+                t = np.linspace(t0, t_end, steps + 1)
+                values = reference(scene, t_end)(t)
+                values["q"] = values["q"] + ((t_end - t0) / steps) ** order
+                return Trajectory(t, **{group: values[group] for group in GROUPS})
+
+            def execute(self): ...
+
+        return Run()
+
+
+def judged(**how):
+    return check_order(Planted(**how), [(scene, trial_end(scene)) for scene in SCENES])
+
+
+@pytest.mark.parametrize(
+    ("claimed", "true"),
+    [(2, (2.0, 2.0)), (2, (2.0, 3.0)), (2, (3.0, 2.0)), (2, (1.9, 2.4)), (3, (3.3, 3.4))],
+)
+def test_a_claim_is_at_least_what_every_scene_shows(claimed, true):
+    assert f"order {claimed} in q" in judged(claimed=claimed, true=true)
+
+
+@pytest.mark.parametrize(
+    ("claimed", "true", "said"),
+    [
+        (3, (3.0, 2.0), r"claims order 3 in q on pendulum\[th0=1.0\], is 2.00"),
+        (2, (1.7, 2.0), "claims order 2 in q on pendulum, is 1.70"),
+        (2, (2.6, 3.0), r"claims only order 2 in q, is 2.60 \(pendulum\)"),
+        (1, (2.0, 2.0), "claims only order 1 in q, is 2.00"),
+    ],
+)
+def test_a_claim_that_is_too_large_or_half_an_order_too_small_fails(claimed, true, said):
+    with pytest.raises(Failed, match=said):
+        judged(claimed=claimed, true=true)
+
+
+def test_one_trial_scene_shows_normal_velocities_in_the_multipliers_and_the_pendulum_does_not():
+    def change(scene):
+        # Phi_q a + v^T Phi_qq v = 0, so that lam = (Phi_q M^-1 Phi_q^T)^-1 (... + v^T Phi_qq v).
+        q, v, _ = scene.initial_state()
+        parts = jax.jacfwd(scene.constraint), jax.hessian(scene.constraint)
+        rows, curved = jax.jit(lambda: [part(q, 0.0) for part in parts])()
+        slope = 2 * v @ np.asarray(curved) @ rows[0]
+        return np.abs(np.linalg.solve(rows @ (rows.T / mass(scene)), slope)).max()
+
+    def mass(scene):
+        return np.diag(scene.mass(scene.initial_state().q))[:, None]
+
+    assert change(Pendulum()) < 1e-12
+    assert change(DoublePendulum()) > 0.5
+
+
+def test_the_check_tries_two_scenes_with_constraints():
+    registry = Registry()
+    tried = order_trials(registry, registry.integrator("newmark"))
+    assert sorted(scene.sizes.nl for scene in tried if scene.sizes.nl) == [1, 2]
+
+
+@dataclass(frozen=True)
+class Completed(Radau2):
+    """Radau IIA on index 3: velocities of order 2, and multipliers that are made of them."""
+
+    formulation = "index3"
+    claimed: int = option(2, "claimed order of a and lam")
+
+    def claims(self, scene):
+        return {"q": 3, "v": 2, "a": self.claimed, "lam": self.claimed}
+
+    def read(self, scene, state):
+        (w, _), at = state, dae_layout(scene.sizes, self.formulation)
+        z, xdot = complete(scene, w[at.q], w[at.v], w[at.x], 0.0)
+        return Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y)
+
+
+@pytest.mark.long
+def test_a_false_claim_that_the_pendulum_lets_pass_is_found():
+    alone, double = ((scene, trial_end(scene)) for scene in (Pendulum(), DoublePendulum()))
+    assert "3 in q a lam" in check_order(Completed(claimed=3), [alone])
+    with pytest.raises(Failed, match=r"claims only order 2 in a, is 3\.00"):
+        check_order(Completed(claimed=2), [alone])
+    with pytest.raises(Failed, match=r"claims order 3 in lam on double_pendulum, is 1\.99"):
+        check_order(Completed(claimed=3), [alone, double])
+    assert "2 in v a lam on double_pendulum" in check_order(Completed(claimed=2), [alone, double])
