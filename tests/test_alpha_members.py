@@ -92,11 +92,14 @@ def test_stabilised_index_2_holds_both_constraints():
         ("index3", "updated", {"q": 2.0, "v": 2.0, "a": 1.0, "lam": 1.0}),
         ("stabilised_index2", "fixed", {"q": 1.0, "v": 1.0, "a": 1.0, "lam": 1.0}),
         ("stabilised_index2", "updated", {"q": 2.0, "v": 2.0, "a": 2.0, "lam": 2.0}),
+        ("index3", "guarded", {"q": 2.0, "v": 2.0, "a": 1.0, "lam": 1.0}),
+        ("stabilised_index2", "guarded", {"q": 2.0, "v": 2.0, "a": 2.0, "lam": 2.0}),
     ],
 )
 def test_alternating_steps_on_a_constraint(formulation, gamma, wanted):
     method = GeneralizedAlpha(formulation=formulation, gamma=gamma, start="corrected")
-    found = orders(method, pattern=(0.3, 0.7), part=settled)
+    # On index 3 the updated weights, restarted or not, show their order at fine steps only.
+    found = orders(method, pattern=(0.3, 0.7), part=settled, steps=[h / 4 for h in STEPS])
     for group, order in wanted.items():
         assert found[group] == pytest.approx(order, abs=0.08), group
 
@@ -150,7 +153,7 @@ def test_guarded_ratios_keep_gamma_in_its_proven_interval():
 def test_sharp_cuts_survive_by_a_restart_with_order_two(pattern):
     # 1, 0.2, 0.04: two cuts far below the safe ratio of 0.5, at which gamma would be infinite.
     found = orders(
-        GeneralizedAlpha(gamma="updated"), Duffing(), 3.0, pattern, steps=[0.1, 0.05, 0.025]
+        GeneralizedAlpha(gamma="guarded"), Duffing(), 3.0, pattern, steps=[0.1, 0.05, 0.025]
     )
     for order in found.values():
         assert order == pytest.approx(2.0, abs=0.1)

@@ -26,7 +26,7 @@ def read(cls, text):
 @given(
     st.floats(0, 1),
     st.none() | st.floats(0, 1),
-    st.sampled_from(["fixed", "updated"]),
+    st.sampled_from(["fixed", "updated", "guarded"]),
     st.integers(1, 99),
 )
 def test_options_round_trip_through_the_printed_name(rho, rho_x, gamma, most):

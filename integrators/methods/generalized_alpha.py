@@ -27,14 +27,6 @@ from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 
-def _gamma_policy() -> Any:
-    return option(
-        "fixed",
-        "gamma and theta: fixed, or updated from the step ratio",
-        choices=("fixed", "updated"),
-    )
-
-
 @dataclass(frozen=True)
 class AlphaMethod(NewtonOptions):
     """Base of the members of the family: a member only gives its algorithmic parameters."""
@@ -56,11 +48,6 @@ class AlphaMethod(NewtonOptions):
     )
 
     @property
-    def guarded(self) -> bool:
-        """True if a sharp cut of the step restarts the recurrence; for updated weights."""
-        return True
-
-    @property
     def affinity(self) -> str:
         return f"{self.family} {self.formulation} {self.newton}"
 
@@ -75,6 +62,11 @@ class AlphaMethod(NewtonOptions):
     @property
     def updated(self) -> bool:
         """True if gamma and theta follow the step ratio."""
+        return False
+
+    @property
+    def guarded(self) -> bool:
+        """True if a cut below the safe ratio restarts the recurrence; for updated weights."""
         return False
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
@@ -103,8 +95,32 @@ class AlphaMethod(NewtonOptions):
         return recurrence_of(self.scheme()).form
 
 
+#: The ways in which gamma and theta follow the steps, for the lists of options.
+_POLICIES = (
+    "fixed; updated from the step ratio by eq. (29); or guarded, the same with a restart where a "
+    "cut of the step is sharper than the safe ratio"
+)
+
+
 @dataclass(frozen=True)
-class GeneralizedAlpha(AlphaMethod):
+class UpdatableMethod(AlphaMethod):
+    """Base of the members whose gamma and theta can follow the step ratio."""
+
+    gamma: str | float = option(
+        "fixed", f"gamma and theta: {_POLICIES}", choices=("fixed", "updated", "guarded")
+    )
+
+    @property
+    def updated(self) -> bool:
+        return self.gamma in ("updated", "guarded")
+
+    @property
+    def guarded(self) -> bool:
+        return self.gamma == "guarded"
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha(UpdatableMethod):
     """Generalized-alpha with true accelerations: second order, damping chosen by rho_inf."""
 
     source: ClassVar[str] = (
@@ -122,20 +138,6 @@ class GeneralizedAlpha(AlphaMethod):
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
-    gamma: str = option(
-        "fixed",
-        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would "
-        "send them to infinity; or unguarded, without it",
-        choices=("fixed", "updated", "unguarded"),
-    )
-
-    @property
-    def guarded(self) -> bool:
-        return self.gamma != "unguarded"
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma != "fixed"
 
     def second_order(self) -> SecondOrder:
         return second_order_parameters(self.rho_inf)
@@ -145,7 +147,7 @@ class GeneralizedAlpha(AlphaMethod):
 
 
 @dataclass(frozen=True)
-class HHT(AlphaMethod):
+class HHT(UpdatableMethod):
     """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
 
     Beyond 1/3 it damps high frequencies less again, and from 1/2 it is unstable. Such values need
@@ -161,7 +163,6 @@ class HHT(AlphaMethod):
         high=0.9,
         always=True,
     )
-    gamma: str = _gamma_policy()
     any_alpha: bool = option(False, "allow an alpha outside [0, 1/3]")
 
     def __post_init__(self) -> None:
@@ -170,10 +171,6 @@ class HHT(AlphaMethod):
                 f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
                 f"known to be stable at every step; give any_alpha=true to allow it."
             )
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma == "updated"
 
     def second_order(self) -> SecondOrder:
         gamma = 0.5 + self.alpha
@@ -184,7 +181,7 @@ class HHT(AlphaMethod):
 
 
 @dataclass(frozen=True)
-class WBZ(AlphaMethod):
+class WBZ(UpdatableMethod):
     """Wood-Bossak-Zienkiewicz member: alpha_f = 0, alpha_m = (rho_inf-1)/(rho_inf+1)."""
 
     source: ClassVar[str] = "Wood, Bossak & Zienkiewicz (1980), doi:10.1002/nme.1620151011"
@@ -192,11 +189,6 @@ class WBZ(AlphaMethod):
     rho_inf: float = option(
         0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
     )
-    gamma: str = _gamma_policy()
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma == "updated"
 
     def second_order(self) -> SecondOrder:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)

@@ -179,10 +179,11 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         high=1.0,
         always=True,
     )
-    gamma: str = option(
-        "updated",
-        "gamma and theta: updated from the step ratio, or fixed",
-        choices=("updated", "fixed"),
+    gamma: str | float = option(
+        "guarded",
+        "gamma and theta: guarded, updated from the step ratio with a restart after sharp cuts, "
+        "which rejected steps make; updated, without it: gamma can be huge; or fixed",
+        choices=("guarded", "updated", "fixed"),
     )
     formulation: str = option(
         "stabilised_index2",
