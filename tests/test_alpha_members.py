@@ -17,7 +17,7 @@ from integrators.methods.generalized_alpha import (
     HHTClassical,
     WBZClassical,
 )
-from integrators.methods.generalized_alpha_step import (
+from integrators.methods.generalized_alpha_parameters import (
     first_order_parameters,
     safe_ratio,
     second_order_parameters,
@@ -102,6 +102,23 @@ def test_alternating_steps_on_a_constraint(formulation, gamma, wanted):
     found = orders(method, pattern=(0.3, 0.7), part=settled, steps=[h / 4 for h in STEPS])
     for group, order in wanted.items():
         assert found[group] == pytest.approx(order, abs=0.08), group
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ({"alpha_m": 0.3, "alpha_f": 0.4, "delta_m": 0.3, "delta_f": 0.4}, 2.0),
+        ({"gamma": 0.65}, 1.0),
+        ({"theta": 0.6}, 1.0),
+    ],
+)
+def test_free_parameters_have_the_order_that_they_claim(options, wanted):
+    method = GeneralizedAlpha(**options)
+    found = orders(method, SpringMass(), 5.0, steps=[0.01, 0.005, 0.0025])
+    claimed = method.claims(SpringMass())
+    for group, order in found.items():
+        assert order == pytest.approx(wanted, abs=0.1), group
+        assert claimed[group] == wanted
 
 
 def test_a_corrected_start_on_a_controlled_scene_keeps_order_two():

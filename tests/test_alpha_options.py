@@ -12,7 +12,7 @@ from helpers import long
 from bench.running.measure import rows_of
 from integrators import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, HHTClassical, Newmark
-from integrators.methods.generalized_alpha_step import updated_weight
+from integrators.methods.generalized_alpha_parameters import updated_weight
 from problems import MechatronicSystem, State, jnp
 from problems.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum

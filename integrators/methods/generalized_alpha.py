@@ -6,117 +6,29 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from integrators.contract import option
-from integrators.methods.generalized_alpha_step import (
-    AlphaStep,
+from integrators.methods.alpha_method import POLICIES, AlphaMethod, UpdatableMethod
+from integrators.methods.generalized_alpha_parameters import (
     FirstOrder,
-    Scheme,
     SecondOrder,
     first_order_parameters,
     second_order_parameters,
 )
-from integrators.methods.generalized_alpha_theory import recurrence_of
-from integrators.multistep import MultistepForm
-from integrators.native.step_functions import StepFunctions
-from integrators.native.step_method import NewtonOptions
-from problems.spec import SpecError
+from problems.spec import SpecError, format_spec
 from problems.system import MechatronicSystem
 
 
-@dataclass(frozen=True)
-class AlphaMethod(NewtonOptions):
-    """Base of the members of the family: a member only gives its algorithmic parameters."""
-
-    family: ClassVar[str] = "generalized-alpha"
-    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
-    noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
-    classical: ClassVar[bool] = False
-
-    formulation: str = option(
-        "index3",
-        "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
-        choices=("index3", "stabilised_index2"),
-    )
-    start: str = option(
-        "consistent",
-        "consistent: aux = a at t0; corrected: aux shifted in time, without a transient",
-        choices=("consistent", "corrected"),
-    )
-
-    @property
-    def affinity(self) -> str:
-        return f"{self.family} {self.formulation} {self.newton}"
-
-    @abstractmethod
-    def second_order(self) -> SecondOrder:
-        """Return the algorithmic parameters for q."""
-
-    @abstractmethod
-    def first_order(self) -> FirstOrder:
-        """Return the algorithmic parameters for x."""
-
-    @property
-    def updated(self) -> bool:
-        """True if gamma and theta follow the step ratio."""
-        return False
-
-    @property
-    def guarded(self) -> bool:
-        """True if a cut below the safe ratio restarts the recurrence; for updated weights."""
-        return False
-
-    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        s, claims = self.scheme(), dict(self.orders)
-        if abs(s.gamma - (0.5 + s.alpha_f - s.alpha_m)) > 1e-12:
-            return dict.fromkeys(claims, 1)
-        if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
-            return dict.fromkeys(AlphaMethod.orders, 1)
-        undamped = s.alpha_m == s.alpha_f
-        if scene.has("constraint") and self.formulation == "index3" and undamped:
-            return {"q": 2, "v": 2}  # a and lam oscillate without end
-        return claims
-
-    def scheme(self) -> Scheme:
-        """Return all numbers of this member that the step needs."""
-        policy = self.updated, self.classical, self.start == "corrected", self.guarded
-        return Scheme(*self.second_order(), *self.first_order(), *policy)
-
-    def numbers(self) -> Any:
-        return self.scheme()
-
-    def functions(self) -> StepFunctions:
-        return AlphaStep(self.formulation == "stabilised_index2")
-
-    def multistep_form(self) -> MultistepForm | None:
-        return recurrence_of(self.scheme()).form
+def _shift(name: str, otherwise: str) -> Any:
+    """A free alpha or delta; the recurrence is singular at 1."""
+    return option(None, f"{name}; {otherwise} if none", low=-3.0, high=0.95, kind=float)
 
 
-#: The ways in which gamma and theta follow the steps, for the lists of options.
-_POLICIES = (
-    "fixed; updated from the step ratio by eq. (29); or guarded, the same with a restart where a "
-    "cut of the step is sharper than the safe ratio"
-)
-
-
-@dataclass(frozen=True)
-class UpdatableMethod(AlphaMethod):
-    """Base of the members whose gamma and theta can follow the step ratio."""
-
-    gamma: str | float = option(
-        "fixed", f"gamma and theta: {_POLICIES}", choices=("fixed", "updated", "guarded")
-    )
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma in ("updated", "guarded")
-
-    @property
-    def guarded(self) -> bool:
-        return self.gamma == "guarded"
+def _weight(name: str, otherwise: str) -> Any:
+    """A free beta or theta."""
+    return option(None, f"{name}; {otherwise} if none", low=0.0, high=3.0, kind=float)
 
 
 @dataclass(frozen=True)
@@ -138,12 +50,70 @@ class GeneralizedAlpha(UpdatableMethod):
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
+    gamma: str | float = option(
+        "fixed",
+        f"gamma and theta: {POLICIES}; or a number, which fixes gamma",
+        choices=("fixed", "updated", "guarded"),
+        or_number=True,
+        low=0.0,
+        high=3.0,
+    )
+    alpha_m: float | None = _shift("alpha_m", "from rho_inf")
+    alpha_f: float | None = _shift("alpha_f", "from rho_inf")
+    beta: float | None = _weight("beta", "(gamma + 1/2)^2/4")
+    delta_m: float | None = _shift("delta_m, of the controller states", "from rho_inf_x")
+    delta_f: float | None = _shift("delta_f, of the controller states", "from rho_inf_x")
+    theta: float | None = _weight("theta, of the controller states", "1/2 + delta_f - delta_m")
+
+    def __post_init__(self) -> None:
+        if self.theta is not None and self.updated:
+            raise SpecError(
+                f"{self.name}: theta={self.theta:g} fixes a weight that gamma={self.gamma} "
+                f"changes at every step; leave one of them out."
+            )
+        if self._free_x and self.rho_inf_x is not None:
+            raise SpecError(
+                f"{self.name}: rho_inf_x={self.rho_inf_x:g} decides nothing beside delta_m and "
+                f"delta_f; leave it out."
+            )
+        if self._free and self.rho_inf != type(self).rho_inf:
+            raise SpecError(
+                f"{self.name}: rho_inf={self.rho_inf:g} decides nothing where alpha_m, alpha_f and "
+                f"those of the controller states are given; leave it out."
+            )
+
+    @property
+    def _free_x(self) -> bool:
+        """True if rho_inf_x decides nothing."""
+        return None not in (self.delta_m, self.delta_f)
+
+    @property
+    def _free(self) -> bool:
+        """True if rho_inf decides nothing."""
+        of_x = self._free_x or self.rho_inf_x is not None
+        return None not in (self.alpha_m, self.alpha_f) and of_x
+
+    @property
+    def spec(self) -> str:
+        return format_spec(self.name, self, hidden=("rho_inf",) if self._free else ())
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        radius = self.radius_at_infinity()
+        if scene.has("constraint") and radius > 1 + 1e-6:
+            return (
+                f"constraints act like infinite frequencies, which these alpha_m, alpha_f, beta "
+                f"and gamma let grow by a factor of {radius:.4g} per step; alpha_m <= alpha_f <= "
+                f"1/2 with gamma and beta left out lets nothing grow."
+            )
+        return None
 
     def second_order(self) -> SecondOrder:
-        return second_order_parameters(self.rho_inf)
+        gamma = None if isinstance(self.gamma, str) else self.gamma
+        return second_order_parameters(self.rho_inf, self.alpha_m, self.alpha_f, self.beta, gamma)
 
     def first_order(self) -> FirstOrder:
-        return first_order_parameters(self.rho_inf if self.rho_inf_x is None else self.rho_inf_x)
+        rho_inf = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
+        return first_order_parameters(rho_inf, self.delta_m, self.delta_f, self.theta)
 
 
 @dataclass(frozen=True)
