@@ -146,7 +146,7 @@ def check_balances(scene):
     # Controller: the corners' accelerations in, modal forces out.
     assert xdot[8:] == pytest.approx(a[2:5] - 0.5 * x[8:], rel=1e-9)
     demanded = y[:4] > 0.5
-    gains = np.array([20e3, 10e3, 30e3])
+    gains = np.array([20e3, 10e3, 40e3])
     corners = np.array([np.ones(4), py, -px])
     forces = np.linalg.pinv(corners) @ (gains * x[8:])
     speeds = corners.T @ v[2:5] - v[6:10]
@@ -256,7 +256,7 @@ def test_the_controlled_car_heaves_rolls_and_pitches_less_than_the_passive_one()
 
     passive = measures(FullCarPassive())
     less = measures(FullCar()) / passive
-    assert less == pytest.approx([0.89, 0.96, 0.95, 0.83, 0.94, 0.82, 0.91, 0.98], abs=0.006)
+    assert less == pytest.approx([0.89, 0.98, 0.97, 0.85, 0.93, 0.81, 0.9, 0.985], abs=0.006)
     # Without its gains the controller earns nothing.
     off = {"gain_heave": 0.0, "gain_roll": 0.0, "gain_pitch": 0.0}
     assert (measures(FullCar(**off))[:3] > passive[:3]).all()
@@ -284,7 +284,7 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     run, _ = lane_change(scene)
     currents = run.y[:, :4]
     near = (currents < 0.43) | (currents > 1.47)
-    assert near.mean() > 0.3
+    assert near.mean() > 0.45
     assert currents.min() < 0.31
     assert currents.max() > 1.5
     speeds = np.asarray(jax.jit(jax.vmap(scene.stretch))(run.v))

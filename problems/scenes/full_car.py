@@ -266,7 +266,7 @@ class FullCar(SemiActiveDamper, _Car):
     loop, without drive or brakes: after the lane change the car drifts sideways and has lost speed.
 
     Against ``full_car_passive`` the controller lowers the RMS accelerations of heave, roll and
-    pitch over the 12 s by 11, 4 and 5 percent, and the largest roll angle by 9.
+    pitch over the 12 s by 11, 2 and 3 percent, and the largest roll angle by 10.
 
     x = [4 rebound pressures, 4 compression pressures, heave, roll and pitch velocities estimated];
     y = [4 currents, 4 damper forces]; wheels are front left and right, rear left and right. All
@@ -289,16 +289,16 @@ class FullCar(SemiActiveDamper, _Car):
     )
 
     # Softer than for one wheel, as with bushings, so that an explicit reference takes little time.
-    bulk: float = parameter(90.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
+    bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
     # Below this drop a check valve leaks both ways. With 0.02 MPa, strokes of 0.02 m/s would have
     # less than 1000 N s/m even at the largest current.
     p_check: float = parameter(0.005, "MPa", "drop over which a check valve opens", low=1e-9)
     leak: float = parameter(0.5, "1/s", "leak of the controller's integrators", low=0.0)
     gain_heave: float = parameter(20000.0, "N s/m", "damping asked for in heave")
     gain_roll: float = parameter(10000.0, "N m s/rad", "damping asked for in roll")
-    gain_pitch: float = parameter(30000.0, "N m s/rad", "damping asked for in pitch")
+    gain_pitch: float = parameter(40000.0, "N m s/rad", "damping asked for in pitch")
     v_switch: float = parameter(
-        0.03, "m/s", "damper speed over which its demanded force changes sides", low=1e-9
+        0.02, "m/s", "damper speed over which its demanded force changes sides", low=1e-9
     )
     p_demand: float = parameter(0.1, "MPa", "rounding of the demanded pressure at zero", low=1e-9)
 
