@@ -46,17 +46,17 @@ def trajectory(
         Pairs (group, number from 0) that are drawn over time, or a component and a second one over
         which it is drawn, as (group, number, group, number); the first few of every group if empty.
     """
-    panels_of = components or first_components(groups)
-    components = list(dict.fromkeys(pair for chosen in panels_of for pair in _pairs(*chosen)))
+    chosen = components or first_components(groups)
+    needed = list(dict.fromkeys(pair for parts in chosen for pair in _pairs(*parts)))
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
-    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, components, i)]
+    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, needed, i)]
     drawn = vl.Dataset("runs", rows)
-    behind = vl.Dataset("reference", wide_rows(reference, components, -1) if reference else [])
+    behind = vl.Dataset("reference", wide_rows(reference, needed, -1) if reference else [])
     options = vl.ChartOptions(styles, interactive=interactive)
     panels: list[vl.Spec] = []
-    for chosen in panels_of:
-        axes = [(f"{g}{i}", component_name(g, i, coordinates)) for g, i in _pairs(*chosen)]
+    for parts in chosen:
+        axes = [(f"{g}{i}", component_name(g, i, coordinates)) for g, i in _pairs(*parts)]
         (name, title), over = axes[0], axes[1] if len(axes) > 1 else TIME
         layers = []
         if {name, over[0]} <= set(behind.columns):
