@@ -66,6 +66,7 @@ def option(
     high: float | None = None,
     always: bool = False,
     kind: type | None = None,
+    or_number: bool = False,
 ) -> Any:
     """Declare an option of an integrator: a dataclass field that users can set.
 
@@ -83,6 +84,8 @@ def option(
         Show the option in the printed name even at its default.
     kind
         Type of an option whose default is None; None then is an allowed value.
+    or_number
+        Whether an option with choices also takes a float, between ``low`` and ``high``.
     """
     meta = {
         "type": kind or type(default),
@@ -92,6 +95,7 @@ def option(
         "low": low,
         "high": high,
         "always": always,
+        "or_number": or_number,
     }
     return dataclasses.field(default=default, metadata=meta)
 

@@ -56,6 +56,18 @@ class Multistep:
         return multiple(np.roots(self.sigma), _ONE_ROOT)
 
     @property
+    def infinity_radius(self) -> float:
+        """Growth per step at infinite frequency: the largest root of sigma."""
+        if not self._full:
+            return math.inf
+        return max((abs(root) for root, _ in self.infinity_roots), default=0.0)
+
+    @property
+    def _full(self) -> bool:
+        """True if no root of sigma is infinite."""
+        return len(self.rho) == len(np.trim_zeros(self.sigma, "f"))
+
+    @property
     def zero_stable(self) -> bool:
         """True if rho has no root outside the unit circle, on it at most ``power``-fold ones."""
         return stable(self.zero_roots, self.power)
@@ -63,8 +75,7 @@ class Multistep:
     @property
     def infinity_stable(self) -> bool:
         """True if sigma has no root outside the unit circle, and on it only simple ones."""
-        full = len(self.rho) == len(np.trim_zeros(self.sigma, "f"))  # else a root is infinite
-        return full and stable(self.infinity_roots, 1)
+        return self._full and stable(self.infinity_roots, 1)
 
 
 def stable(roots: Sequence[tuple[complex, int]], on_circle: int) -> bool:
@@ -79,14 +90,15 @@ def stable(roots: Sequence[tuple[complex, int]], on_circle: int) -> bool:
 class MultistepForm:
     """A method as multistep formulas: one for each of q, v and x at constant steps.
 
-    ``smallest_ratio`` is the smallest ratio of a step to the one before that keeps the weights in
-    their proven interval.
+    ``smallest_ratio`` is the smallest ratio of a step to the one before for which the method is
+    known to be safe in varying steps; ``smallest_ratio_x`` that of the formula for x.
     """
 
     q: Multistep
     v: Multistep
     x: Multistep
     smallest_ratio: float
+    smallest_ratio_x: float
 
 
 def multiple(roots: Complex[np.ndarray, " k"], within: float) -> list[tuple[complex, int]]:

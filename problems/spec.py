@@ -94,7 +94,7 @@ def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
 
     if meta.get("optional") and str(value).lower() == "none":
         return None
-    kind = meta["type"]
+    kind = float if _is_number(meta, value) else meta["type"]
     try:
         if kind is bool:
             result = {"true": True, "false": False}[str(value).lower()]
@@ -108,13 +108,20 @@ def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
         raise refused(f"is not a {kind.__name__}") from None
     if kind is float and not math.isfinite(result):
         raise refused("is not a finite number")
-    if meta.get("choices") and result not in meta["choices"]:
+    if meta.get("choices") and result not in meta["choices"] and kind is meta["type"]:
         raise refused(f"is not allowed; {suggest(str(result), meta['choices'])}")
-    low, high = meta.get("low"), meta.get("high")
+    low, high = (meta.get(end) if kind in (int, float) else None for end in ("low", "high"))
     if (low is not None and result < low) or (high is not None and result > high):
         limits = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]"
         raise refused(f"lies outside {limits}")
     return result
+
+
+def _is_number(meta: Mapping[str, Any], value: object) -> bool:
+    """True if an option that takes a word or a number is given a number."""
+    if not meta.get("or_number"):
+        return False
+    return not isinstance(value, str) or re.fullmatch(r"[-+.\d].*", value) is not None
 
 
 def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
@@ -152,13 +159,17 @@ def validate(instance: Any) -> None:
         convert(instance.name, field, getattr(instance, name))
 
 
-def format_spec(name: str, instance: object) -> str:
-    """Write ``name[option=value,...]``: options that are always shown, then changed ones."""
+def format_spec(name: str, instance: object, hidden: Iterable[str] = ()) -> str:
+    """Write ``name[option=value,...]``: options that are always shown, then changed ones.
+
+    Those in ``hidden`` are shown only if they are changed.
+    """
     parts = []
     options = options_of(type(instance))
     for field in sorted(options.values(), key=lambda f: not f.metadata.get("always")):
         value = getattr(instance, field.name)
-        if field.metadata.get("always") or value != field.default:
+        always = field.metadata.get("always") and field.name not in hidden
+        if always or value != field.default:
             parts.append(f"{field.name}={format_value(value)}")
     return f"{name}[{','.join(parts)}]" if parts else name
 

@@ -15,7 +15,7 @@ from integrators import Steps
 from integrators.contract import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from integrators.methods import generalized_alpha_step
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_step import (
+from integrators.methods.generalized_alpha_parameters import (
     first_order_parameters,
     second_order_parameters,
     updated_weight,

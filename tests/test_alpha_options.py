@@ -12,7 +12,7 @@ from helpers import long
 from bench.running.measure import rows_of
 from integrators import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, HHTClassical, Newmark
-from integrators.methods.generalized_alpha_step import updated_weight
+from integrators.methods.generalized_alpha_parameters import updated_weight
 from problems import MechatronicSystem, State, jnp
 from problems.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum
@@ -65,24 +65,35 @@ def test_steps_and_weights_are_recorded():
     scene = SpringMass()
     h, pattern = 0.1, (0.3, 0.7)
     fixed = run_of(GeneralizedAlpha(), scene, h, pattern)
-    updated = run_of(GeneralizedAlpha(gamma="updated"), scene, h, pattern)
     assert math.isnan(fixed.notes["h"][0])  # no step led to the start
     np.testing.assert_allclose(fixed.notes["h"][1:5], [0.03, 0.07, 0.03, 0.07])
     assert np.ptp(fixed.notes["gamma"][1:]) == 0
-    # 0.03/0.07 is a sharper cut than the guard allows: every other step restarts, shift = 0
-    s = GeneralizedAlpha(gamma="updated").scheme()
+    rows = rows_of(fixed)
+    assert rows.notes["gamma"][0] is None
+    assert rows.notes["gamma"][1:7] == fixed.notes["gamma"][1:7].tolist()
+
+
+def test_updated_weights_are_the_published_ones_and_guarded_ones_restart():
+    published = {
+        "gamma": [0.611111, 0.605263, 0.625000, 0.600000, 0.627451, 0.598540],
+        "theta": [0.555556, 0.552511, 0.564751, 0.548965, 0.567663, 0.547404],
+    }
+    updated, guarded = (
+        run_of(GeneralizedAlpha(gamma=gamma), SpringMass(), 0.1, (0.3, 0.7))
+        for gamma in ("updated", "guarded")
+    )
+    s = GeneralizedAlpha().scheme()
     for name, m, f in (("gamma", s.alpha_m, s.alpha_f), ("theta", s.delta_m, s.delta_f)):
+        np.testing.assert_allclose(updated.notes[name][1:7], published[name], atol=6e-7)
+        # 0.03/0.07 is a sharper cut than the guard allows: every other step restarts, shift = 0
         shift, wanted = (m - f) * 0.03, []
         for n in range(6):
             step = 0.03 if n % 2 == 0 else 0.07
             shift = 0.0 if n and n % 2 == 0 else shift
             weight, shift = updated_weight(m, f, shift, step)
             wanted.append(weight)
-        np.testing.assert_allclose(updated.notes[name][1:7], wanted, rtol=1e-12)
-        assert np.ptp(wanted) > 0.005
-    rows = rows_of(updated)
-    assert rows.notes["gamma"][0] is None
-    assert rows.notes["gamma"][1:7] == updated.notes["gamma"][1:7].tolist()
+        np.testing.assert_allclose(guarded.notes[name][1:7], wanted, rtol=1e-12)
+        assert np.abs(guarded.notes[name] - updated.notes[name])[3:].max() > 0.005
 
 
 @dataclass(frozen=True)

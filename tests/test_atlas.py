@@ -38,7 +38,7 @@ MUTANTS = {
     "undamped_index3": ((0, 2), {"integrator": "generalized_alpha[rho_inf=1]"}),
     "start_transient": ((0, 0), {"integrator": "generalized_alpha[start=corrected]"}),
     "variable_steps": ((0, 1), {"integrator": "generalized_alpha[gamma=fixed]"}),
-    "sharp_cuts": ((0, 1), {"integrator": "generalized_alpha[gamma=unguarded]"}),
+    "sharp_cuts": ((0, 1), {"integrator": "generalized_alpha[gamma=updated]"}),
     "classical_acceleration": ((1, 2), {"integrator": "generalized_alpha_classical"}),
     "energy_blow_up": ((0, 0), {"integrator": "generalized_alpha[rho_inf=0.9]"}),
     "spurious_acceleration": ((0, 1), {"integrator": "newmark"}),

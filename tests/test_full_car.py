@@ -78,8 +78,10 @@ def energies_and_momenta(scene, q, v):
     x, y = sides(scene)
     lengths = q[2] + y * q[3] - x * q[4] - q[6:10]
     springs = np.array([scene.k_front] * 2 + [scene.k_rear] * 2)
-    twist = q[3] - (q[6] - q[7]) / scene.track_front
-    stored = 0.5 * springs @ lengths**2 + 0.5 * scene.anti_roll * twist**2
+    tracks = np.array([scene.track_front, scene.track_rear])
+    twists = q[3] - (q[6:10:2] - q[7:10:2]) / tracks
+    bars = np.array([scene.anti_roll_front, scene.anti_roll_rear])
+    stored = 0.5 * springs @ lengths**2 + 0.5 * bars @ twists**2
     stored = stored - 0.5 * scene.m * scene.gravity * scene.h * (q[3] ** 2 + q[4] ** 2)
     return jnp.stack([kinetic + stored, *plane, spin + own])
 
@@ -142,9 +144,9 @@ def check_balances(scene):
     assert float(energy) + stored == pytest.approx(sum(terms), abs=1e-9 * np.abs(terms).sum())
 
     # Controller: the corners' accelerations in, modal forces out.
-    assert xdot[8:] == pytest.approx(a[2:5] - 0.2 * x[8:], rel=1e-9)
+    assert xdot[8:] == pytest.approx(a[2:5] - 0.5 * x[8:], rel=1e-9)
     demanded = y[:4] > 0.5
-    gains = np.array([60e3, 30e3, 60e3])
+    gains = np.array([20e3, 10e3, 40e3])
     corners = np.array([np.ones(4), py, -px])
     forces = np.linalg.pinv(corners) @ (gains * x[8:])
     speeds = corners.T @ v[2:5] - v[6:10]
@@ -156,7 +158,15 @@ def check_balances(scene):
 
 MUTANTS = {
     "kinetic_energy": ["h", "q3", "v4", "v10"],
-    "potential_energy": ["k_rear", "k_tyre", "gravity", "anti_roll", "q7", "q4"],
+    "potential_energy": [
+        "k_rear",
+        "k_tyre",
+        "gravity",
+        "anti_roll_front",
+        "anti_roll_rear",
+        "q7",
+        "q4",
+    ],
     "contact_velocities": ["trail", "q5", "q11", "b"],
     "tyre_forces": ["slope"],
     "tyre_loads": ["k_tyre"],
@@ -171,7 +181,7 @@ MUTANTS = {
 
 @pytest.mark.long
 def test_momenta_energy_and_controller_are_balanced():
-    check_balances(FullCar(anti_roll=1e4))
+    check_balances(FullCar())
 
 
 @pytest.mark.long
@@ -180,7 +190,7 @@ def test_momenta_energy_and_controller_are_balanced():
 )
 def test_a_flipped_sign_is_caught(block, what):
     with pytest.raises(AssertionError):
-        check_balances(flipped(FullCar(anti_roll=1e4), block, what))
+        check_balances(flipped(FullCar(), block, what))
 
 
 def test_the_ride_model_has_the_published_frequencies():
@@ -189,7 +199,8 @@ def test_the_ride_model_has_the_published_frequencies():
     scene = FullCarPassive(
         m=840.0, m_front=53.0, m_rear=76.0, i_x=820.0, i_y=1100.0, h=0.0, a=1.4, b=1.47,
         track_front=1.45, track_rear=1.45, offset_front=0.025, offset_rear=-0.025,
-        k_front=1e4, k_rear=1.3e4, k_tyre=2e5, anti_roll=1e4, c_front=0.0, c_rear=0.0,
+        k_front=1e4, k_rear=1.3e4, k_tyre=2e5, anti_roll_front=1e4, anti_roll_rear=0.0,
+        c_front=0.0, c_rear=0.0,
     )  # fmt: skip
     q, v, _ = map(jnp.asarray, scene.initial_state())
     ride = np.r_[2:5, 6:10]
@@ -236,21 +247,19 @@ def rms(run, values):
 
 
 @pytest.mark.long
-def test_the_controlled_car_rolls_and_heaves_less_than_the_passive_one():
-    table = {}
-    for scene in (FullCar(), FullCarPassive()):
+def test_the_controlled_car_heaves_rolls_and_pitches_less_than_the_passive_one():
+    def measures(scene):
+        """RMS accelerations of heave, roll and pitch, RMS of these, largest roll, RMS loads."""
         run, loads = lane_change(scene)
-        shaken = rms(run, run.a[:, 2])
-        varied = rms(run, loads - loads[0]).mean()
-        table[scene.name] = np.array(
-            [np.abs(run.q[:, 3]).max(), *rms(run, run.q[:, 2:5]), shaken, varied]
-        )
-    # Largest roll, RMS of heave, roll and pitch, of the heave acceleration, of tyre loads.
-    less = table["full_car"] / table["full_car_passive"]
-    assert (less < 1).all()
-    assert less[0] < 0.95
-    assert less[1] < 0.95
-    assert less[2] < 0.92
+        roll, varied = np.abs(run.q[:, 3]).max(), rms(run, loads - loads[0]).mean()
+        return np.array([*rms(run, run.a[:, 2:5]), *rms(run, run.q[:, 2:5]), roll, varied])
+
+    passive = measures(FullCarPassive())
+    less = measures(FullCar()) / passive
+    assert less == pytest.approx([0.89, 0.98, 0.97, 0.85, 0.93, 0.81, 0.9, 0.985], abs=0.006)
+    # Without its gains the controller earns nothing.
+    off = {"gain_heave": 0.0, "gain_roll": 0.0, "gain_pitch": 0.0}
+    assert (measures(FullCar(**off))[:3] > passive[:3]).all()
 
 
 @pytest.mark.long
@@ -275,7 +284,9 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     run, _ = lane_change(scene)
     currents = run.y[:, :4]
     near = (currents < 0.43) | (currents > 1.47)
-    assert near.mean() > 0.5
+    assert near.mean() > 0.45
+    assert currents.min() < 0.31
+    assert currents.max() > 1.5
     speeds = np.asarray(jax.jit(jax.vmap(scene.stretch))(run.v))
     reb, comp = run.x[:, :4], run.x[:, 4:8]
     assert comp[speeds > 0.03].max() < 0.05

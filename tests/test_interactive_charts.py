@@ -115,6 +115,21 @@ def test_a_study_chooses_what_is_drawn_over_time(styles):
     assert "q0" not in first
 
 
+def test_a_path_is_drawn_over_another_component_in_the_order_of_time(styles):
+    label = next(iter(styles))
+    rows = curves(1.0, {"q": 2, "x": 1})
+    chosen = [("q", 1, "q", 0), ("x", 0)]
+    chart = trajectory([(label, rows)], rows, ["q", "x"], styles, components=chosen)
+    path, over_time = chart["concat"]
+    for layer in path["layer"]:  # the reference and the run
+        axes = layer["encoding"]
+        assert [axes[c]["field"] for c in ("x", "y", "order")] == ["q0", "q1", "t"]
+    assert path["layer"][1]["encoding"]["x"]["title"] == "q[1]"
+    assert over_time["layer"][1]["encoding"]["x"]["field"] == "t"
+    first = table(chart["datasets"]["runs"])[0]
+    assert float(first["q0"]) == pytest.approx(rows.values["q"][0][0], rel=1e-4)
+
+
 def test_a_still_picture_shows_few_rows_and_the_last_among_them():
     count = 3 * sampling.STILL_ROWS + 1
     t = [float(k) for k in range(count)]

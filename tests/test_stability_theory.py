@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,10 +11,16 @@ from hypothesis import strategies as st
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
+from integrators import Steps
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_theory import recurrence_of
+from integrators.methods.generalized_alpha_theory import (
+    position_formula,
+    recurrence_of,
+    velocity_formula,
+)
 from integrators.multistep import Multistep, MultistepForm, stable
+from problems.scenes.spring_mass import SpringMass
 
 MEMBERS = [
     GeneralizedAlpha(rho_inf=0.0),
@@ -73,7 +81,9 @@ def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
     alpha_m = (2 * rho_inf - 1) / (rho_inf + 1)
     parasite = min((z for z, _ in r.positions.zero_roots), key=lambda z: abs(z - 1) < 0.01)
     assert parasite.real == pytest.approx(-alpha_m / (1 - alpha_m), abs=1e-9)
-    assert r.smallest_ratio == max(0.0, alpha_m / (1 - alpha_m))
+    delta_m = (3 * rho_inf - 1) / (2 * (rho_inf + 1))
+    assert r.smallest_ratio == pytest.approx(abs(alpha_m / (1 - alpha_m)), rel=1e-14)
+    assert r.smallest_ratio_x == pytest.approx(abs(delta_m / (1 - delta_m)), rel=1e-14)
 
 
 def test_order_two_needs_its_gamma():
@@ -116,3 +126,66 @@ def test_roots_on_the_circle_are_counted():
 def test_only_methods_of_the_recurrence_have_it():
     assert isinstance(GeneralizedAlpha().multistep_form(), MultistepForm)
     assert Kvaerno5().multistep_form() is None
+
+
+@pytest.mark.parametrize(
+    ("rho_inf", "gamma", "theta"),
+    # |alpha_m/(1 - alpha_m)| as the paper prints it, and the same with delta_m.
+    [(0.0, 1 / 2, 1 / 3), (0.25, 2 / 7, 1 / 11), (0.5, 0.0, 1 / 5), (0.8, 1 / 2, 7 / 11)],
+)
+def test_the_smallest_step_ratios_are_those_that_are_printed(rho_inf, gamma, theta):
+    form = GeneralizedAlpha(rho_inf=rho_inf).multistep_form()
+    assert form.smallest_ratio == pytest.approx(gamma, abs=1e-15)
+    assert form.smallest_ratio_x == pytest.approx(theta, abs=1e-15)
+
+
+# ---- formulas in varying steps ---------------------------------------------------------
+def misfit(formula, values, rates):
+    """Largest |values @ u - rates @ d^k u|, relative to the sum of the sizes of the terms."""
+    left, right = formula.values[:, None] * values, formula.rates[:, None] * rates
+    return (np.abs(left.sum(0) - right.sum(0)) / (np.abs(left) + np.abs(right)).sum(0)).max()
+
+
+def misfits(method, rho_off=0.0):
+    """Misfits of q, v and x over steps of a run, by formulas of a scheme that may be another."""
+    run = method.prepare(SpringMass(), 5.0, Steps(0.5, (0.3, 0.45, 0.25))).measure()
+    assert run.status == "ok", run.message
+    s = replace(method, rho_inf=method.rho_inf + rho_off).scheme()
+    h, gamma, theta = (run.notes[name] for name in ("h", "gamma", "theta"))
+    worst = np.zeros(3)
+    for n in range(3, 16):  # rows are consecutive steps at the start of a run
+        two, three, last = slice(n, n - 2, -1), slice(n, n - 3, -1), slice(n, n - 3, -1)
+        q4 = [n, n - 1, n - 2, n - 3]
+        q = position_formula(s.alpha_m, s.alpha_f, s.beta, h[three], gamma[three])
+        v = velocity_formula(s.alpha_m, s.alpha_f, h[two], gamma[two])
+        x = velocity_formula(s.delta_m, s.delta_f, h[two], theta[two])
+        found = (
+            misfit(q, run.q[q4], run.a[q4]),
+            misfit(v, run.v[last], run.a[last]),
+            misfit(x, run.x[last], run.xdot[last]),
+        )
+        worst = np.maximum(worst, found)
+    return worst
+
+
+@pytest.mark.parametrize("gamma", ["fixed", "updated"])
+@pytest.mark.parametrize("rho_inf", [0.0, 0.3, 0.8])
+def test_the_formulas_in_varying_steps_are_those_of_the_kernel(rho_inf, gamma):
+    method = GeneralizedAlpha(rho_inf=rho_inf, gamma=gamma)
+    assert misfits(method).max() < 1e-12
+    assert misfits(method, rho_off=1e-6).min() > 1e-10  # another scheme is told apart
+
+
+def test_in_equal_steps_they_are_the_polynomials():
+    s, h = GeneralizedAlpha(rho_inf=0.8, rho_inf_x=0.3).scheme(), 0.25
+    r = recurrence_of(s)
+    pairs = [
+        (position_formula(s.alpha_m, s.alpha_f, s.beta, [h] * 3, [s.gamma] * 3), r.positions),
+        (velocity_formula(s.alpha_m, s.alpha_f, [h] * 2, [s.gamma] * 2), r.velocities),
+        (velocity_formula(s.delta_m, s.delta_f, [h] * 2, [s.theta] * 2), r.controller),
+    ]
+    for formula, polynomial in pairs:
+        scale = polynomial.rho[0] / formula.values[0]
+        assert scale * formula.values == pytest.approx(polynomial.rho, abs=1e-13)
+        rates = scale * formula.rates / h**polynomial.power
+        assert rates == pytest.approx(polynomial.sigma, abs=1e-13)

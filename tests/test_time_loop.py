@@ -31,7 +31,7 @@ REGISTRY = Registry()
 def test_a_cut_restarts_only_the_weight_whose_limit_it_passes(rho_inf, rho_inf_x, gamma, theta):
     """Bruels & Arnold (2008), eqs (28)-(30), worked out by hand for h = 4/5 and h = 1/5."""
     method = REGISTRY.integrator(
-        f"generalized_alpha[rho_inf={rho_inf},rho_inf_x={rho_inf_x},gamma=updated]"
+        f"generalized_alpha[rho_inf={rho_inf},rho_inf_x={rho_inf_x},gamma=guarded]"
     )
     run = method.prepare(REGISTRY.problem("spring_mass"), 0.1, Steps(0.1, (0.8, 0.2))).measure()
     assert run.status == "ok", run.message

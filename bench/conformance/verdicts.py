@@ -92,7 +92,8 @@ def _notable_values(subject: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
             continue
         values: list[Any] = [field.default, *(meta.get("choices") or ())]
         limits = [value for value in (meta.get("low"), meta.get("high")) if value is not None]
-        values += [meta["type"](limit) for limit in limits]
+        kind = float if meta.get("or_number") else meta["type"]
+        values += [kind(limit) for limit in limits]
         if meta["type"] is bool:
             values += [False, True]
         if meta["type"] is float:

@@ -252,11 +252,13 @@ def _components(file: StudyFile, scene: MechatronicSystem) -> list[str]:
     sizes = scene.sizes  # needs JAX, which takes a while to load
     count = {**dict.fromkeys("qva", sizes.nq), "lam": sizes.nl, "x": sizes.nx, "y": sizes.ny}
     for text in file.components:
-        match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", text)
-        if not match or int(match[2]) > count[match[1]]:
-            raise SpecError(
-                f"{scene.spec} has no component {text!r}; give a group and a number such as q1."
-            )
+        for part in text.split(":", 1):  # "q2:q1" is the second over the first
+            match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", part)
+            if not match or int(match[2]) > count[match[1]]:
+                raise SpecError(
+                    f"{scene.spec} has no component {part!r}; give a group and a number such as "
+                    f"q1, or two as q2:q1 for one over the other."
+                )
     return list(file.components)
 
 

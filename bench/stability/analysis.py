@@ -110,7 +110,8 @@ def _option_map(
             except SpecError:  # not every value goes with the other options
                 continue
             rows.append({"value": float(value), "radii": _radii(member, system, pattern)})
-        return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
+        if len(rows) > 1:
+            return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
     return []
 
 
@@ -145,4 +146,5 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
         }
         for group, formula in (("q", form.q), ("v", form.v), ("x", form.x))
     }
-    return {"formulas": formulas, "smallest_ratio": form.smallest_ratio}
+    ratios = {name: getattr(form, name) for name in ("smallest_ratio", "smallest_ratio_x")}
+    return {"formulas": formulas} | ratios

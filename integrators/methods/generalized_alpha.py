@@ -6,105 +6,33 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from integrators.contract import option
-from integrators.methods.generalized_alpha_step import (
-    AlphaStep,
+from integrators.methods.alpha_method import POLICIES, AlphaMethod, UpdatableMethod
+from integrators.methods.generalized_alpha_parameters import (
     FirstOrder,
-    Scheme,
     SecondOrder,
     first_order_parameters,
     second_order_parameters,
 )
-from integrators.methods.generalized_alpha_theory import recurrence_of
-from integrators.multistep import MultistepForm
-from integrators.native.step_functions import StepFunctions
-from integrators.native.step_method import NewtonOptions
-from problems.spec import SpecError
+from problems.spec import SpecError, format_spec
 from problems.system import MechatronicSystem
 
 
-def _gamma_policy() -> Any:
-    return option(
-        "fixed",
-        "gamma and theta: fixed, or updated from the step ratio",
-        choices=("fixed", "updated"),
-    )
+def _shift(name: str, otherwise: str) -> Any:
+    """A free alpha or delta; the recurrence is singular at 1."""
+    return option(None, f"{name}; {otherwise} if none", low=-3.0, high=0.95, kind=float)
+
+
+def _weight(name: str, otherwise: str) -> Any:
+    """A free beta or theta."""
+    return option(None, f"{name}; {otherwise} if none", low=0.0, high=3.0, kind=float)
 
 
 @dataclass(frozen=True)
-class AlphaMethod(NewtonOptions):
-    """Base of the members of the family: a member only gives its algorithmic parameters."""
-
-    family: ClassVar[str] = "generalized-alpha"
-    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
-    noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
-    classical: ClassVar[bool] = False
-
-    formulation: str = option(
-        "index3",
-        "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
-        choices=("index3", "stabilised_index2"),
-    )
-    start: str = option(
-        "consistent",
-        "consistent: aux = a at t0; corrected: aux shifted in time, without a transient",
-        choices=("consistent", "corrected"),
-    )
-
-    @property
-    def guarded(self) -> bool:
-        """True if a sharp cut of the step restarts the recurrence; for updated weights."""
-        return True
-
-    @property
-    def affinity(self) -> str:
-        return f"{self.family} {self.formulation} {self.newton}"
-
-    @abstractmethod
-    def second_order(self) -> SecondOrder:
-        """Return the algorithmic parameters for q."""
-
-    @abstractmethod
-    def first_order(self) -> FirstOrder:
-        """Return the algorithmic parameters for x."""
-
-    @property
-    def updated(self) -> bool:
-        """True if gamma and theta follow the step ratio."""
-        return False
-
-    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        s, claims = self.scheme(), dict(self.orders)
-        if abs(s.gamma - (0.5 + s.alpha_f - s.alpha_m)) > 1e-12:
-            return dict.fromkeys(claims, 1)
-        if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
-            return dict.fromkeys(AlphaMethod.orders, 1)
-        undamped = s.alpha_m == s.alpha_f
-        if scene.has("constraint") and self.formulation == "index3" and undamped:
-            return {"q": 2, "v": 2}  # a and lam oscillate without end
-        return claims
-
-    def scheme(self) -> Scheme:
-        """Return all numbers of this member that the step needs."""
-        policy = self.updated, self.classical, self.start == "corrected", self.guarded
-        return Scheme(*self.second_order(), *self.first_order(), *policy)
-
-    def numbers(self) -> Any:
-        return self.scheme()
-
-    def functions(self) -> StepFunctions:
-        return AlphaStep(self.formulation == "stabilised_index2")
-
-    def multistep_form(self) -> MultistepForm | None:
-        return recurrence_of(self.scheme()).form
-
-
-@dataclass(frozen=True)
-class GeneralizedAlpha(AlphaMethod):
+class GeneralizedAlpha(UpdatableMethod):
     """Generalized-alpha with true accelerations: second order, damping chosen by rho_inf."""
 
     source: ClassVar[str] = (
@@ -122,30 +50,74 @@ class GeneralizedAlpha(AlphaMethod):
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )
-    gamma: str = option(
+    gamma: str | float = option(
         "fixed",
-        "gamma and theta: fixed; updated from the step ratio, with a restart where a cut would "
-        "send them to infinity; or unguarded, without it",
-        choices=("fixed", "updated", "unguarded"),
+        f"gamma and theta: {POLICIES}; or a number, which fixes gamma",
+        choices=("fixed", "updated", "guarded"),
+        or_number=True,
+        low=0.0,
+        high=3.0,
     )
+    alpha_m: float | None = _shift("alpha_m", "from rho_inf")
+    alpha_f: float | None = _shift("alpha_f", "from rho_inf")
+    beta: float | None = _weight("beta", "(gamma + 1/2)^2/4")
+    delta_m: float | None = _shift("delta_m, of the controller states", "from rho_inf_x")
+    delta_f: float | None = _shift("delta_f, of the controller states", "from rho_inf_x")
+    theta: float | None = _weight("theta, of the controller states", "1/2 + delta_f - delta_m")
+
+    def __post_init__(self) -> None:
+        if self.theta is not None and self.updated:
+            raise SpecError(
+                f"{self.name}: theta={self.theta:g} fixes a weight that gamma={self.gamma} "
+                f"changes at every step; leave one of them out."
+            )
+        if self._free_x and self.rho_inf_x is not None:
+            raise SpecError(
+                f"{self.name}: rho_inf_x={self.rho_inf_x:g} decides nothing beside delta_m and "
+                f"delta_f; leave it out."
+            )
+        if self._free and self.rho_inf != type(self).rho_inf:
+            raise SpecError(
+                f"{self.name}: rho_inf={self.rho_inf:g} decides nothing where alpha_m, alpha_f and "
+                f"those of the controller states are given; leave it out."
+            )
 
     @property
-    def guarded(self) -> bool:
-        return self.gamma != "unguarded"
+    def _free_x(self) -> bool:
+        """True if rho_inf_x decides nothing."""
+        return None not in (self.delta_m, self.delta_f)
 
     @property
-    def updated(self) -> bool:
-        return self.gamma != "fixed"
+    def _free(self) -> bool:
+        """True if rho_inf decides nothing."""
+        of_x = self._free_x or self.rho_inf_x is not None
+        return None not in (self.alpha_m, self.alpha_f) and of_x
+
+    @property
+    def spec(self) -> str:
+        return format_spec(self.name, self, hidden=("rho_inf",) if self._free else ())
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        radius = self.radius_at_infinity()
+        if scene.has("constraint") and radius > 1 + 1e-6:
+            return (
+                f"constraints act like infinite frequencies, which these alpha_m, alpha_f, beta "
+                f"and gamma let grow by a factor of {radius:.4g} per step; alpha_m <= alpha_f <= "
+                f"1/2 with gamma and beta left out lets nothing grow."
+            )
+        return None
 
     def second_order(self) -> SecondOrder:
-        return second_order_parameters(self.rho_inf)
+        gamma = None if isinstance(self.gamma, str) else self.gamma
+        return second_order_parameters(self.rho_inf, self.alpha_m, self.alpha_f, self.beta, gamma)
 
     def first_order(self) -> FirstOrder:
-        return first_order_parameters(self.rho_inf if self.rho_inf_x is None else self.rho_inf_x)
+        rho_inf = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
+        return first_order_parameters(rho_inf, self.delta_m, self.delta_f, self.theta)
 
 
 @dataclass(frozen=True)
-class HHT(AlphaMethod):
+class HHT(UpdatableMethod):
     """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
 
     Beyond 1/3 it damps high frequencies less again, and from 1/2 it is unstable. Such values need
@@ -161,7 +133,6 @@ class HHT(AlphaMethod):
         high=0.9,
         always=True,
     )
-    gamma: str = _gamma_policy()
     any_alpha: bool = option(False, "allow an alpha outside [0, 1/3]")
 
     def __post_init__(self) -> None:
@@ -170,10 +141,6 @@ class HHT(AlphaMethod):
                 f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
                 f"known to be stable at every step; give any_alpha=true to allow it."
             )
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma == "updated"
 
     def second_order(self) -> SecondOrder:
         gamma = 0.5 + self.alpha
@@ -184,7 +151,7 @@ class HHT(AlphaMethod):
 
 
 @dataclass(frozen=True)
-class WBZ(AlphaMethod):
+class WBZ(UpdatableMethod):
     """Wood-Bossak-Zienkiewicz member: alpha_f = 0, alpha_m = (rho_inf-1)/(rho_inf+1)."""
 
     source: ClassVar[str] = "Wood, Bossak & Zienkiewicz (1980), doi:10.1002/nme.1620151011"
@@ -192,11 +159,6 @@ class WBZ(AlphaMethod):
     rho_inf: float = option(
         0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
     )
-    gamma: str = _gamma_policy()
-
-    @property
-    def updated(self) -> bool:
-        return self.gamma == "updated"
 
     def second_order(self) -> SecondOrder:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)

@@ -26,13 +26,8 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.generalized_alpha_step import (
-    AlphaState,
-    AlphaStep,
-    Scheme,
-    safe_ratio,
-    weights,
-)
+from integrators.methods.generalized_alpha_parameters import Scheme, safe_ratio
+from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl
 from integrators.native.step_records import Errors, Reading
@@ -47,9 +42,9 @@ if TYPE_CHECKING:
     from integrators.native.step_records import Scalar, Time
     from integrators.native.step_work import StepWork
 
-#: Largest ratio of neighbouring steps by rho_inf. In varying steps updated gamma keeps the order,
-#: but not always stability. Up to a few percent above these ratios no pattern of up to six steps
-#: grows (``stepbench stability --ratios any``).
+#: Largest ratio of neighbouring steps by the radius at infinity. In varying steps updated gamma
+#: keeps the order, but not always stability. Up to a few percent above these ratios no pattern of
+#: up to six steps grows (``stepbench stability --ratios any``).
 _RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
@@ -179,10 +174,11 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         high=1.0,
         always=True,
     )
-    gamma: str = option(
-        "updated",
-        "gamma and theta: updated from the step ratio, or fixed",
-        choices=("updated", "fixed"),
+    gamma: str | float = option(
+        "guarded",
+        "gamma and theta: guarded, updated from the step ratio with a restart after sharp cuts, "
+        "which rejected steps make; updated, without it: gamma can be huge; or fixed",
+        choices=("guarded", "updated", "fixed"),
     )
     formulation: str = option(
         "stabilised_index2",
@@ -202,7 +198,7 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
     )
 
     def numbers(self) -> Numbers:
-        growth = float(np.interp(self.rho_inf, _RHO, _GROWTH))
+        growth = float(np.interp(self.radius_at_infinity(), _RHO, _GROWTH))
         return Numbers(self.scheme(), self.error_test == "all", growth)
 
     def functions(self) -> StepFunctions:

@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from integrators.methods.generalized_alpha_parameters import Scheme, safe_ratio, updated_weight
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Reading, largest
 from problems import formulations
@@ -52,39 +53,6 @@ _EPS = float(np.finfo(float).eps)
 _SMOOTH = 0.1
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.
 _MOST_ROUNDING = 1e-6
-
-
-class Scheme(NamedTuple):
-    """Algorithmic parameters of one member of the family, for q and for x."""
-
-    alpha_m: float
-    alpha_f: float
-    beta: float
-    gamma: float
-    delta_m: float
-    delta_f: float
-    theta: float
-    updated: bool
-    classical: bool
-    corrected: bool
-    guarded: bool
-
-
-class SecondOrder(NamedTuple):
-    """Algorithmic parameters for q."""
-
-    alpha_m: float
-    alpha_f: float
-    beta: float
-    gamma: float
-
-
-class FirstOrder(NamedTuple):
-    """Algorithmic parameters for x."""
-
-    delta_m: float
-    delta_f: float
-    theta: float
 
 
 class AlphaState(NamedTuple):
@@ -113,40 +81,6 @@ class AlphaState(NamedTuple):
     slopes: Array
     #: True if a guess by them would have been good the last time.
     smooth: Array
-
-
-def second_order_parameters(rho_inf: float) -> SecondOrder:
-    """Return the parameters for q of Chung & Hulbert (1993) in the paper's signs."""
-    alpha_m, alpha_f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
-    gamma = 0.5 + alpha_f - alpha_m
-    return SecondOrder(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
-
-
-def first_order_parameters(rho_inf: float) -> FirstOrder:
-    """Return the parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs."""
-    delta_m, delta_f = (3 * rho_inf - 1) / (2 * (rho_inf + 1)), rho_inf / (rho_inf + 1)
-    return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m)
-
-
-def updated_weight(
-    alpha_m: Scalar, alpha_f: Scalar, shift: Scalar, h: Scalar
-) -> tuple[Scalar, Scalar]:
-    """Return gamma (or theta) of this step and the shift after it: order two at varying steps.
-
-    This is the linear form of eqs (28)-(30) of the paper; it has no 0/0 at rho_inf = 1.
-    """
-    shift_next = ((alpha_m - alpha_f) * h - alpha_m * shift) / (1 - alpha_m)
-    weight = (1 - alpha_m) * (0.5 * h - shift) / ((1 - alpha_f) * h - shift)
-    return weight, shift_next
-
-
-def safe_ratio(alpha_m: Scalar) -> Scalar:
-    """Return the smallest step ratio that keeps the updated weight in its proven interval.
-
-    With s >= alpha_m/(1 - alpha_m) at every step, (1 - alpha_m)/(2 (1 - alpha_f)) <= gamma <
-    1 - alpha_m; sharper cuts can send gamma to infinity.
-    """
-    return alpha_m / (1 - alpha_m)
 
 
 class Weights(NamedTuple):

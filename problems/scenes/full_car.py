@@ -60,7 +60,8 @@ class _Car(MechatronicSystem):
     k_front: float = parameter(24453.1, "N/m", "spring per front wheel", low=0.0)
     k_rear: float = parameter(19635.5, "N/m", "spring per rear wheel", low=0.0)
     k_tyre: float = parameter(158294.0, "N/m", "vertical stiffness of a tyre", low=0.0)
-    anti_roll: float = parameter(0.0, "N m/rad", "anti-roll bar of the front axle", low=0.0)
+    anti_roll_front: float = parameter(6914.9, "N m/rad", "anti-roll bar in front", low=0.0)
+    anti_roll_rear: float = parameter(2643.6, "N m/rad", "the same at the rear axle", low=0.0)
     gravity: float = parameter(9.81, "m/s^2", "gravity")
     friction: float = parameter(1.0489, "1", "largest lateral tyre force per load (D)", low=0.0)
     shape: float = parameter(1.3507, "1", "shape of the tyre's force (C)", low=1e-9)
@@ -132,9 +133,11 @@ class _Car(MechatronicSystem):
     def potential_energy(self, q: jax.Array, t: jax.Array) -> jax.Array:
         springs = self._axles(self.k_front, self.k_rear) @ self.stretch(q) ** 2
         tyres = self.k_tyre * jnp.sum((q[6:10] - self.road(t)) ** 2)
-        twist = q[3] - (q[6] - q[7]) / self.track_front
+        front = q[3] - (q[6] - q[7]) / self.track_front
+        rear = q[3] - (q[8] - q[9]) / self.track_rear
+        bars = self.anti_roll_front * front**2 + self.anti_roll_rear * rear**2
         falling = self.m * self.gravity * self.h * (q[3] ** 2 + q[4] ** 2)
-        return 0.5 * (springs + tyres + self.anti_roll * twist**2 - falling)
+        return 0.5 * (springs + tyres + bars - falling)
 
     def tyre_loads(self, q: jax.Array, t: jax.Array) -> jax.Array:
         """Vertical forces on the tyres in N, shape ``(4,)``."""
@@ -264,15 +267,19 @@ class FullCar(SemiActiveDamper, _Car):
     (c) each of the three is integrated, with a leak, and multiplied by a gain. Steering is open
     loop, without drive or brakes: after the lane change the car drifts sideways and has lost speed.
 
+    Against ``full_car_passive`` the controller lowers the RMS accelerations of heave, roll and
+    pitch over the 12 s by 11, 2 and 3 percent, and the largest roll angle by 10.
+
     x = [4 rebound pressures, 4 compression pressures, heave, roll and pitch velocities estimated];
     y = [4 currents, 4 damper forces]; wheels are front left and right, rear left and right. All
     vertical coordinates are counted from the static equilibrium. lam are the forces of the tie
     rods, positive when compressed.
 
     Left out: spin and longitudinal slip of the wheels, camber, lift-off and lag of the tyres, roll
-    centres above the ground, the inertia of unsprung masses in load transfer, products of roll,
-    pitch and their rates in the inertia, and dynamics of sensors and valves. None of them changes
-    the kind of equations. The road passes under the wheels at the initial speed.
+    centres above the ground, lateral play between body and axles (data set: 175 kN/m), the inertia
+    of unsprung masses in load transfer, products of roll, pitch and their rates in the inertia, and
+    dynamics of sensors and valves. None of them changes the kind of equations. The road passes
+    under the wheels at the initial speed.
     """
 
     tags = ("mechatronic", "constrained", "index 3", "rheonomic", "stiff controller states",
@@ -298,12 +305,15 @@ class FullCar(SemiActiveDamper, _Car):
 
     # Softer than for one wheel, as with bushings, so that an explicit reference takes little time.
     bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
-    leak: float = parameter(0.2, "1/s", "leak of the controller's integrators", low=0.0)
-    gain_heave: float = parameter(60000.0, "N s/m", "damping asked for in heave")
-    gain_roll: float = parameter(30000.0, "N m s/rad", "damping asked for in roll")
-    gain_pitch: float = parameter(60000.0, "N m s/rad", "damping asked for in pitch")
+    # Below this drop a check valve leaks both ways. With 0.02 MPa, strokes of 0.02 m/s would have
+    # less than 1000 N s/m even at the largest current.
+    p_check: float = parameter(0.005, "MPa", "drop over which a check valve opens", low=1e-9)
+    leak: float = parameter(0.5, "1/s", "leak of the controller's integrators", low=0.0)
+    gain_heave: float = parameter(20000.0, "N s/m", "damping asked for in heave")
+    gain_roll: float = parameter(10000.0, "N m s/rad", "damping asked for in roll")
+    gain_pitch: float = parameter(40000.0, "N m s/rad", "damping asked for in pitch")
     v_switch: float = parameter(
-        0.03, "m/s", "damper speed over which its demanded force changes sides", low=1e-9
+        0.02, "m/s", "damper speed over which its demanded force changes sides", low=1e-9
     )
     p_demand: float = parameter(0.1, "MPa", "rounding of the demanded pressure at zero", low=1e-9)
 

@@ -1,4 +1,4 @@
-"""Values over time: components of the variables, and notes such as step sizes."""
+"""Values over time, or over each other: components of the variables, and notes such as steps."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from reports.formatting import component_title
 
 #: Components of a group that are drawn if no others are chosen.
 MOST_COMPONENTS = 3
+#: Field and title of the horizontal axis.
+TIME = ("t", "time in s")
 #: Notes of a run by name: title of the axis, and whether it is logarithmic.
 HISTORIES = {
     "h": ("step size h in s", True),
@@ -31,7 +33,7 @@ def trajectory(
     styles: Mapping[str, LineStyle],
     names: Mapping[str, Sequence[str]] = MappingProxyType({}),
     interactive: bool = False,
-    components: Sequence[tuple[str, int]] = (),
+    components: Sequence[Sequence[Any]] = (),
 ) -> vl.Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
 
@@ -42,23 +44,26 @@ def trajectory(
     names
         Names of the components by group, with units.
     components
-        Pairs (group, number from 0) that are drawn; the first few of every group if empty.
+        Pairs (group, number from 0) that are drawn over time, or a component and a second one over
+        which it is drawn, as (group, number, group, number); the first few of every group if empty.
     """
-    components = components or first_components(groups)
+    chosen = components or first_components(groups)
+    needed = list(dict.fromkeys(pair for parts in chosen for pair in _pairs(*parts)))
     labels = [label for label, _ in runs]
     # One wide table serves all panels; labels are numbers in it, so that the page stays small.
-    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, components, i)]
+    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, needed, i)]
     drawn = vl.Dataset("runs", rows)
-    behind = vl.Dataset("reference", wide_rows(reference, components, -1) if reference else [])
+    behind = vl.Dataset("reference", wide_rows(reference, needed, -1) if reference else [])
     options = vl.ChartOptions(styles, interactive=interactive)
     panels: list[vl.Spec] = []
-    for group, i in components:
-        name, title = f"{group}{i}", component_title(group, i, names)
+    for parts in chosen:
+        axes = [(f"{g}{i}", component_title(g, i, names)) for g, i in _pairs(*parts)]
+        (name, title), over = axes[0], axes[1] if len(axes) > 1 else TIME
         layers = []
-        if name in behind.columns:
-            layers.append(reference_line(behind, name, title))
-        if name in drawn.columns:
-            layers.append(run_lines(drawn, name, title, labels, options, first=not panels))
+        if {name, over[0]} <= set(behind.columns):
+            layers.append(reference_line(behind, name, title, over))
+        if {name, over[0]} <= set(drawn.columns):
+            layers.append(run_lines(drawn, name, title, labels, options, not panels, over))
         panels += [{"layer": layers}] if layers else []
     return vl.arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
 
@@ -90,6 +95,11 @@ def histories(
     return vl.arrange(panels, [data], min(3, len(panels)), height=170)
 
 
+def _pairs(*chosen: Any) -> list[tuple[str, int]]:
+    """The components that a panel needs."""
+    return list(zip(chosen[::2], chosen[1::2], strict=True))
+
+
 def _varies(values: Sequence[float]) -> bool:
     return bool(values) and max(values) - min(values) > 1e-9 * max(map(abs, values))
 
@@ -102,35 +112,39 @@ def run_lines(
     labels: Sequence[str],
     options: vl.ChartOptions,
     first: bool,
+    over: tuple[str, str] = TIME,
 ) -> vl.Spec:
-    """One component over time, a line per run."""
+    """One component over time or another one, a line per run."""
     legend = {"symbolType": "stroke", "symbolSize": 400}
     layer: vl.Spec = {
         "data": data.source,
         "transform": [{"calculate": f"{json.dumps(list(labels))}[datum.s]", "as": "series"}],
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
         "encoding": {
-            **_over_time(field, title),
+            **_axes(field, title, over),
             "color": options.colors(**legend),
             "strokeDash": options.dashes(**legend),
             "opacity": options.opacity(),
         },
     }
     if options.interactive:
-        layer["params"] = [vl.zoom(f"zoom_{field}"), *([vl.pick()] if first else [])]
+        layer["params"] = [vl.zoom(f"zoom_{field}_{over[0]}"), *([vl.pick()] if first else [])]
     return layer
 
 
-def reference_line(data: vl.Dataset, field: str, title: str) -> vl.Spec:
-    """One component of the reference over time, broad and grey."""
+def reference_line(
+    data: vl.Dataset, field: str, title: str, over: tuple[str, str] = TIME
+) -> vl.Spec:
+    """One component of the reference over time or another one, broad and grey."""
     mark = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
-    return {"data": data.source, "mark": mark, "encoding": _over_time(field, title)}
+    return {"data": data.source, "mark": mark, "encoding": _axes(field, title, over)}
 
 
-def _over_time(field: str, title: str) -> vl.Spec:
+def _axes(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
     return {
-        "x": vl.quantity("t", title="time in s", scale={"nice": False, "zero": False}),
+        "x": vl.quantity(over[0], title=over[1], scale={"nice": False, "zero": False}),
         "y": vl.quantity(field, title=title, scale={"zero": False}),
+        "order": vl.quantity(TIME[0]),  # else a line joins its points from left to right
     }
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
 from bench.results.records import Record, Rows, SceneRecord, Study
@@ -183,7 +184,7 @@ class StudySections:
         )
 
     def _trajectory(
-        self, series: Sequence[Series], name: str, components: Sequence[tuple[str, int]]
+        self, series: Sequence[Series], name: str, components: Sequence[Sequence[Any]]
     ) -> CaptionedCharts | None:
         runs = [r for s in series for r in s.records]
         if len(runs) > ALL_RUNS:
@@ -225,10 +226,11 @@ class StudySections:
         return before_divergence(rows, self.scene.reference)
 
 
-def _components(study: Study) -> list[tuple[str, int]]:
-    """The components that a study draws over time: "x5" is the fifth controller state."""
-    found = [re.fullmatch(r"([a-z]+)(\d+)", text) for text in study.components]
-    return [(match[1], int(match[2]) - 1) for match in found if match]
+def _components(study: Study) -> list[list[Any]]:
+    """The components that a study draws: "x5" is the fifth controller state over time, "q2:q1" the
+    second coordinate over the first."""
+    found = [re.findall(r"([a-z]+)(\d+)", text) for text in study.components]
+    return [[part for group, i in pairs for part in (group, int(i) - 1)] for pairs in found]
 
 
 def _most_accurate(series: Sequence[Series], most: int) -> Sequence[Series]:

@@ -105,7 +105,10 @@ def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
     if not rows:
         return []
     smallest = "; ".join(
-        f"{f['integrator']} {number(f['theory']['smallest_ratio'])}" for f in found if f["theory"]
+        f"{f['integrator']} {number(f['theory']['smallest_ratio'])} and "
+        f"{number(f['theory']['smallest_ratio_x'])}"
+        for f in found
+        if f["theory"]
     )
     return [
         Table.from_dicts(
@@ -113,8 +116,10 @@ def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
             rows,
             note="rho(E) u = h^k sigma(E) d^k u/dt^k with k = 2 for q and 1 for v and x; "
             "coefficients from the highest power of E. Roots of rho govern small steps, those of "
-            "sigma infinite frequency. Smallest ratio of neighbouring steps that keeps an updated "
-            f"gamma in its interval, alpha_m/(1 - alpha_m): {smallest}.",
+            "sigma infinite frequency. Smallest ratio of a step to the one before it: "
+            "|alpha_m/(1 - alpha_m)| for gamma and |delta_m/(1 - delta_m)| for theta "
+            "(gamma=guarded restarts below it where alpha_m or delta_m is positive): "
+            f"{smallest}.",
         )
     ]
 
