@@ -261,6 +261,15 @@ class PreparedRun(ABC):
         the result is ready, and does not raise for numerical trouble.
         """
 
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        """Return the floating-point operations of a measured run by part; empty if not known.
+
+        They are those of the scene's equations and of linear algebra (`integrators.operations`):
+        numbers that were counted in the run, times the operations of one. Sums of vectors within
+        the method (stages, predictors, norms, step control) are left out everywhere.
+        """
+        return {}
+
 
 def _stated_by_subclass() -> str:
     """An abstract attribute that a subclass replaces by a constant, an option or a property."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.results.quantities import GROUPS, LEVELS, NORMS, PARTS
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 1
@@ -168,7 +168,10 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
 
 
 def flatten(record: Record) -> dict[str, Any]:
-    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ..."""
+    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ...
+
+    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts.
+    """
     row = msgspec.to_builtins(record)
     for group in GROUPS:
         for norm in NORMS:
@@ -179,6 +182,9 @@ def flatten(record: Record) -> dict[str, Any]:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
         row[f"work_{name}"] = value
+    row["operations"] = sum(record.operations.values()) or None
+    for part in PARTS:
+        row["operations_" + part.replace(" ", "_")] = record.operations.get(part)
     samples = sorted(record.run_s)
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None

@@ -38,6 +38,7 @@ from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import Errors, Reading, StepReport, largest
 from problems.formulations import Start
@@ -113,6 +114,7 @@ class AdaptiveRun(PreparedRun):
         max_steps: int,
     ) -> None:
         self._start, self._noted = consistent_start(scene), noted
+        self._program, self._scene = program, scene
         t0 = scene.interval[0]
         self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
         self.kernel = kernel(program, scene.template())
@@ -136,6 +138,10 @@ class AdaptiveRun(PreparedRun):
         values = with_start(self._start, rows[:, 1:], self._noted)
         work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        *shapes, _ = jax.eval_shape(self.kernel.unpacked, self.arguments)
+        return run_bill(self._program, self._scene, run, shapes)
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import StepReport, largest
 from problems.formulations import Start
@@ -96,6 +97,7 @@ class ConstantStepsRun(PreparedRun):
         padded[: len(self._rows)] = self._rows
         start = consistent_start(scene)
         self._start, self._noted, self._t_end = start, noted, float(t_end)
+        self._program, self._scene = program, scene
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self._all_rows = jnp.asarray(padded), jnp.asarray(len(self._rows))
@@ -116,6 +118,10 @@ class ConstantStepsRun(PreparedRun):
         sizes = [step_times(self._clock, n - 1)[1] for n in self._rows[kept]]
         values["notes"].setdefault("h", np.array([np.nan, *sizes]))
         return Trajectory(**values, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        *shapes, _ = jax.eval_shape(self.kernel.unpacked, self.arguments)
+        return run_bill(self._program, self._scene, run, shapes)
 
 
 class _SparseKernel(SparseKernel):
