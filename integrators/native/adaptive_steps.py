@@ -140,8 +140,7 @@ class AdaptiveRun(PreparedRun):
         return Trajectory(**values, status=status, message=message, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        *shapes, _ = jax.eval_shape(self.kernel.unpacked, self.arguments)
-        return run_bill(self._program, self._scene, run, shapes)
+        return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:

@@ -120,8 +120,7 @@ class ConstantStepsRun(PreparedRun):
         return Trajectory(**values, status=status, message=message, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        *shapes, _ = jax.eval_shape(self.kernel.unpacked, self.arguments)
-        return run_bill(self._program, self._scene, run, shapes)
+        return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
 
 
 class _SparseKernel(SparseKernel):

@@ -73,7 +73,7 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
     Parameters
     ----------
     shapes
-        Shapes of parameters, numbers and start.
+        Shapes of parameters, numbers, start and time, the arguments of the kernel.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
     if key in _costs:
         return _costs[key]
     named, found = with_named_blocks(template), []
-    p, numbers, start = shapes
+    p, numbers, start, _ = shapes
     h = jax.ShapeDtypeStruct((), float)
 
     def begin(p: Any, numbers: Numbers, start: Start, h: Any) -> Any:
@@ -106,7 +106,7 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
 def run_bill(
     program: StepProgram, scene: MechatronicSystem, run: Trajectory, shapes: Any
 ) -> dict[str, float]:
-    """Return the bill of a run; ``shapes`` are those of parameters, numbers and start.
+    """Return the bill of a run; ``shapes`` are those of the kernel's arguments.
 
     The systems of equations of a step share the counts of a run: each is taken at their mean.
     """
