@@ -249,7 +249,7 @@ def solve_algebraic(
 
     guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
     if not scene.sizes.ny:
-        return _split(scene.sizes, -jnp.linalg.solve(jax.jacfwd(residual)(guess), residual(guess)))
+        return _split(scene.sizes, -jnp.linalg.solve(*_matrix_and_residual(residual, guess)))
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
@@ -258,6 +258,16 @@ def solve_algebraic(
         return _newton(residual, guess)[0]
 
     return _split(scene.sizes, jax.lax.custom_root(residual, guess, solution, tangent_solve))
+
+
+def _matrix_and_residual(residual: Callable, u: Array) -> tuple[Array, Array]:
+    """The Jacobian and the residual, from one evaluation."""
+
+    def twice(u: Array) -> tuple[Array, Array]:
+        r = residual(u)
+        return r, r
+
+    return jax.jacfwd(twice, has_aux=True)(u)
 
 
 def _newton(residual: Callable, guess: Array) -> tuple[Array, Array]:
@@ -269,7 +279,7 @@ def _newton(residual: Callable, guess: Array) -> tuple[Array, Array]:
 
     def iterate(carry: tuple) -> tuple:
         u, _, k = carry
-        du = jnp.linalg.solve(jax.jacfwd(residual)(u), residual(u))
+        du = jnp.linalg.solve(*_matrix_and_residual(residual, u))
         return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
 
     with jax.named_scope(INDEX1):
