@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.conformance.audit import check_counts
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
     GROUPS,
@@ -277,6 +278,7 @@ CHECKS = {
     "repeats": check_repeats,
     "execute": check_execute,
     "work": check_work,
+    "counts": check_counts,
     "start time": check_start_time,
     "empty interval": check_empty_interval,
     "nan": check_nan,
