@@ -298,12 +298,16 @@ class Integrator(ABC):
         Publication of the method, with its DOI if there is one.
     formulation
         Equations that the method solves on a constrained scene (see problems.formulations).
+    calls
+        How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
+        say it where seconds and operations disagree. Empty if not stated.
     """
 
     name: ClassVar[str]
     family: ClassVar[str] = ""
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
+    calls: ClassVar[str] = ""
     # Without annotations: a subclass may replace these by a constant, an option or a property.
     controls = "step"
     formulation = _stated_by_subclass()

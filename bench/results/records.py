@@ -39,6 +39,7 @@ class Record(msgspec.Struct, kw_only=True):
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
     the bill of the run: floating-point operations by part, empty where a part is not known.
+    ``calls`` is the integrator's statement of how its steps call the equations.
     ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
     that measured.
     """
@@ -49,6 +50,7 @@ class Record(msgspec.Struct, kw_only=True):
     family: str
     formulation: str
     controls: str
+    calls: str = ""
     h: float | None = None
     pattern: tuple[float, ...] = (1.0,)
     rtol: float | None = None

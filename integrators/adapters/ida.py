@@ -63,6 +63,7 @@ class IDA(Integrator):
 
     family: ClassVar[str] = "ida"
     controls = "tolerance"
+    calls: ClassVar[str] = "a C library calls compiled equations through Python, one by one"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(

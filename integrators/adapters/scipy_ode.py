@@ -53,6 +53,7 @@ class ScipySolver(Integrator):
 
     family: ClassVar[str] = "scipy"
     controls = "tolerance"
+    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
     formulation = "ode"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]

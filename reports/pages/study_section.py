@@ -11,6 +11,7 @@ from functools import partial
 from bench.results.quantities import NORM_NAMES
 from bench.results.records import Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
+from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
@@ -30,6 +31,7 @@ from reports.series import (
 )
 from reports.text.observations import Observation, observations
 from reports.text.run_tables import orders_table, runs_table
+from reports.text.seconds_per_operation import disagreements
 from reports.text.table import Table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
@@ -83,6 +85,7 @@ class StudySections:
         figures = [figure for figure in study.figures if figure in makers]
         made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
         if "work_precision" in figures:
+            made.append(_bills(series, f"{anchor}-operations"))
             made.append(self._accuracy(series, f"{anchor}-accuracy"))
         if "trajectory" in figures:
             made.append(self._histories(series, f"{anchor}-histories"))
@@ -214,6 +217,15 @@ class StudySections:
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
         return before_divergence(rows, self.scene.reference)
+
+
+def _bills(series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    caption = (
+        "Floating-point operations of each run by part; their sum stands after the name. They are "
+        "those of the scene's equations and of linear algebra, counted from its traced programs "
+        "and by formulas (LU of n unknowns 2/3 n^3). "
+    )
+    return captioned(caption + " ".join(disagreements(series)), {name: bills(series)})
 
 
 def _components(study: Study) -> list[tuple[str, int]]:
