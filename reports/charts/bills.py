@@ -44,7 +44,11 @@ def bills(series: Sequence[Series]) -> vl.Spec | None:
         "mark": {"type": "bar"},
         "encoding": {
             "y": vl.category("line", title=None, sort=bars, axis={"labelLimit": 420}),
-            "x": vl.quantity("percent", title="part of the floating-point operations in %"),
+            "x": vl.quantity(
+                "percent",
+                title="part of the floating-point operations in %",
+                scale={"domain": [0, 100]},
+            ),
             "color": vl.category(
                 "text", scale={"domain": list(PARTS), "range": list(_COLORS)}, legend=legend
             ),

@@ -96,7 +96,7 @@ class StudySections:
             title="Accuracy and cost" if study.title in ("", self.name) else study.title,
             note=study.note,
             state=_study_state(study, records),
-            observations=observations(series),
+            observations=[*observations(series), *disagreements(series)],
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
@@ -223,9 +223,9 @@ def _bills(series: Sequence[Series], name: str) -> CaptionedCharts | None:
     caption = (
         "Floating-point operations of each run by part; their sum stands after the name. They are "
         "those of the scene's equations and of linear algebra, counted from its traced programs "
-        "and by formulas (LU of n unknowns 2/3 n^3). "
+        "and by formulas (LU of n unknowns 2/3 n^3)."
     )
-    return captioned(caption + " ".join(disagreements(series)), {name: bills(series)})
+    return captioned(caption, {name: bills(series)})
 
 
 def _components(study: Study) -> list[tuple[str, int]]:
