@@ -285,14 +285,13 @@ class _Counter:
 
 def _algebra(equation: Any) -> float | None:
     """Operations of a factorisation or solve; None for any other operation."""
-    name, shape = equation.primitive.name, equation.invars[0].aval.shape if equation.invars else ()
-    if name == "lu":
-        return math.prod(shape[:-2]) * dense(shape[-1]).factorisation
-    if name == "cholesky":
-        return math.prod(shape[:-2]) * shape[-1] ** 3 / 3
+    name = equation.primitive.name
+    if name not in ("lu", "cholesky", "triangular_solve"):
+        return None
+    *many, n, _ = equation.invars[0].aval.shape
     if name == "triangular_solve":
-        return float(shape[-1] * math.prod(equation.outvars[0].aval.shape))
-    return None
+        return float(n * equation.outvars[0].aval.size)
+    return math.prod(many) * dense(n).factorisation / (1 if name == "lu" else 2)
 
 
 def _arithmetic(equation: Any) -> float:

@@ -283,7 +283,7 @@ def _newton(residual: Callable, guess: Array) -> tuple[Array, Array]:
         return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
 
     with jax.named_scope(INDEX1):
-        u, size, k = jax.lax.while_loop(go_on, iterate, (guess, jnp.inf, 0))
+        u, size, k = jax.lax.while_loop(go_on, iterate, (guess, jnp.inf, jnp.asarray(0)))
     return jnp.where(size <= 1e-9, u, jnp.nan), k
 
 

@@ -50,7 +50,7 @@ def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
     """
     program, numbers = method.program(scene, sparse=False)
     watched = MechatronicSystem.with_parameters(object.__new__(_watched(type(scene))), vars(scene))
-    start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), scene.nominal_step
+    start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
     t0 = scene.interval[0]
 
     @jax.jit
@@ -60,10 +60,8 @@ def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
             state, report = program.step(watched, numbers, state, t0 + (n + 1) * h, h)
             return state, sums + jnp.asarray(report.residuals + report.jacobians)
 
-        state = program.begin(watched, numbers, start, jnp.asarray(h))
-        state, sums = jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))
-        program.finish(state)
-        return sums
+        state = program.begin(watched, numbers, start, h)
+        return jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))[1]
 
     none, all_steps = jnp.asarray(0), jnp.asarray(TRIAL_STEPS)
     compiled = run.lower(none).compile()  # not by the thread that counts, which it asks for

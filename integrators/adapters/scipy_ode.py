@@ -101,7 +101,7 @@ class ScipyRun(PreparedRun):
         self._scene, self._t_end = scene, float(t_end)
         #: Arguments of the equations at the start: time and vectors.
         self.start = scene.interval[0], *vectors
-        self._packed = packed
+        self._packed, self._unknowns = packed, len(vectors[0])
         self._complex = 0, 0
         p = np.array(list(scene.parameters().values()))
         self.functions = packed[0].bind(p), packed[1].bind(p)
@@ -146,7 +146,7 @@ class ScipyRun(PreparedRun):
         return replace(trajectory, status=end.status, message=message, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        work, algebra = run.work, dense(len(self.start[1]))
+        work, algebra = run.work, dense(self._unknowns)
         function, jacobian = (packed.operations for packed in self._packed)
         # A complex operation is four real ones, and these systems are among those counted.
         factorisations, solves = (3 * n for n in self._complex)
