@@ -268,6 +268,15 @@ class PreparedRun(ABC):
         the result is ready, and does not raise for numerical trouble.
         """
 
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        """Return the floating-point operations of a measured run by part; empty if not known.
+
+        They are those of the scene's equations and of linear algebra (`integrators.operations`):
+        numbers that were counted in the run, times the operations of one. Sums of vectors within
+        the method (stages, predictors, norms, step control) are left out everywhere.
+        """
+        return {}
+
 
 def _stated_by_subclass() -> str:
     """An abstract attribute that a subclass replaces by a constant, an option or a property."""
@@ -296,12 +305,16 @@ class Integrator(ABC):
         Publication of the method, with its DOI if there is one.
     formulation
         Equations that the method solves on a constrained scene (see problems.formulations).
+    calls
+        How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
+        say it where seconds and operations disagree. Empty if not stated.
     """
 
     name: ClassVar[str]
     family: ClassVar[str] = ""
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
+    calls: ClassVar[str] = ""
     # Without annotations: a subclass may replace these by a constant, an option or a property.
     controls = "step"
     formulation = _stated_by_subclass()

@@ -10,6 +10,7 @@ import numpy as np
 
 from problems.formulations import (
     Start,
+    algebraic_iterations,
     complete,
     constraint_acceleration,
     constraint_velocity,
@@ -21,7 +22,7 @@ from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
     from jax import Array
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096
@@ -44,6 +45,8 @@ class Compiled(NamedTuple):
         each ``(k, nl)``
     ``energy(p, q, v)``
         energy in J at k times, ``(k,)``
+    ``iterations(p, q, v, x, t)``
+        iterations in `formulations.solve_algebraic` at k times, ``(k,)``; for scenes with outputs
     """
 
     start: Callable[..., Start]
@@ -52,6 +55,7 @@ class Compiled(NamedTuple):
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     energy: Callable[..., Float[np.ndarray, " k"]]
+    iterations: Callable[..., Int[np.ndarray, " k"]]
 
 
 def compiled(scene: MechatronicSystem) -> Compiled:
@@ -83,6 +87,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=_over_rows(levels),
         energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
+        iterations=_over_rows(lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)),
     )
 
 

@@ -20,6 +20,7 @@ LAYERS = [
     {"problems.scenes"},
     {"integrators.multistep"},
     {"integrators.contract"},
+    {"integrators.operations"},
     {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need

@@ -10,7 +10,8 @@ from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
 from integrators.adapters.callbacks import CountedEquations, EarlyEnd
-from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver, packed_rate_and_jacobian
+from integrators.adapters.ode import packed_rate_and_jacobian
+from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver
 from problems import MechatronicSystem
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass

@@ -78,7 +78,11 @@ def solution_table(record: Record, rows: Rows) -> Group:
             *(_number(errors.get(norm), ".2e") for norm in NORMS),
         )
     lines = []
-    for title, items in (("constraint residual", record.constraint), ("work", record.work)):
+    for title, items in (
+        ("constraint residual", record.constraint),
+        ("work", record.work),
+        ("floating-point operations", record.operations),
+    ):
         known = [
             f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
             for key, value in items.items()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.conformance.audit import check_counts
 from bench.conformance.endings import check_blow_up, check_empty_interval, check_nan
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
@@ -244,6 +245,7 @@ CHECKS = {
     "execute": check_execute,
     "work": check_work,
     "pattern": check_pattern,
+    "counts": check_counts,
     "start time": check_start_time,
     "empty interval": check_empty_interval,
     "nan": check_nan,

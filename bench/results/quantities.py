@@ -58,6 +58,8 @@ COST_NAMES = {
     "solves": "linear solves",
     "rejected": "rejected steps",
 }
+#: Parts of a run's bill of operations; see `integrators.operations.bill`.
+PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves")
 #: Cost by which runs are compared unless another is asked for.
 COST = "operations"
 #: Below this many times the reference's own error, an error says nothing.

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from bench.results.quantities import GROUPS, LEVELS, NORMS, whole
+from bench.results.quantities import GROUPS, LEVELS, NORMS, PARTS, whole
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
@@ -41,6 +41,7 @@ class Record(msgspec.Struct, kw_only=True):
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
     the bill of the run: floating-point operations by part, empty where a part is not known.
+    ``calls`` is the integrator's statement of how its steps call the equations.
     ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
     that measured.
     """
@@ -51,6 +52,7 @@ class Record(msgspec.Struct, kw_only=True):
     family: str
     formulation: str
     controls: str
+    calls: str = ""
     h: float | None = None
     pattern: tuple[float, ...] = (1.0,)
     rtol: float | None = None
@@ -172,7 +174,10 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
 
 
 def flatten(record: Record) -> dict[str, Any]:
-    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ..."""
+    """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ...
+
+    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts.
+    """
     row = msgspec.to_builtins(record)
     for group in GROUPS:
         for norm in NORMS:
@@ -188,6 +193,9 @@ def flatten(record: Record) -> dict[str, Any]:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
         row[f"work_{name}"] = value
+    row["operations"] = sum(record.operations.values()) or None
+    for part in PARTS:
+        row["operations_" + part.replace(" ", "_")] = record.operations.get(part)
     samples = sorted(record.run_s)
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None

@@ -65,6 +65,7 @@ class Cell:
             family=integrator.family or integrator.name,
             formulation=form if scene.has("constraint") or form == "ode" else "unconstrained",
             controls=integrator.controls,
+            calls=integrator.calls,
             t0=t0,
             t_end=self.t_end,
             status=status,

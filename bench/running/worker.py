@@ -91,6 +91,7 @@ class Worker:
         record.compile_s = compile_s
         if trajectory.status == "ok":
             self._compare(record, trajectory, scene, errors)
+            self._bill(record, trajectory)
         return CellResult(record, measure.rows_of(trajectory))
 
     def _compare(
@@ -113,6 +114,14 @@ class Worker:
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
         run.notes |= histories
+
+    def _bill(self, record: Record, run: Trajectory) -> None:
+        try:
+            record.operations = self.prepared[record.key].bill(run)
+        except Exception as error:
+            # Counting is not the integrator's work, and a run without a bill still has its errors.
+            reason = f"Its operations are not known: {explain(error)}"
+            record.message = f"{record.message} {reason}".strip()
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         scene = self.problem(cell.problem)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from integrators.contract import Work
+from integrators.operations import Operations, operations
 from problems.runtime import jax
 
 if TYPE_CHECKING:
@@ -84,6 +85,11 @@ class PackedFunction:
         self._size, self.function = ends[-1], function
         self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self._places)))
 
+    @cached_property
+    def operations(self) -> Operations:
+        """Floating-point operations of a call."""
+        return operations(self.program, jax.ShapeDtypeStruct((self._size,), float))
+
     def bind(self, *first: np.ndarray) -> Callable[..., Any]:
         """Return the function of the remaining arguments, for one thread: it has its own memory."""
         memory = _aligned(self._size)
@@ -129,6 +135,8 @@ class CountedEquations:
         self._value, self._jacobian, self._max_calls = value, jacobian, max_calls
         self._residuals = self._jacobians = self._newton = self._attempts = 0
         self._factorisations = self._solves = 0
+        #: Factorisations and solves of complex systems among all.
+        self.complex_factorisations = self.complex_solves = 0
         self._now = self._earliest = math.inf
         #: Whether all values since the last accepted step were finite.
         self.finite = True
@@ -172,10 +180,12 @@ class CountedEquations:
 
         def counted_lu(matrix: np.ndarray) -> Any:
             self._factorisations += 1
+            self.complex_factorisations += np.iscomplexobj(matrix)
             return factorise(matrix)
 
         def counted_solve(factors: Any, b: np.ndarray) -> np.ndarray:
             self._solves += 1
+            self.complex_solves += np.iscomplexobj(b)
             return solve(factors, b)
 
         solver.lu, solver.solve_lu = counted_lu, counted_solve

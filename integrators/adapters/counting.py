@@ -46,6 +46,26 @@ def watch(rate: Callable) -> Callable:
     return _watch(rate, count)
 
 
+def watch_block(block: Callable) -> Callable:
+    """Return the same block of a scene, counted in runs under `run_counted`.
+
+    A linearisation counts once, too, in whatever arguments it is.
+    """
+    count = _count_by_name if names_are_registered() else _count_by_callback
+
+    @jax.custom_jvp
+    def counted(*arguments: Any) -> Any:
+        count(EVALUATION)
+        return block(*arguments)
+
+    @counted.defjvp
+    def linearise(arguments: tuple, directions: tuple) -> tuple:
+        count(LINEARISATION)
+        return jax.jvp(block, arguments, directions)
+
+    return counted
+
+
 def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
     """Call a program made of watched functions.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
+from integrators.adapters.diffrax_scheme import Scheme, bill_of, right_hand_side, work_of
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, kept_rows
 from problems.compiled import compiled
@@ -133,6 +133,9 @@ class AdaptiveRun(PreparedRun):
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
         work = work_of(self._scheme, counts, accepted, rejected)
         return replace(trajectory, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        return bill_of(self._scheme, self._scene, run)
 
     def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_scheme import Scheme, right_hand_side, work_of
+from integrators.adapters.diffrax_scheme import Scheme, bill_of, right_hand_side, work_of
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory
 from integrators.native.step_functions import StepFunctions
@@ -147,3 +147,6 @@ class ConstantRun(PreparedRun):
         work = work_of(self._scheme, counts, run.work.steps or 0, 0)
         completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
         return dataclasses.replace(completed, status=run.status, message=run.message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        return bill_of(self._scheme, self._scene, run)

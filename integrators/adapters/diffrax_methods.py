@@ -42,6 +42,7 @@ class DiffraxSolver(Integrator):
     """
 
     family: ClassVar[str] = "diffrax"
+    calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
     formulation = "ode"

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from integrators.adapters.counting import Counts
-from integrators.contract import Work
+from integrators.adapters.ode import packed_rate_and_jacobian
+from integrators.contract import Trajectory, Work
+from integrators.operations import bill, dense
 from problems.formulations import ode_rate
 from problems.runtime import jax
 from problems.system import MechatronicSystem
@@ -42,3 +44,20 @@ def work_of(scheme: Scheme, counts: Counts, steps: int, rejected: int) -> Work:
         work.residuals = evaluations + linearisations
         work.newton = work.solves = linearisations
     return work
+
+
+def bill_of(scheme: Scheme, scene: MechatronicSystem, run: Trajectory) -> dict[str, float]:
+    """The bill of a run; empty for diffrax's own root finder, whose solves are not counted."""
+    if scheme.root_finder == "library_default":
+        return {}
+    rate, jacobian = (one.operations for one in packed_rate_and_jacobian(scene.template()))
+    algebra = dense(2 * scene.sizes.nq + scene.sizes.nx)
+    iterations = run.work.newton or 0  # each with a Jacobian, which gives the value on the way
+    return bill(
+        scene,
+        run,
+        rate.times((run.work.residuals or 0) - iterations),
+        jacobian.times(iterations),
+        iterations * algebra.factorisation,
+        iterations * algebra.solve,
+    )

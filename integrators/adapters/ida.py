@@ -24,6 +24,7 @@ from integrators.contract import (
     kept_rows,
     option,
 )
+from integrators.operations import bill, dense, sparse
 from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout
 from problems.system import MechatronicSystem
@@ -62,6 +63,7 @@ class IDA(Integrator):
 
     family: ClassVar[str] = "ida"
     controls = "tolerance"
+    calls: ClassVar[str] = "a C library calls compiled equations through Python, one by one"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(
@@ -138,12 +140,15 @@ class _IDARun(PreparedRun):
         if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
             from scipy.sparse import csc_matrix
 
-            values, rows, starts = dae.sparse_jacobian(*key)
+            self._jacobian, rows, starts = dae.sparse_jacobian(*key)
             entries = csc_matrix((np.ones(len(rows)), rows, starts), 2 * (self.layout.size,))
             self.options |= {"linsolver": "sparse", "sparsity": entries}
+            columns = np.repeat(np.arange(self.layout.size), np.diff(starts))
+            self._algebra = sparse(rows, columns, self.layout.size)
         else:
-            values = dae.packed_jacobian(*key)
-        self.functions = dae.packed_residual(*key).bind(p), values.bind(p)
+            self._jacobian, self._algebra = dae.packed_jacobian(*key), dense(self.layout.size)
+        self._residual = dae.packed_residual(*key)
+        self.functions = self._residual.bind(p), self._jacobian.bind(p)
         self.functions[0](*self.start)  # compiles
         self.functions[1](*self.start, 1.0)
 
@@ -207,6 +212,18 @@ class _IDARun(PreparedRun):
         status, remedy = early_end.status, self._advice(early_end.status)
         message = early_end_message(t[-1], self._t_end, early_end.reason, remedy)
         return replace(trajectory, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        residuals, jacobians = run.work.residuals or 0, run.work.jacobians or 0
+        # In IDA's Newton method every residual is followed by one solve.
+        return bill(
+            self._scene,
+            run,
+            self._residual.operations.times(residuals),
+            self._jacobian.operations.times(jacobians),
+            jacobians * self._algebra.factorisation,
+            residuals * self._algebra.solve,
+        )
 
     def _advice(self, status: str) -> str:
         if self._scene.has("constraint"):

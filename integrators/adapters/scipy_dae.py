@@ -38,6 +38,7 @@ class ScipyDAESolver(Integrator):
 
     family: ClassVar[str] = "scipy_dae"
     controls = "tolerance"
+    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
     #: Name of the solver's class in scipy_dae.integrate.
     library_class: ClassVar[str]
 

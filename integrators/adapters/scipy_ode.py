@@ -6,7 +6,6 @@ import warnings
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
+from integrators.adapters.ode import packed_rate_and_jacobian
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import (
     Integrator,
@@ -27,9 +27,8 @@ from integrators.contract import (
     kept_rows,
     option,
 )
-from problems.formulations import ode_rate
+from integrators.operations import bill, dense
 from problems.initial_values import consistent_start
-from problems.runtime import jax
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
@@ -54,6 +53,7 @@ class ScipySolver(Integrator):
 
     family: ClassVar[str] = "scipy"
     controls = "tolerance"
+    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
     formulation = "ode"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
@@ -101,6 +101,8 @@ class ScipyRun(PreparedRun):
         self._scene, self._t_end = scene, float(t_end)
         #: Arguments of the equations at the start: time and vectors.
         self.start = scene.interval[0], *vectors
+        self._packed, self._unknowns = packed, len(vectors[0])
+        self._complex = 0, 0
         p = np.array(list(scene.parameters().values()))
         self.functions = packed[0].bind(p), packed[1].bind(p)
         for function in self.functions:
@@ -137,10 +139,25 @@ class ScipyRun(PreparedRun):
         rows = kept_rows(len(t) - 1)
         trajectory = self._trajectory(np.array(t)[rows], np.array(w)[rows])
         work = equations.work(len(t) - 1)
+        self._complex = equations.complex_factorisations, equations.complex_solves
         if end is None:
             return replace(trajectory, work=work)
         message = early_end_message(t[-1], self._t_end, end.reason, self._advice(end.status))
         return replace(trajectory, status=end.status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        work, algebra = run.work, dense(self._unknowns)
+        function, jacobian = (packed.operations for packed in self._packed)
+        # A complex operation is four real ones, and these systems are among those counted.
+        factorisations, solves = (3 * n for n in self._complex)
+        return bill(
+            self._scene,
+            run,
+            function.times(work.residuals or 0),
+            jacobian.times(work.jacobians or 0),
+            (factorisations + (work.factorisations or 0)) * algebra.factorisation,
+            (solves + (work.solves or 0)) * algebra.solve,
+        )
 
     def _solve(
         self,
@@ -171,21 +188,6 @@ class ScipyRun(PreparedRun):
         if not equations.finite:
             return EarlyEnd("diverged", NOT_FINITE)
         return EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
-
-
-@cache
-def packed_rate_and_jacobian(
-    template: MechatronicSystem,
-) -> tuple[PackedFunction, PackedFunction]:
-    """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p is an array of the parameters."""
-    names = list(template.parameters())
-    lengths = len(names), None, 2 * template.sizes.nq + template.sizes.nx
-
-    def rate(p: Any, t: Any, s: Any) -> Any:
-        scene = template.with_parameters(dict(zip(names, p, strict=True)))
-        return ode_rate(scene, t, s)
-
-    return PackedFunction(rate, *lengths), PackedFunction(jax.jacfwd(rate, argnums=2), *lengths)
 
 
 class _ODERun(ScipyRun):

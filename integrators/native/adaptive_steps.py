@@ -39,6 +39,7 @@ from integrators.native.constant_steps import ROW_SLOTS
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import Errors, Reading, StepReport, largest
 from problems.formulations import Start
@@ -115,6 +116,7 @@ class AdaptiveRun(PreparedRun):
         max_steps: int,
     ) -> None:
         self._start, self._noted = consistent_start(scene), noted
+        self._program, self._scene = program, scene
         t0 = scene.interval[0]
         self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
         self.kernel = kernel(program, scene.template())
@@ -147,6 +149,9 @@ class AdaptiveRun(PreparedRun):
         values = with_start(self._start, rows[:, 1:], self._noted)
         work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:

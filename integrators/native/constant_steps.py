@@ -23,6 +23,7 @@ from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import StepReport, largest
 from problems.formulations import Start
@@ -92,6 +93,7 @@ class ConstantStepsRun(PreparedRun):
         self._clock, self._steps = grid(scene.interval[0], t_end, resolution)
         start = consistent_start(scene)
         self._start, self._noted, self._t_end = start, noted, float(t_end)
+        self._program, self._scene = program, scene
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self.end_only = jnp.full(ROW_SLOTS, self._steps), jnp.asarray(1)
@@ -120,6 +122,9 @@ class ConstantStepsRun(PreparedRun):
         _, sizes = step_times(self._clock, numbers)
         values["notes"].setdefault("h", np.append(np.nan, sizes))
         return Trajectory(**values, status=status, message=message, work=work)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
 
 
 class _SparseKernel(SparseKernel):

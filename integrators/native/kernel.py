@@ -30,6 +30,7 @@ class Kernel:
 
     def __init__(self, loop: Callable) -> None:
         self._unpack: Callable | None = None
+        self._shapes: Any = None
 
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
@@ -63,6 +64,11 @@ class Kernel:
         if self._unpack is None:
             raise RuntimeError("A kernel unpacks only arguments that it has packed.")
         return self._unpack(packed)
+
+    def shapes(self, packed: Float[Array, " n"]) -> Any:
+        """The shapes of the arguments that were packed."""
+        self._shapes = self._shapes or jax.eval_shape(self.unpacked, packed)
+        return self._shapes
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)

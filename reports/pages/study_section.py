@@ -12,6 +12,7 @@ from typing import Any
 from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
 from bench.results.records import Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
+from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
@@ -31,6 +32,7 @@ from reports.series import (
 )
 from reports.text.observations import Observation, observations
 from reports.text.run_tables import orders_table, runs_table
+from reports.text.seconds_per_operation import disagreements
 from reports.text.table import Table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
@@ -89,6 +91,7 @@ class StudySections:
         figures = [figure for figure in study.figures if figure in makers]
         made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
         if "work_precision" in figures:
+            made.append(_bills(series, f"{anchor}-operations"))
             made.append(self._accuracy(series, f"{anchor}-accuracy"))
         if "trajectory" in figures:
             made.append(self._histories(series, f"{anchor}-histories"))
@@ -99,7 +102,7 @@ class StudySections:
             title="Accuracy and cost" if study.title in ("", self.name) else study.title,
             note=study.note,
             state=_study_state(study, records),
-            observations=observations(series),
+            observations=[*observations(series), *disagreements(series)],
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
@@ -224,6 +227,15 @@ class StudySections:
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
         return before_divergence(rows, self.scene.reference)
+
+
+def _bills(series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    caption = (
+        "Floating-point operations of each run by part; their sum stands after the name. They are "
+        "those of the scene's equations and of linear algebra, counted from its traced programs "
+        "and by formulas (LU of n unknowns 2/3 n^3)."
+    )
+    return captioned(caption, {name: bills(series)})
 
 
 def _components(study: Study) -> list[list[Any]]:

@@ -18,6 +18,7 @@ from reports.formatting import (
 )
 from reports.series import (
     Series,
+    cost_of,
     error_of,
     groups_of,
     measured_at,
@@ -54,6 +55,7 @@ def summary_table(series: Sequence[Series]) -> Table:
                 "orders": _orders(s, groups),
                 "time in ms": milliseconds(seconds_of(run) if run else None),
                 "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
+                "operations": number(cost_of(run, "operations")) if run else NO_VALUE,
                 "runs": s.statuses,
                 "most accurate run": run.resolution if run else NO_VALUE,
                 "resolutions": s.resolutions,
@@ -141,6 +143,7 @@ def runs_table(
             "steps": _count(r.work.get("steps")),
             "rejected": _count(r.work.get("rejected")),
             "residual evaluations": _count(r.work.get("residuals")),
+            "operations": number(cost_of(r, "operations")),
             "time in ms": milliseconds(seconds_of(r)),
         }
         for s, r in records

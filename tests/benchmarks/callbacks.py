@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from integrators import Tolerances
-from integrators.adapters import dae, scipy_ode
+from integrators.adapters import dae, ode
 from integrators.adapters.callbacks import CountedEquations
 from integrators.adapters.ida import IDA, IDAEquations
 from integrators.adapters.scipy_ode import Radau
@@ -74,7 +74,7 @@ class _Case:
             self.name = f"{scene.spec}, IDA{', sparse' if sparse else ''}"
         else:
             at = self.run.start
-            self.packed, self.at = scipy_ode.packed_rate_and_jacobian(scene.template()), (at, at)
+            self.packed, self.at = ode.packed_rate_and_jacobian(scene.template()), (at, at)
             self.name = f"{scene.spec}, {method.name} of scipy"
 
     def callbacks(self) -> tuple[Callable, Callable]:

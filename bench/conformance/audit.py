@@ -1,0 +1,80 @@
+"""The check that a method's counts are true: calls in its compiled steps are counted."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.conformance.trials import TRIAL_STEPS, names_of, trials
+from bench.conformance.verdicts import DoesNotApply, Failed
+from bench.plugins.registry import Registry
+from integrators.adapters.counting import run_counted, watch_block
+from integrators.contract import Integrator
+from integrators.native.step_method import NativeMethod
+from problems.initial_values import consistent_start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+
+def check_counts(registry: Registry, method: Integrator) -> str:
+    """Every evaluation of the scene's equations in a step is counted."""
+    seen = []
+    # With outputs an ODE form evaluates the equations in every iteration that solves for them.
+    for scene in (scene for scene in trials(registry, method) if not scene.sizes.ny):
+        native = method.step_method(scene)
+        if native is None or native.states_only:
+            raise DoesNotApply("Its steps are not written in JAX, or the bench counts itself.")
+        declared, counted = audited(native, scene)
+        if counted > declared:
+            raise Failed(
+                f"In {TRIAL_STEPS} steps on {scene.spec} it counts {declared} residuals and "
+                f"Jacobians, but the scene's force was evaluated or linearised {counted} times; "
+                f"count them by work.count(residuals=..., jacobians=...)."
+            )
+        seen.append(scene)
+    if not seen:
+        raise DoesNotApply("It takes no trial scene without outputs.")
+    return f"No evaluation escapes its counts on {names_of(seen)}."
+
+
+def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
+    """Take `TRIAL_STEPS` nominal steps.
+
+    Returns
+    -------
+    tuple of int
+        Residuals and Jacobians that the method declares; evaluations and linearisations of the
+        scene's force that were counted in the compiled program.
+    """
+    program, numbers = method.program(scene, sparse=False)
+    watched = MechatronicSystem.with_parameters(object.__new__(_watched(type(scene))), vars(scene))
+    start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
+    t0 = scene.interval[0]
+
+    @jax.jit
+    def run(count: Any) -> Any:
+        def step(n: Any, carry: tuple) -> tuple:
+            state, sums = carry
+            state, report = program.step(watched, numbers, state, t0 + (n + 1) * h, h)
+            return state, sums + jnp.asarray(report.residuals + report.jacobians)
+
+        state = program.begin(watched, numbers, start, h)
+        return jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))[1]
+
+    none, all_steps = jnp.asarray(0), jnp.asarray(TRIAL_STEPS)
+    compiled = run.lower(none).compile()  # not by the thread that counts, which it asks for
+    _, before = run_counted(compiled, none)
+    declared, counts = run_counted(compiled, all_steps)
+    return int(np.asarray(declared)), sum(counts) - sum(before)
+
+
+@cache
+def _watched(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
+    """The class with a force that is counted; every evaluation of the equations takes it once."""
+
+    def force(self: Any, q: Any, v: Any, t: Any) -> Any:
+        return watch_block(lambda q, v, t: cls.force(self, q, v, t))(q, v, jnp.asarray(t))
+
+    return type(f"Watched{cls.__name__}", (cls,), {"force": force})
