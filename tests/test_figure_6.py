@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
 
 import numpy as np
 import pytest
 
+from bench.running.profiles import read_profile
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.scenes.spring_mass import SpringMass
+from problems.spec import build, split_spec
 
-MACRO_STEPS = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.00625]
+(STUDY,) = (study for study in read_profile("paper")[1].study if len(study.pattern) > 1)
 #: At t = 5 s, from an independent program with 18 digits: q, v, a, x.
 EXACT = np.array([-0.566053023185347031, 2.047440149690645877, -0.431440197110770576,
                   -3.340324670314635247])  # fmt: skip
@@ -58,11 +60,14 @@ def plain_run(macro, updated, rho=0.8, t_end=5.0):
         dq, dx = h**2 * beta * slope, h * theta * slope_x
         for _ in range(30):
             q, x = q0 + dq * a, x0 + dx * xdot
-            rows = np.array([a + q - np.tanh(x), xdot + 0.1 * x + 1.4 * a])
-            tangent = [[1 + dq, -dx / np.cosh(x) ** 2], [1.4, 1 + 0.1 * dx]]
-            change = np.linalg.solve(tangent, rows)
-            a, xdot = a - change[0], xdot - change[1]
-            if np.abs(change).max() < 1e-14:
+            force = math.tanh(x)
+            motion, control = a + q - force, xdot + 0.1 * x + 1.4 * a
+            coupling, own = (force**2 - 1) * dx, 1 + 0.1 * dx  # derivatives by xdot
+            det = (1 + dq) * own - 1.4 * coupling
+            change = (own * motion - coupling * control) / det
+            change_x = ((1 + dq) * control - 1.4 * motion) / det
+            a, xdot = a - change, xdot - change_x
+            if max(abs(change), abs(change_x)) < 1e-14:
                 break
         q, x = q0 + dq * a, x0 + dx * xdot
         v += h * ((1 - gamma) * aux + gamma * (base + slope * a))
@@ -70,9 +75,14 @@ def plain_run(macro, updated, rho=0.8, t_end=5.0):
     return np.array([q, v, a, x]), np.array(weights)
 
 
+def make(cls, text):
+    name, options = split_spec(text)
+    return build(cls, options, name)
+
+
 def our_run(macro, gamma):
-    run = replace(GeneralizedAlpha(rho_inf=0.8), gamma=gamma)
-    run = run.prepare(SpringMass(), 5.0, Steps(macro, (0.3, 0.7))).measure()
+    method = GeneralizedAlpha(rho_inf=0.8, gamma=gamma)
+    run = method.prepare(SpringMass(), 5.0, Steps(macro, (0.3, 0.7))).measure()
     assert run.status == "ok", run.message
     return run, np.array([run.q[-1, 0], run.v[-1, 0], run.a[-1, 0], run.x[-1, 0]])
 
@@ -83,7 +93,7 @@ def errors(values):
 
 @pytest.mark.parametrize("gamma", ["fixed", "updated"])
 def test_errors_of_figure_6_agree_with_a_plain_program_of_the_recursion(gamma):
-    for macro in MACRO_STEPS:
+    for macro in STUDY.steps:
         plain, weights = plain_run(macro, gamma == "updated")
         run, ours = our_run(macro, gamma)
         assert errors(ours) == pytest.approx(errors(plain), abs=1e-9)
@@ -91,9 +101,15 @@ def test_errors_of_figure_6_agree_with_a_plain_program_of_the_recursion(gamma):
         assert recorded == pytest.approx(weights[:10], rel=1e-11)
 
 
+def test_the_profile_shows_the_paper_s_update_beside_the_others():
+    assert (STUDY.problems, STUDY.pattern, STUDY.t_end) == (["spring_mass"], (0.3, 0.7), 5.0)
+    shown = [make(GeneralizedAlpha, text) for text in STUDY.integrators]
+    assert shown == [GeneralizedAlpha(gamma=gamma) for gamma in ("fixed", "updated", "guarded")]
+
+
 def test_a_restart_after_sharp_cuts_gives_other_errors():
     apart = [
         np.abs(errors(our_run(macro, "guarded")[1]) / errors(plain_run(macro, True)[0]) - 1).max()
-        for macro in MACRO_STEPS[:3]
+        for macro in STUDY.steps[:3]
     ]
     assert min(apart) > 1e-3

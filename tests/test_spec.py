@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.conformance.verdicts import round_trip
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, Newmark
 from problems import spec
 from problems.scenes.pendulum import Pendulum
@@ -175,3 +176,8 @@ def test_claims_follow_the_free_parameters():
     assert "factor of 1.222" in (GeneralizedAlpha(alpha_m=0.4, alpha_f=0.3).supports(free) or "")
     assert GeneralizedAlpha(alpha_m=0.4, alpha_f=0.3).supports(controlled) is None
     assert GeneralizedAlpha(rho_inf=1.0).supports(free) is None
+
+
+def test_words_and_numbers_of_an_option_pass_the_check_of_options():
+    text = round_trip(lambda text: read(GeneralizedAlpha, text), GeneralizedAlpha())
+    assert "other values of its options are read as they are printed" in text

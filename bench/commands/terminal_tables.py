@@ -41,14 +41,18 @@ def plugin_table(kind: str, plugins: list[Plugin]) -> Table:
         text = escape(plugin.summary)
         if plugin.cls is None:
             text = f"[red]unavailable:[/red] {escape(plugin.reason)}"
-        options = ", ".join(
-            f"{o['name']}={'|'.join(map(str, o['choices'])) if 'choices' in o else o['default']}"
-            for o in plugin.options
-        )
+        options = ", ".join(f"{o['name']}={_allowed(o)}" for o in plugin.options)
         if options:
             text += f"\n[dim]{escape(options)}[/dim]"
         table.add_row(escape(plugin.name), text)
     return table
+
+
+def _allowed(option: dict[str, Any]) -> str:
+    """The choices of an option, or its default; an option with choices and limits takes numbers."""
+    if "choices" not in option:
+        return str(option["default"])
+    return "|".join([*map(str, option["choices"]), *(["number"] if "low" in option else [])])
 
 
 _SIGNS = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
