@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from problems.compiled import compiled
-from problems.formulations import EQUATIONS, INDEX1
+from problems.named_equations import EQUATIONS, INDEX1
 from problems.runtime import jax
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def operations(function: Callable, *arguments: Any, only_equations: bool = False
     Parameters
     ----------
     only_equations
-        Leave out arithmetic that belongs to no equation of a scene (`problems.formulations`).
+        Leave out arithmetic that belongs to no equation of a scene (`problems.named_equations`).
 
     Raises
     ------

@@ -14,12 +14,13 @@ Arnold (2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, wraps
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from problems.index1_newton import matrix_and_residual, newton
+from problems.named_equations import named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Sizes, Variables
 
@@ -28,39 +29,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
-#: Names of operations in traced programs, by which those of a run are counted: a scene's equations,
-#: and Newton's method for the index-1 equations.
-EQUATIONS, INDEX1 = "equations_of_a_scene", "newton_of_index_1"
-
-
-def _named(function: Callable) -> Callable:
-    """The same function, whose operations have the name `EQUATIONS` in traced programs."""
-
-    @wraps(function)
-    def named(*arguments: Any, **options: Any) -> Any:
-        with jax.named_scope(EQUATIONS):
-            return function(*arguments, **options)
-
-    return named
-
-
-#: Blocks of a scene that a step may call by itself.
-_BLOCKS = ("mass", "mass_product", "force", "constraint", "state_rate", "output")
-
-
-def with_named_blocks(scene: MechatronicSystem) -> MechatronicSystem:
-    """The scene with blocks whose operations have the name `EQUATIONS` in traced programs."""
-    return MechatronicSystem.with_parameters(object.__new__(_named_class(type(scene))), vars(scene))
-
-
-@cache
-def _named_class(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
-    blocks = {name: _named(getattr(cls, name)) for name in _BLOCKS if cls.has(name)}
-    return type(cls.__name__, (cls,), blocks)
 
 
 # ---- the equations ---------------------------------------------------------------------
-@_named
+@named
 def constraint_force(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -77,7 +49,7 @@ def constraint_force(
     return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
 
 
-@_named
+@named
 def constraint_velocity(
     scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nq"], t: Float[Array, ""]
 ) -> Float[Array, " nl"]:
@@ -91,7 +63,7 @@ def constraint_velocity(
     return jax.jvp(scene.constraint, (q, t), (v, jnp.ones_like(t)))[1]
 
 
-@_named
+@named
 def constraint_acceleration(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -111,7 +83,7 @@ def constraint_acceleration(
     )[1]
 
 
-@_named
+@named
 def inertia(
     scene: MechatronicSystem, q: Float[Array, " nq"], a: Float[Array, " nq"]
 ) -> Float[Array, " nq"]:
@@ -132,7 +104,7 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
     return jnp.max(jnp.abs(scene.mass(q)))
 
 
-@_named
+@named
 def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nq"]:
     """Compute M a - g + Phi_q^T lam - L y, the residual of eq. (1).
 
@@ -149,7 +121,7 @@ def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " 
     return r
 
 
-@_named
+@named
 def control_residuals(
     scene: MechatronicSystem, z: Variables, xdot: Float[Array, " nx"]
 ) -> list[Array]:
@@ -194,7 +166,7 @@ def _split(sizes: Sizes, u: Float[Array, " n"]) -> tuple[Array, Array, Array]:
     return u[:nq], u[nq : nq + nl], u[nq + nl :]
 
 
-@_named
+@named
 def algebraic_residual(
     scene: MechatronicSystem,
     u: Float[Array, " n"],
@@ -249,42 +221,15 @@ def solve_algebraic(
 
     guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
     if not scene.sizes.ny:
-        return _split(scene.sizes, -jnp.linalg.solve(*_matrix_and_residual(residual, guess)))
+        return _split(scene.sizes, -jnp.linalg.solve(*matrix_and_residual(residual, guess)))
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
 
     def solution(residual: Callable, guess: Array) -> Array:
-        return _newton(residual, guess)[0]
+        return newton(residual, guess)[0]
 
     return _split(scene.sizes, jax.lax.custom_root(residual, guess, solution, tangent_solve))
-
-
-def _matrix_and_residual(residual: Callable, u: Array) -> tuple[Array, Array]:
-    """The Jacobian and the residual, from one evaluation."""
-
-    def twice(u: Array) -> tuple[Array, Array]:
-        r = residual(u)
-        return r, r
-
-    return jax.jacfwd(twice, has_aux=True)(u)
-
-
-def _newton(residual: Callable, guess: Array) -> tuple[Array, Array]:
-    """Solve by Newton's method; return the solution, NaN where it fails, and the iterations."""
-
-    def go_on(carry: tuple) -> Array:
-        _, size, k = carry
-        return (size > 1e-9) & (k < 50)
-
-    def iterate(carry: tuple) -> tuple:
-        u, _, k = carry
-        du = jnp.linalg.solve(*_matrix_and_residual(residual, u))
-        return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
-
-    with jax.named_scope(INDEX1):
-        u, size, k = jax.lax.while_loop(go_on, iterate, (guess, jnp.inf, jnp.asarray(0)))
-    return jnp.where(size <= 1e-9, u, jnp.nan), k
 
 
 def algebraic_iterations(
@@ -296,10 +241,10 @@ def algebraic_iterations(
 ) -> Int[Array, ""]:
     """Count the iterations of Newton's method in `solve_algebraic`, for a scene with outputs."""
     guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
-    return _newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
+    return newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
 
 
-@_named
+@named
 def complete(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -364,7 +309,7 @@ def with_rates(
     return Start(z, xdot, dz.a, xddot)
 
 
-@_named
+@named
 def constrained_part(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nq"]
 ) -> Float[Array, " nq"]:
@@ -405,7 +350,7 @@ def dae_layout(sizes: Sizes, formulation: str) -> Layout:
     return Layout(*(slice(a, b) for a, b in pairwise(ends)), size=ends[-1])
 
 
-@_named
+@named
 def dae_residual(
     scene: MechatronicSystem,
     formulation: str,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from integrators import Integrator, Steps, Tolerances
 from integrators.adapters import dae, ode
@@ -272,3 +273,16 @@ def test_iterations_of_the_index_1_equations_are_counted_where_a_run_went():
     assert turns > 2
     wanted = (run.work.residuals or 0) * (rate.arithmetic + turns * rate.arithmetic_per_turn)
     assert prepared.bill(run)["residuals"] == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", Registry([]).problems)
+def test_every_scene_has_operations_that_are_known(name):
+    scene = Registry([]).problem(name)
+    (one,), _ = costs_of(GeneralizedAlpha(linear_solver="dense"), scene)
+    key = scene.template(), "stabilised_index2"
+    found = [one.residual, one.tangent, dae.packed_residual(*key).operations]
+    assert all(cost.arithmetic > 0 for cost in found)
+    rate, _ = ode.packed_rate_and_jacobian(scene.template())
+    assert rate.operations.algebra + rate.operations.algebra_per_turn > 0
+    assert bool(rate.operations.algebra_per_turn) == bool(scene.sizes.ny)

@@ -52,6 +52,7 @@ def test_fixed_costs_of_short_runs_are_told():
     (names,) = told(*records)
     assert names == ("one",)
     assert "fixed costs" in told(*records)[names]
+    assert told(run("one", 0.1, 2.0 * 2.9), *records[1:]) == {}
 
 
 def test_runs_without_a_bill_or_a_time_are_left_out():

@@ -9,7 +9,8 @@ from integrators.native.linear_solvers import SparseSolver
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_work import EquationsFinder
 from integrators.operations import NOTHING, Algebra, Operations, bill, dense, operations, sparse
-from problems.formulations import Start, with_named_blocks
+from problems.formulations import Start
+from problems.named_equations import with_named_blocks
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 

@@ -1,0 +1,40 @@
+"""Names that a scene's equations have in traced programs, by which their operations are counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any
+
+from problems.runtime import jax
+from problems.system import MechatronicSystem
+
+#: Names of operations in traced programs, by which those of a run are counted: a scene's equations,
+#: and Newton's method for the index-1 equations.
+EQUATIONS, INDEX1 = "equations_of_a_scene", "newton_of_index_1"
+
+
+def named(function: Callable) -> Callable:
+    """The same function, whose operations have the name `EQUATIONS` in traced programs."""
+
+    @wraps(function)
+    def call(*arguments: Any, **options: Any) -> Any:
+        with jax.named_scope(EQUATIONS):
+            return function(*arguments, **options)
+
+    return call
+
+
+#: Blocks of a scene that a step may call by itself.
+_BLOCKS = ("mass", "mass_product", "force", "constraint", "state_rate", "output")
+
+
+def with_named_blocks(scene: MechatronicSystem) -> MechatronicSystem:
+    """The scene with blocks whose operations have the name `EQUATIONS` in traced programs."""
+    return MechatronicSystem.with_parameters(object.__new__(_named_class(type(scene))), vars(scene))
+
+
+@cache
+def _named_class(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
+    blocks = {name: named(getattr(cls, name)) for name in _BLOCKS if cls.has(name)}
+    return type(cls.__name__, (cls,), blocks)
