@@ -38,7 +38,9 @@ def fault_of_blocks(cls: type, contract: type) -> str:
             return f"it states {one} but not {other}; they belong together."
     owners = [owner for owner in cls.__mro__ if owner not in contract.__mro__]
     for name, method in ((n, m) for owner in owners for n, m in vars(owner).items()):
-        if name.startswith("_") or name in vars(contract) or not _is_method(method):
+        # ``outputs`` of the contract are names, a tuple: a method of this name overrides nothing.
+        declared = name in vars(contract) and not isinstance(vars(contract)[name], tuple)
+        if name.startswith("_") or declared or not _is_method(method):
             continue
         likeness = {b: difflib.SequenceMatcher(None, name, b).ratio() for b in blocks}
         nearest = max(blocks, key=lambda block: likeness[block])

@@ -43,7 +43,7 @@ def test_what_is_right_passes_every_check(registry, kind, text):
     [
         ("wrong[how=mute]", "scenes", "supports() answers '' on"),
         ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
-        ("wrong[how=order]", "order", "claims order 2 in v on pendulum, is 0.97 (h = 0.016 to"),
+        ("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05 (h ="),
         ("wrong[how=unchanging]", "pattern", "It counts 50 steps where the step pattern has 100"),
         ("wrong[how=evenly]", "pattern", "ends as steps of 0.05 s do, to the last bit"),
         ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),

@@ -102,7 +102,7 @@ def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
     text = write_markdown_report(crowd).read_text(encoding="utf-8")
     figures = crowd / FIGURES
     best = [f"m{k:02}" for k in range(28, -1, -1)]
-    for name, most in (("convergence-end", 24), ("work_precision", 24), ("trajectory", 12)):
+    for name, most in (("convergence-max", 24), ("work_precision", 24), ("trajectory", 12)):
         chart = (figures / f"scene-1-1-{name}.svg").read_text()
         assert labels(chart) == set(best[:most]), name
         assert f"Of 30 integrators those {most} are shown that err least in q." in text

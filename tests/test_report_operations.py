@@ -56,8 +56,9 @@ def test_fixed_costs_of_short_runs_are_told():
 
 
 def test_runs_without_a_bill_or_a_time_are_left_out():
-    assert told(planted("pendulum", "one", {"q": (1.0, 2)}, h=0.1)) == {}
-    assert bills(series_of([planted("pendulum", "one", {"q": (1.0, 2)}, h=0.1)])) is None
+    unknown = planted("pendulum", "one", {"q": (1.0, 2)}, h=0.1, operations={})
+    assert told(unknown) == {}
+    assert bills(series_of([unknown])) is None
 
 
 def test_a_bar_shows_the_parts_of_its_run_and_their_sum():
@@ -93,4 +94,4 @@ def test_flat_rows_have_the_sum_and_every_part():
         "solves": 1e4,
     }  # fmt: skip
     assert row["operations"] == 1e5
-    assert flatten(planted("pendulum", "one", {}, h=0.1))["operations"] is None
+    assert flatten(planted("pendulum", "one", {}, h=0.1, operations={}))["operations"] is None
