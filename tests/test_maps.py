@@ -19,6 +19,7 @@ from bench.sweeps.outcome_map import OUTCOMES, outcome_map
 from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.reference import Reference
+from problems.system import GROUPS
 from reports.charts.outcome_map import axis_ticks, blend, map_image
 
 REGISTRY = Registry()
@@ -80,6 +81,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
     """Newmark with gamma = 1/2: omega h = (1/4 - beta)^(-1/2); the scene has omega = sqrt(k)."""
     # Errors are of no interest here, and the reference over so many periods takes long.
     monkeypatch.setattr(Reference, "__call__", lambda self, t: {"q": np.ones((len(t), 1))})
+    monkeypatch.setattr(Reference, "largest", {"q": (np.ones(1), 1.0)})
     over = {"k": (0.99**2, 1.01**2), "m": (1.0, 1.0 + 1e-9)}
     steps = 3000
     found = made(
@@ -140,9 +142,10 @@ def test_a_scene_without_a_reference_is_told_apart(monkeypatch):
     def fails(self, t):
         if self.scene.k > 1.0:
             raise RuntimeError("no such luck")
-        return {"a": np.ones((len(t), 1))}
+        return dict.fromkeys(GROUPS, np.ones((len(t), 1)))
 
     monkeypatch.setattr(Reference, "__call__", fails)
+    monkeypatch.setattr(Reference, "times", np.linspace(0.0, 1.0, 3))
     found = made("spring_mass", "newmark", {"k": (0.5, 2.0), "m": (1.0, 2.0)}, (2, 2), t_end=1.0)
     assert OUTCOMES[found.outcome[0, 1]] == "no_reference"
     assert found.reasons["no_reference"] == "The reference failed: no such luck"
@@ -159,11 +162,11 @@ def test_the_reference_is_made_once_per_scene_and_set_of_times(monkeypatch):
 
     monkeypatch.setattr(Reference, "__call__", counted)
     made("pendulum", "generalized_alpha", {"h": (0.01, 0.1), "rho_inf": (0.0, 1.0)}, (8, 5))
-    assert len(asked) == 1  # all end at the same time
+    assert len(asked) == 2  # all end at the same time; once for the sizes of the components
     asked.clear()
     over = {"h": (0.01, 0.1), "rho_inf": (0.0, 1.0)}
     made("pendulum", "generalized_alpha", over, (8, 5), error="a:max")
-    assert len(asked) == len(set(asked)) == 8
+    assert len(asked) == len(set(asked)) == 9
 
 
 # ---- the command -------------------------------------------------------------------------
