@@ -13,6 +13,7 @@ from bench.results import summary
 from bench.running.plan import DEFAULT_HALVINGS, Cell
 from integrators.contract import Steps
 from problems.spec import SpecError
+from problems.system import GROUPS
 
 
 @click.command()
@@ -85,7 +86,9 @@ def solve(
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import solution_table
 
-        show(solution_table(record, rows))
+        names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
+        names["xdot"] = [c.rate().text for c in scene.components("x")]
+        show(solution_table(record, rows, names))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Group, RenderableType
@@ -66,22 +66,32 @@ def check_line(result: CheckResult) -> Text:
 
 
 # ---- single runs and ensembles -----------------------------------------------------------
-def solution_table(record: Record, rows: Rows) -> Group:
-    """End values with errors, then work and times, of one run."""
+def solution_table(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Group:
+    """End values with errors, then work and times, of one run; ``names`` of components by group."""
     name = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
     end = f"{rows.t[-1]:.6g}" if rows.t else "-"
     table = new_table(name)
-    table.add_column("group", style="cyan")
+    table.add_column("", style="cyan")
+    table.add_column("component")
     table.add_column(f"at t={end} s", no_wrap=True)
-    _add_numbers(table, (f"error {norm}" for norm in NORMS))
-    for name, values in rows.values.items():
-        errors = record.errors.get(name, {})
-        table.add_row(
-            name,
-            "\n".join(f"{v: .15g}" for v in values[-1]),
-            *(_number(errors.get(norm), ".2e") for norm in NORMS),
-        )
+    _add_numbers(table, NORMS)
+    for group, values in rows.values.items():
+        errors = record.components.get(group, {})
+        for i, value in enumerate(values[-1]):
+            table.add_row(
+                "" if i else group,
+                Text(names[group][i]),
+                f"{value: .10g}",
+                *(_number(errors[norm][i] if norm in errors else None, ".2e") for norm in NORMS),
+            )
     lines = []
+    if record.components:
+        steps = record.work.get("steps") or 0
+        where = f", at {record.rows} of {steps} steps" if record.rows < steps else ""
+        named = ", ".join(NORMS)
+        lines.append(
+            f"[bold]{named}[/bold]: errors relative to the component's largest value{where}"
+        )
     for title, items in (
         ("constraint residual", record.constraint),
         ("work", record.work),
