@@ -69,18 +69,24 @@ class State(NamedTuple):
 
 
 class Component(NamedTuple):
-    """A component of a group: its name, its unit, and the natural size of its values, if stated."""
+    """A component of a group: its name, its unit, and natural sizes of its values and its rates."""
 
     name: str
     unit: str = ""
-    scale: float | None = None
+    scales: tuple[float, ...] = ()
 
     @classmethod
     def read(cls, text: str) -> Component:
-        """Read "name", "name [unit]" or "name [unit] ~ scale"."""
-        name, _, scale = (part.strip() for part in text.partition("~"))
+        """Read "name", "name [unit]" or "name [unit] ~ size, size of the rate, ..."."""
+        name, tilde, sizes = (part.strip() for part in text.partition("~"))
         name, bracket, unit = name.partition(" [")
-        return cls(name, unit.rstrip("]") if bracket else "", float(scale) if scale else None)
+        scales = tuple(map(float, sizes.split(","))) if tilde else ()
+        return cls(name, unit.rstrip("]") if bracket else "", scales)
+
+    @property
+    def scale(self) -> float | None:
+        """The natural size of the values, if it is stated."""
+        return self.scales[0] if self.scales else None
 
     @property
     def text(self) -> str:
@@ -88,9 +94,9 @@ class Component(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def rate(self) -> Component:
-        """Its derivative by time: the same name, the unit per s or s^2, no natural size."""
-        unit = f"{self.unit[:-2]}/s^2" if self.unit.endswith("/s") else f"{self.unit or 1}/s"
-        return Component(self.name, unit)
+        """Its derivative by time: the same name, the unit per s or s^2, the next natural size."""
+        unit = f"{self.unit[:-2]}/s^2" if self.unit.endswith("/s") else f"{self.unit}/s"
+        return Component(self.name, unit if self.unit else "", self.scales[1:])
 
 
 class Sizes(NamedTuple):
@@ -152,9 +158,9 @@ class MechatronicSystem:
     ``difficulties``
         a sentence for each difficulty, and the methods that it concerns
     ``coordinates``, ``multipliers``, ``states``, ``outputs``
-        names of the entries of q, lam, x and y, as "heave [m]" or "heave [m] ~ 0.05": the unit, and
-        the natural size of the values, by which errors are divided; without it, an error is
-        relative to the largest value of the component in the reference
+        names of the entries of q, lam, x and y, as "heave [m]" or "heave [m] ~ 0.05, 0.3, 2": the
+        unit, and natural sizes of the values, their rates and accelerations, by which errors are
+        divided; without one, an error is relative to the largest value in the reference
     ``source``
         publication of the equations and data
     """
@@ -283,7 +289,7 @@ class MechatronicSystem:
         texts = stated.get(group, self.coordinates)
         found = [Component.read(text) for text in texts]
         for _ in range("qva".find(group)):
-            found = [component.rate() if component.unit else component for component in found]
+            found = [component.rate() for component in found]
         numbers = range(len(found), self.sizes.of(group))
         return found[: self.sizes.of(group)] + [Component(str(k + 1)) for k in numbers]
 

@@ -27,7 +27,7 @@ from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
-from problems.system import Sizes
+from problems.system import Component, Sizes
 
 TIMES = np.linspace(0.0, 0.4, 5)
 
@@ -185,6 +185,10 @@ def test_components_have_the_units_of_their_coordinates_by_time():
     assert [c.text for c in Scaled().components("a")] == ["x [m/s^2]", "y [m/s^2]"]
     assert [c.scale for c in Scaled().components("q")] == [None, 0.5]
     assert Scaled().components("v")[1].scale is None
+    assert [Component.read("q [m] ~ 2, 3").rate().scale, Component.read("p").rate().text] == [
+        3,
+        "p",
+    ]
     assert [c.text for c in Pendulum(copies=2).components("lam")] == ["rod [N/m]", "2"]
 
 

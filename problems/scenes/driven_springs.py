@@ -29,7 +29,9 @@ class DrivenSprings(MechatronicSystem):
         "a frequency of 3162 rad/s beside a motion of 1.2 rad/s",
         "the start excites the stiff spring: undamped methods keep a spurious acceleration",
     )
-    coordinates = ("first mass [m]", "second mass [m]")
+    # The start makes an acceleration of thousands of m/s^2 for milliseconds; errors are relative to
+    # the motion of the driven point instead.
+    coordinates = ("first mass [m] ~ 1, 1.2, 1.44", "second mass [m]")
     source = (
         "Bathe & Noh (2012), Insight into an implicit time integration scheme for structural "
         "dynamics, doi:10.1016/j.compstruc.2012.01.009, with a weak damper added"
