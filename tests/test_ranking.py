@@ -13,9 +13,9 @@ from planted import planted
 from bench.results.records import IntegratorFacts
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
-from reports.ranking import RankEntry, contestants, rank
+from reports.ranking import RankEntry, contestants, rank, told_apart
 from reports.series import series_of
-from reports.text.ranking_tables import integrators_table, winners_table
+from reports.text.ranking_tables import integrators_table, targets_table, winners_table
 from reports.text.winners import overall, verdicts
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
@@ -279,7 +279,7 @@ def test_a_family_has_one_vote_however_many_variants_it_has():
     said = next(line for line in lines if line.startswith("Fewest residual"))
     assert "other alone cheapest on 1, tied on 1; many1 and many2 each tied on 2; many0, " in said
     assert "By family: many and one each alone cheapest on 1, tied on 1." in said
-    assert lines[-1].endswith("by many0 (3), many1 (3), many2 (3) and 3 more.")
+    assert lines[-1].endswith("reached on all 3 scenes tried by many0, many1, many2 and 3 more.")
 
 
 @given(st.lists(st.lists(st.integers(1, 4), min_size=1, max_size=5), min_size=2, max_size=6))
@@ -371,7 +371,19 @@ def test_each_integrator_is_described_by_claims_and_measurements(found):
     rows = {row[0]: row for row in integrators_table(series, found, known).rows}
     assert rows["slow"][1:4] == ["A method", "q 2, a 2", "q 2.00; a 1.00 to 2.00"]
     assert rows["slow"][4:] == ["not judged", "none (–)", "none (–)", "me"]  # noqa: RUF001
-    # quick: 3 times the best on "won", 10 times on "untimed"; on "tied" 1; "alone" does not count
+    # quick: once the best on "tied"; it misses the target on "failed", which is worse than any cost
     assert rows["quick"][4] == "4 of 5 scenes tried"
-    assert rows["quick"][6] == "untimed (10)"
+    assert rows["quick"][6] == "failed (not reached)"
     assert rows["quick"][5] == "tied (1)"
+
+
+def test_an_integrator_ties_by_its_own_cheapest_run_alone():
+    # The dearer run of "noisy" cannot be told apart from the best; its cheapest one can.
+    best = run("one", "best", 0.01, 1.0, 10, run_s=[1.0] * 9)
+    near = run("one", "noisy", 0.01, 2.0, 10, run_s=[2.0] * 9)
+    wild = run("one", "noisy", 0.005, 3.0, 10, run_s=[0.5, 9.0] * 4 + [3.0])
+    assert told_apart(best, near, "seconds")
+    assert not told_apart(best, wild, "seconds")
+    table = targets_table(series_of([best, near, wild]))
+    assert table
+    assert "tied" not in table.rows[0][table.head.index("least time")]

@@ -31,11 +31,12 @@ def test_a_method_far_from_the_median_is_told_with_its_own_reason():
     usual = [run(name, 0.01, 2.0) for name in ("one", "two", "three")]
     found = told(*usual, run("slow", 0.01, 2.0 * 3.1, "its loop is Python"))
     assert found == {
-        ("slow",): "an operation takes 3.1 times the scene's median of 2 ns: its loop is Python."
+        ("slow",): "in its finest run an operation takes 3.1 times the median of the integrators' "
+        "finest runs (2 ns): its loop is Python."
     }
     assert told(*usual, run("near", 0.01, 2.0 * 2.9, "its loop is Python")) == {}
     (text,) = told(*usual, run("fast", 0.01, 2.0 / 4)).values()
-    assert "the 4th part of the scene's median" in text
+    assert "the 4th part of the median" in text
     assert "does not state how it calls" in text
     # The reason is the method's own; methods with one reason share a sentence.
     (names,) = told(*usual, run("b", 0.01, 20.0, "x"), run("c", 0.01, 30.0, "x"))

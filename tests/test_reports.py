@@ -144,15 +144,15 @@ def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
     page: Document,
 ) -> None:
     assert (
-        "good[rho_inf=0.8], good[rho_inf=0.5]: after the start transient, second order in "
-        "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over all times of the error in "
+        "good[rho_inf=0.8], good[rho_inf=0.5]: in the last quarter, second order in "
+        "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over time of the error in "
         "lam is only first order (1.00): the start transient." in page.words
     )
 
 
 def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: str) -> None:
     text = "does not converge in lam (error 0.3 at the coarsest step, 0.3 at the finest)"
-    assert f"ringing[rho_inf=1]: after the start transient, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
+    assert f"ringing[rho_inf=1]: in the last quarter, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
     assert text in paper
 
 

@@ -11,13 +11,13 @@ from problems import MechatronicSystem, State, jax, jnp, parameter
 
 @dataclass(frozen=True)
 class Pendulum(MechatronicSystem):
-    """A point mass on a massless rod: the smallest index-3 system with an exact solution.
+    """A point mass on a massless rod: a small index-3 system with an exact solution.
 
     Released at rest at angle th0 from the downward vertical; by default the run starts 0.35 s
     later, so that velocity and jerk are not zero and the start-up error of the multiplier
-    shows. Tests order in q, v, a and lambda on a constraint of its own. Left out: damping and
-    a rod with inertia, for which the closed form by elliptic functions would be lost. ``copies``
-    and ``radial`` make the scene faulty on purpose, to test the messages of methods.
+    shows. Tests order in q, v, a and lambda on a constraint of its own. Left out: damping,
+    for which the closed form by elliptic functions would be lost, and the inertia of the rod. Other
+    values of copies and radial make the scene faulty on purpose, to test the messages of methods.
     """
 
     interval = (0.35, 1.35)

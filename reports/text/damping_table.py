@@ -35,8 +35,10 @@ def damping_table(
         [*down, *across],
         rows,
         note="Damping ratio, and in brackets the relative error of the period, of the undamped "
-        "oscillator at the fastest oscillation along the motion, omega, and the scene's nominal "
-        "step h. Constant steps only; without an oscillation, the part that a step leaves.",
+        "oscillator with the frequency omega at the scene's nominal step h. omega is the largest "
+        "imaginary part of the eigenvalues of the ODE form, linearised at fixed times along the "
+        "motion; with constraints it can be larger than any frequency of the motion itself. "
+        "Constant steps only; where nothing oscillates, the factor by which a step shrinks it.",
     )
 
 

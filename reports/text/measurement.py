@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from bench.results.orders import SPREAD
 from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import number
@@ -110,19 +111,20 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         "Timed is the bare solve from start to end, on one thread and warmed up. Tracing, "
         "compiling and consistent initial values are done before and listed apart.",
         f"{samples}, fewer of runs that last long; they are taken in rounds over all runs, those "
-        "of a scene one after the other, so that a slow minute of the machine hits all alike. "
+        "of a scene one after the other: a slow minute of the machine hits all alike, noise that "
+        "is shorter than a round does not. "
         "Shown is the median, as bars the fastest and the slowest sample.",
         "Two runs differ in time if the 95 % interval of the median of their quotients within "
         f"rounds (order statistics) lies on one side of 1 and the median is beyond "
         f"{LEAST_QUOTIENT:g}. With fewer than {FEWEST} common rounds there is no such interval, "
         f"and the quotients must be beyond {LEAST_OF_FEW:g}. Runs that were not measured together "
         "are compared by the intervals of their own medians.",
-        f"Operations differ by more than a factor of {LEAST_OPERATIONS:g}: the cost model is no "
-        "more exact. Work is counted where it happens; counts differ if they are not equal. A "
+        f"Operations count as different beyond a factor of {LEAST_OPERATIONS:g}: the cost model is "
+        "no more exact. Work is counted where it happens; any difference of counts counts. A "
         "count that a library does not give is 'not counted'.",
-        "Errors are relative, per group of variables and per norm; 'after the start transient' "
-        "is the last part of the interval. Orders are fitted by rule in the finest window where "
-        "the slope holds; fewer than three points give 'not determined'.",
+        "Errors are relative, per group of variables and per norm. Orders are fitted to the "
+        f"finest steps, as many as have slopes within {SPREAD:g} of each other; fewer than three "
+        "points give 'not determined'.",
     ]
 
 

@@ -104,10 +104,10 @@ def _order_sentence(members: Sequence[Series]) -> str:
         parts.append(
             f"{verdict} in " + words(f"{g} ({show(members, g, norm)})" for g in by_verdict[verdict])
         )
-    when = "after the start transient" if norm == "settled" else "in the maximum over all times"
+    when = "in the last quarter" if norm == "settled" else "in the maximum over time"
     text = f"{when}, {'; '.join(parts)}."
     if lost:
-        text += " The maximum over all times "
+        text += " The maximum over time "
         text += words(
             f"of the error in {g} "
             + (
@@ -118,7 +118,10 @@ def _order_sentence(members: Sequence[Series]) -> str:
             for g, verdict in lost
         )
         text += ": the start transient."
-    return f"{text} ({formulation}; {_window(members)})"
+    points = (s.fit(g, norm).points for s in members for g, _ in orders)
+    used = text_range(map(str, sorted(n for n in points if n)))
+    used = f", orders fitted to the finest {used}" if used else ""
+    return f"{text} ({formulation}; {_window(members)}{used})"
 
 
 def _fitted(members: Sequence[Series], group: str, norm: str) -> str:

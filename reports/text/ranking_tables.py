@@ -92,18 +92,21 @@ def _target_row(series: Sequence[Series], group: str, target: float) -> list[str
 
 
 def _cheapest(runs: Sequence[Record], cost: str) -> str:
-    """The cheapest run, the integrators that tie with it, and those of unknown cost."""
-    known = with_values(runs, lambda r: cost_of(r, cost))
-    if not known:
+    """The cheapest run, the integrators that tie with it, and those of unknown cost.
+
+    Each integrator stands by its own cheapest run.
+    """
+    cheapest: dict[str, tuple[float, Record]] = {}
+    for value, r in sorted(with_values(runs, lambda r: cost_of(r, cost)), key=_VALUE):
+        cheapest.setdefault(label_of(r), (value, r))
+    if not cheapest:
         return "not measured"
-    value, best = min(known, key=_VALUE)
+    (value, best), *others = cheapest.values()
     said = f"{run_name(best)}: {cost_text(value, cost)}"
-    tied = dict.fromkeys(label_of(r) for _, r in known if not told_apart(best, r, cost))
-    tied.pop(label_of(best))
+    tied = [label_of(r) for _, r in others if not told_apart(best, r, cost)]
     if tied:
         said += f" (tied: {named(tied, most=2)})"
-    measured = {label_of(r) for _, r in known}
-    unknown = dict.fromkeys(label for r in runs if (label := label_of(r)) not in measured)
+    unknown = dict.fromkeys(label for r in runs if (label := label_of(r)) not in cheapest)
     return f"{said}; not measured: {named(unknown, most=2)}" if unknown else said
 
 
@@ -175,6 +178,8 @@ def integrators_table(
         ]
         ratios = [(s.ratio, s.scene) for s in tried if s.ratio and s.scene in compared]
         best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
+        if missed := [s.scene for s in tried if not s.reached]:
+            worst = f"{named(missed, most=2)} (not reached)"
         rows.append(
             {
                 "integrator": label,

@@ -218,13 +218,21 @@ def timing_table(series: Sequence[Series]) -> Table | None:
                 "integrator": s.label,
                 "runs timed": str(len(timed)),
                 "samples per run": text_range(map(str, sorted(len(r.run_s) for r in timed))),
-                "spread, median": number(median(spreads)),
-                "spread, worst": number(max(spreads, default=None)),
-                "prepared in s, longest (compiles)": number(max(compiled, default=None)),
-                "median": number(median(compiled)),
+                "spread in %, median": _percent(median(spreads)),
+                "spread in %, worst": _percent(max(spreads, default=None)),
+                "preparation in s, longest": number(max(compiled, default=None)),
+                "preparation in s, median": number(median(compiled)),
             }
         )
-    return Table.from_dicts("Timing", rows) if rows else None
+    note = (
+        "Spread: (slowest - fastest) / median of the samples of a run. Preparation is not timed as "
+        "a part of the run; the longest one compiles."
+    )
+    return Table.from_dicts("Timing", rows, note=note) if rows else None
+
+
+def _percent(part: float | None) -> str:
+    return number(None if part is None else 100 * part)
 
 
 def _count(value: int | None) -> str:

@@ -37,18 +37,28 @@ def disagreements(series: Sequence[Series]) -> list[Observation]:
     for (slow, calls), members in far.items():
         factors = number_range(factor if slow else 1 / factor for _, factor in members)
         times = f"{factors} times the" if slow else f"the {factors}th part of the"
-        text = f"an operation takes {times} scene's median of {number(middle * 1e9)} ns: {calls}."
+        text = (
+            f"in its finest run an operation takes {times} median of the integrators' finest runs "
+            f"({number(middle * 1e9)} ns): {calls}."
+        )
         found.append(Observation(tuple(label for label, _ in members), text))
-    short = tuple(s.label for s, each in known if _fixed(s) > FAR * each)
+    short = tuple(s.label for s, _ in known if _mostly_fixed(s))
     if short:
         text = (
             f"an operation of the coarsest run takes more than {FAR:g} times as long as one of the "
-            "finest: the fixed costs of a run, such as its start."
+            "finest, each in its fastest sample: the fixed costs of a run, such as its start."
         )
         found.append(Observation(short, text))
     return found
 
 
-def _fixed(s: Series) -> float:
-    """Seconds per operation of the coarsest run."""
-    return seconds_per_operation(s.ok[0]) or 0.0
+def _mostly_fixed(s: Series) -> bool:
+    """Whether the coarsest run is dear for its operations, though it takes no longer than others.
+
+    The fastest samples are compared: what slows down a single short run is no fixed cost.
+    """
+    timed = [r for r in s.ok if r.run_s and cost_of(r, "operations")]
+    if len(timed) < 2 or min(timed[0].run_s) > min(min(r.run_s) for r in timed[1:]):
+        return False
+    coarse, fine = (min(r.run_s) / (cost_of(r, "operations") or 1) for r in (timed[0], timed[-1]))
+    return coarse > FAR * fine

@@ -200,8 +200,14 @@ def _reached(entries: Sequence[RankEntry], group: str, target: float) -> list[st
         ((len(scenes), label) for label, scenes in tried.items() if all(scenes.values())),
         key=lambda found: -found[0],
     )
-    who = named(f"{label} ({count})" for count, label in always)
     aim = accuracy_text(group, target)
-    if not who:
+    if not always:
         return [f"No integrator reaches {aim} on every scene on which it was tried."]
-    return [f"{aim[0].upper()}{aim[1:]} is reached on every scene tried (their number) by {who}."]
+    by_count: dict[int, list[str]] = {}
+    for count, label in always:
+        by_count.setdefault(count, []).append(label)
+    who = "; ".join(
+        f"on {f'all {count} scenes' if count > 1 else 'the one scene'} tried by {named(labels)}"
+        for count, labels in by_count.items()
+    )
+    return [f"{aim[0].upper()}{aim[1:]} is reached {who}."]
