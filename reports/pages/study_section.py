@@ -152,8 +152,8 @@ class StudySections:
         shown = _most_accurate(series, self._most_lines)
         chart = acceleration_accuracy(shown, self.styles, NORM, self.interactive)
         caption = (
-            f"Acceleration beside position {self._norms_text([NORM])}: good in q is not always "
-            "good in a. On the dashed line both have the same relative error."
+            f"Error in a against error in q, each {self._norms_text([NORM])}: good in q is not "
+            "always good in a. On the dashed line both have the same relative error."
             f"{_left_out(series, self._most_lines)}"
         )
         return captioned(caption, {name: chart})

@@ -189,7 +189,7 @@ def drift_table(series: Sequence[Series]) -> Table | None:
         "Constraint residuals and energy drift",
         ["integrator", "formulation", "finest run", *heads],
         rows,
-        note="Largest over all times; energy relative to its scale.",
+        note="Largest over time; the energy relative to the largest kinetic energy.",
     )
 
 
