@@ -38,8 +38,7 @@ def test_the_examples_have_less_than_40_lines_of_code():
     ("kind", "name"),
     [
         ("problems", "ramp_oscillator"),
-        ("integrators", "euler_dae"),
-        *long(("integrators", "euler"), ("integrators", "bathe")),
+        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe"))),
     ],
 )
 def test_the_examples_pass_every_check(plugins, kind, name):

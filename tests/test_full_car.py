@@ -193,6 +193,7 @@ def test_a_flipped_sign_is_caught(block, what):
         check_balances(flipped(FullCar(), block, what))
 
 
+@pytest.mark.long
 def test_the_ride_model_has_the_published_frequencies():
     # Jazar, Vehicle Dynamics, example 508: undamped, without steering and tyre forces. There the
     # wheels that are closer to the middle (0.7 m; the others 0.75 m) are front left, rear right.

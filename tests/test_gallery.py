@@ -45,7 +45,7 @@ def test_drawings_follow_the_motion():
     record = scene_record(scene, Reference(scene, 1.35))
     assert record.tags == list(scene.tags)
     assert record.difficulties
-    assert record.title == "A point mass on a massless rod: the smallest index-3 system with an " \
+    assert record.title == "A point mass on a massless rod: a small index-3 system with an " \
         "exact solution."  # fmt: skip
 
 

@@ -116,6 +116,7 @@ def test_a_tangent_is_kept_over_many_steps():
     assert work.residuals == work.newton == work.solves < 2.7 * work.steps
 
 
+@pytest.mark.long
 def test_full_newton_takes_two_iterations_a_step():
     work = prepared(SliderCrank(), steps=20_000).measure().work
     assert work.residuals == work.newton == work.jacobians == work.factorisations
