@@ -58,8 +58,8 @@ class Verdict:
         """The verdict in words."""
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"
-        best = self.first[0]
-        shown = cost_text(best.value, self.cost)
+        least = min((s.value for s in self.first if s.value is not None), default=None)
+        shown = cost_text(least, self.cost)
         labels = [self.name_of(s) for s in self.first]
         if len(labels) > 1:
             said = f"{named(labels)} tie ({shown})"
@@ -111,7 +111,8 @@ def _verdict(scene: str, cost: str, case: Sequence[RankEntry]) -> Verdict:
     own = [s for s in case if s.label == s.contestant]
     unknown = [s for s in own if s.reached and s.value is None]
     ranked = sorted((s for s in own if s.value is not None), key=lambda s: s.value or 0.0)
-    first = [s for s in ranked if s is ranked[0] or not _apart(ranked[0], s, cost)]
+    # In the order of the plan: the medians of those who tie change places from run to run.
+    first = [s for s in own if s in ranked and not _apart(ranked[0], s, cost)]
     second = next((s for s in ranked if s not in first), None)
     return Verdict(scene, cost, first, second, unknown, len(own) - len(unknown), alike)
 
