@@ -33,7 +33,7 @@ from problems import spec
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float
 
 #: Endings of a run; only "ok" has a complete trajectory.
 STATUSES = (
@@ -45,13 +45,6 @@ STATUSES = (
     "unsupported",  # the integrator cannot take the scene
     "crashed",  # an exception, or the end of the process
 )
-
-#: A trajectory has a row for every step of a run with at most so many; a longer run has its first
-#: steps and some thousands spread over the interval. Memory does not grow with the number of steps.
-MOST_ROWS = 16_384
-#: Of these rows the first are stored, which show start-up errors, and about SPREAD_ROWS more.
-FIRST_ROWS = 16
-SPREAD_ROWS = 200
 
 #: Limit of the steps of a run: it would not end, and floats count exactly only a little further.
 MOST_STEPS = 1e12
@@ -210,7 +203,7 @@ class Work:
 
 @dataclass
 class Trajectory:
-    """Rows of a run at k of its own steps, the start first; `kept_rows` chooses the steps.
+    """Rows of a run at k of its own steps, the start first; `integrators.kept_rows` chooses them.
 
     Errors are measured at these rows: an error "largest over time" is over all steps only if every
     step is a row. A run that failed keeps the rows up to its last good step.
@@ -379,44 +372,3 @@ class Integrator(ABC):
         problems.initial_values.InconsistentStart, problems.initial_values.NoConsistentStart
             From the scene's initial values; the bench turns them into a row with a reason.
         """
-
-
-def kept_rows(steps: int) -> Int[np.ndarray, " k"]:
-    """Choose the steps whose ends are rows of a trajectory: all, or `MOST_ROWS` / 4 of more.
-
-    Parameters
-    ----------
-    steps
-        Number of steps of the run.
-
-    Returns
-    -------
-    Step numbers in ascending order, from 0 (the start) to ``steps``.
-    """
-    if steps <= MOST_ROWS:
-        return np.arange(steps + 1)
-    return spread_rows(steps, MOST_ROWS // 4)
-
-
-def spread_rows(steps: int, most: int = SPREAD_ROWS) -> Int[np.ndarray, " k"]:
-    """Choose the first steps and some spread over the run.
-
-    They are the start, the first `FIRST_ROWS` steps, and about ``most`` more at equal distance.
-    The distance is a whole number of steps where a divisor of their number allows it, so that runs
-    with nested steps are shown at the same times.
-
-    Parameters
-    ----------
-    steps
-        Number of steps of the run.
-    most
-        Largest number of steps at equal distance.
-
-    Returns
-    -------
-    Step numbers in ascending order, from 0 (the start) to ``steps``.
-    """
-    most, least = min(steps, most), most // 2
-    rows = next((d for d in range(most, least, -1) if steps % d == 0), most)
-    spread = np.round(np.arange(rows + 1) * (steps / max(rows, 1))).astype(np.int64)
-    return np.union1d(np.arange(min(FIRST_ROWS, steps) + 1), spread)

@@ -10,7 +10,7 @@ from helpers import long, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
-from integrators.contract import FIRST_ROWS, SPREAD_ROWS
+from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.methods import generalized_alpha_adaptive
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import (

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from integrators import Steps
-from integrators.contract import FIRST_ROWS, SPREAD_ROWS, spread_rows
+from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from integrators.methods import generalized_alpha_step
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
 from integrators.methods.generalized_alpha_parameters import (

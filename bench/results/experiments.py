@@ -28,7 +28,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """What the failure does to the method: "spared", "hit" or "does not apply"."""
+        """Verdict on the method: the failure "spared" or "hit" it, or "does not apply"."""
         return {True: "spared", False: "hit", None: "does not apply"}[self.healthy]
 
 

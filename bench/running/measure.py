@@ -10,7 +10,8 @@ import numpy as np
 from bench.results.quantities import GROUPS, LEVELS
 from bench.results.records import Rows
 from bench.running.errors import finite
-from integrators.contract import Steps, Trajectory, spread_rows
+from integrators.contract import Steps, Trajectory
+from integrators.kept_rows import spread_rows
 from problems.compiled import compiled
 from problems.system import MechatronicSystem
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from integrators.contract import Integrator, Steps, Tolerances, spread_rows
+from integrators.contract import Integrator, Steps, Tolerances
+from integrators.kept_rows import spread_rows
 from integrators.native import adaptive_steps, constant_steps
 from integrators.native.adaptive_steps import Span
 from integrators.native.endings import Ending

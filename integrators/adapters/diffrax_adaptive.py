@@ -12,7 +12,8 @@ import numpy as np
 from integrators.adapters.counting import run_counted, watch
 from integrators.adapters.diffrax_scheme import Scheme, bill_of, right_hand_side, work_of
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import PreparedRun, Tolerances, Trajectory, kept_rows
+from integrators.contract import PreparedRun, Tolerances, Trajectory
+from integrators.kept_rows import kept_rows
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp

@@ -15,15 +15,8 @@ import numpy as np
 from integrators.adapters import dae
 from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, advice, all_finite
 from integrators.adapters.trajectories import early_end_message
-from integrators.contract import (
-    Integrator,
-    PreparedRun,
-    Tolerances,
-    Trajectory,
-    Work,
-    kept_rows,
-    option,
-)
+from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.kept_rows import kept_rows
 from integrators.operations import bill, dense, sparse
 from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout

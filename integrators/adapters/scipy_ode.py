@@ -19,14 +19,8 @@ from integrators.adapters.callbacks import (
 )
 from integrators.adapters.ode import packed_rate_and_jacobian
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import (
-    Integrator,
-    PreparedRun,
-    Tolerances,
-    Trajectory,
-    kept_rows,
-    option,
-)
+from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
+from integrators.kept_rows import kept_rows
 from integrators.operations import bill, dense
 from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem

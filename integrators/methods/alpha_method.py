@@ -1,4 +1,4 @@
-"""What all members of the generalized-alpha family have in common: options, claims, theory."""
+"""Common base of the generalized-alpha family: options, claims and theory."""
 
 from __future__ import annotations
 

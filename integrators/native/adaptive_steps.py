@@ -26,14 +26,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import (
-    FIRST_ROWS,
-    MOST_ROWS,
-    PreparedRun,
-    Tolerances,
-    Trajectory,
-    Work,
-)
+from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
+from integrators.kept_rows import FIRST_ROWS, MOST_ROWS
 from integrators.native import small_matrices
 from integrators.native.constant_steps import ROW_SLOTS
 from integrators.native.endings import Ending

@@ -12,13 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import (
-    PreparedRun,
-    Steps,
-    Trajectory,
-    Work,
-    kept_rows,
-)
+from integrators.contract import PreparedRun, Steps, Trajectory, Work
+from integrators.kept_rows import kept_rows
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel

@@ -24,7 +24,7 @@ from reports.series import (
 _Verdicts = tuple[tuple[str, str], ...]
 
 _ORDINALS = ("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
-#: A sentence tells when the maximum over all times loses this much of the order.
+#: A sentence tells when the maximum over time loses this much of the order.
 _LOSS = 0.5
 
 
@@ -155,7 +155,7 @@ def _tolerance_sentence(s: Series) -> str:
         if g in ("q", "a", "lam", "x")
     ]
     return (
-        f"from rtol={number(loose.rtol)} to {number(tight.rtol)} the largest error over all times "
+        f"from rtol={number(loose.rtol)} to {number(tight.rtol)} the largest error over time "
         f"goes from {words(parts)}. ({s.formulations}; {len(s.ok)} runs)"
     )
 
