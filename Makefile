@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 TESTS := $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test types tests test-long bench clean
+.PHONY: run test types tests test-long attack bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -27,6 +27,9 @@ tests:
 
 test-long: .venv/installed  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long
+
+attack: .venv/installed  ## hostile plugins, signals, inputs, stores and machines: tried and held
+	$(TESTS) tests/attacks -m "attack or not attack"
 
 bench: .venv/installed  ## our time loop against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
