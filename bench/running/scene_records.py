@@ -30,15 +30,17 @@ _BLOCKS = {
 }
 
 
-def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
-    """Make the record of a scene; one too large for a reference has no values and pictures."""
+def scene_record(
+    scene: MechatronicSystem, t_end: float, reference: Reference | None, missing: str
+) -> SceneRecord:
+    """Make the record of a scene; one that lacks a reference has the reason, and no pictures."""
     known: dict[str, Any] = {
-        "reference_method": reference.missing,
+        "reference_method": missing,
         "reference_error": {},
         "reference": Rows(t=[], values={}),
     }
-    if not reference.missing:
-        t = np.linspace(scene.interval[0], reference.t_end, 301)
+    if reference and not missing:
+        t = np.linspace(scene.interval[0], t_end, 301)
         known = {
             "reference_method": reference.method,
             "reference_error": relative_reference_error(reference),
@@ -48,7 +50,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
         }
     return SceneRecord(
         problem=scene.spec,
-        t_end=reference.t_end,
+        t_end=t_end,
         source=scene.source,
         components={
             g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS
