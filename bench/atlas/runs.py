@@ -234,9 +234,7 @@ def _case(
         y=y,
         number=number,
         predicted=_bounds(case.predicted) if trial.predicted else None,
-        as_predicted=None
-        if stopped or not trial.predicted
-        else bool(within(number, case.predicted)),
+        as_predicted=bool(within(number, case.predicted)) if judged else None,
         healthy=None if stopped else within(number, case.healthy or part.healthy),
         stopped=stopped,
         message=next(filter(None, messages), ""),

@@ -9,6 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
+from bench.guard.interrupts import remark
 
 
 @click.command()
@@ -58,6 +59,7 @@ def atlas(
     registry = options.usable_registry(plugins)
     added = [registry.integrator(name).spec for name in integrators]
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        remark("Finished experiments are stored; the same command goes on.")
         results = complete(experiments, added, store, registry, jobs, progress, budget or 60.0)
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(results), indent=2))

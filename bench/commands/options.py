@@ -18,9 +18,6 @@ from bench.running.plan import check_end
 from integrators.contract import Tolerances
 from problems.spec import SpecError, suggest
 
-#: Exit code of a command that Ctrl-C ended.
-_INTERRUPTED = 130
-
 
 class ShortErrors(click.Group):
     """A command group that names the nearest command and shows errors in one sentence."""
@@ -37,13 +34,6 @@ class ShortErrors(click.Group):
             return super().invoke(ctx)
         except (SpecError, StoreError) as error:
             raise click.ClickException(str(error)) from error
-        except KeyboardInterrupt:
-            # Only a run stores as it goes.
-            stored = " Finished runs are stored; the same command goes on."
-            click.echo(
-                "Interrupted." + (stored if ctx.invoked_subcommand == "run" else ""), err=True
-            )
-            sys.exit(_INTERRUPTED)
         except BrokenPipeError:
             sys.exit(1)
         except OSError as error:

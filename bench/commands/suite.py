@@ -10,6 +10,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import write_reports
+from bench.guard.interrupts import remark
 from bench.results.records import INTERRUPTED, Record
 from bench.results.store import Store
 from bench.running.plan import make_suite
@@ -69,6 +70,7 @@ def run(
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        remark("Finished runs are stored; the same command goes on.")
         for sentence in suite.lost:
             progress.note(sentence)
         with runner_for(suite, jobs, progress, cluster) as runner:

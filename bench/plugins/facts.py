@@ -37,8 +37,7 @@ class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """A scene: printed name, interval and nominal step in s, fingerprint, and ``weight``, an
-    estimate of how long runs take; ``fault`` if runs would hang or die."""
+    """A scene: printed name, interval and nominal step in s, fingerprint."""
 
     spec: str
     name: str
@@ -46,8 +45,6 @@ class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
     nominal_step: float
     constrained: bool
     fingerprint: str
-    weight: float = 0.0
-    fault: str = ""
     sources: Sources = Sources()
 
 
@@ -89,7 +86,7 @@ def sources_of(plugin: Plugin) -> Sources:
 
 
 def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> SceneFacts:
-    """State the facts of the scene that is written as ``text``, without its weight."""
+    """State the facts of the scene that is written as ``text``."""
     scene = registry.problem(text, **parameters)
     return SceneFacts(
         spec=scene.spec,
@@ -135,11 +132,6 @@ def component_texts(registry: Registry, text: str) -> dict[str, list[str]]:
     scene = registry.problem(text)
     names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
     return names | {"xdot": [c.rate().text for c in scene.components("x")]}
-
-
-def weighed(scene: SceneFacts, weight: float, fault: str) -> SceneFacts:
-    """Return the facts of a scene with its weight, or the fault of its initial state."""
-    return msgspec.structs.replace(scene, weight=weight, fault=fault)
 
 
 def listing(registry: Registry) -> dict[str, dict[str, PluginFacts]]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from bench.guard.limits import LOADING, Limits
 from bench.guard.process import GuardedProcess, NoAnswer, Refused
@@ -29,6 +29,14 @@ T = TypeVar("T")
 
 class PluginFailed(PluginError):
     """A plugin gave no facts: it raised, hung, or ended its process."""
+
+
+class Prospect(NamedTuple):
+    """How runs of a scene will go: an estimate of how long they take relative to those of others,
+    and a sentence if each of them would hang or end its process."""
+
+    weight: float
+    fault: str
 
 
 class Inventory:
@@ -80,7 +88,20 @@ class Inventory:
         """
         key = "problems", text, *sorted(parameters.items())
         if key not in self._known:
-            self._known[key] = self._scene(text, parameters)
+            self._known[key] = self._ask("problems", text, facts.scene_facts, parameters)
+        return self._known[key]
+
+    def prospect(self, text: str) -> Prospect:
+        """Tell how runs of a scene will go, from its initial state."""
+        key = "prospect", text
+        if key not in self._known:
+            weight, fault = 0.0, ""
+            try:
+                weight = self._ask("problems", text, facts.scene_weight)
+            except Exception as error:  # its runs will say what is wrong, unless they end, too
+                gone = self._outside is not None and not self._outside.alive
+                fault = str(error) if isinstance(error, PluginFailed) and gone else ""
+            self._known[key] = Prospect(weight, fault)
         return self._known[key]
 
     def integrator(self, text: str) -> MethodFacts:
@@ -116,16 +137,6 @@ class Inventory:
                     raise PluginError(f"Plugin {plugin.origin} cannot be used: {plugin.reason}")
 
     # ---- parts -------------------------------------------------------------------------
-    def _scene(self, text: str, parameters: dict[str, Any]) -> SceneFacts:
-        found = self._ask("problems", text, facts.scene_facts, parameters)
-        weight, fault = 0.0, ""
-        try:
-            weight = self._ask("problems", found.spec, facts.scene_weight)
-        except Exception as error:  # its runs will say what is wrong, unless they hang or die, too
-            gone = self._outside is not None and not self._outside.alive
-            fault = str(error) if isinstance(error, PluginFailed) and gone else ""
-        return facts.weighed(found, weight, fault)
-
     @cached_property
     def _listing(self) -> dict[str, dict[str, PluginFacts]]:
         listed = facts.listing(self._own)

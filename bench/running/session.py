@@ -103,16 +103,16 @@ def measure_suite(
 
     sound, count = [], len(cells)
     for cell in cells:
-        if fault := registry.problem(cell.problem).fault:  # each run would hang or die, too
+        if fault := registry.prospect(cell.problem).fault:  # each run would hang or die, too
             keep(cell, NoAnswer(status="crashed", message=fault))
         else:
             sound.append(cell)
     cells = sound
-    scenes = [scene for scene in scenes if not registry.problem(scene[0]).fault]
+    scenes = [scene for scene in scenes if not registry.prospect(scene[0]).fault]
     if cells or scenes:
         groups = _groups(cells, scenes, registry)
         # So that no worker is left alone with the longest group in the end.
-        groups.sort(key=lambda group: registry.problem(group[0].scene or "").weight, reverse=True)
+        groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
         runner.expect(groups)
         progress.phase("measuring", sum(len(group) for group in groups))
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
