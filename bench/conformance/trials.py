@@ -11,6 +11,8 @@ import numpy as np
 
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
+from integrators import answers
+from integrators.answers import refusal
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp
 from problems.reference import Reference
@@ -153,8 +155,8 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
     tagged = [name for name, cls in classes.items() if TAG in vars(cls).get("tags", ())]
     tried = ForcedOscillator(), *map(registry.problem, tagged)
-    taken = [scene for scene in tried if method.supports(scene) is None]
-    others = (scene for scene in map(registry.problem, classes) if method.supports(scene) is None)
+    taken = [scene for scene in tried if refusal(method, scene) is None]
+    others = (scene for scene in map(registry.problem, classes) if refusal(method, scene) is None)
     taken = taken or list(islice(others, 1))
     if not taken:
         raise DoesNotApply("It takes no scene.")
@@ -170,7 +172,7 @@ def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSyst
         If it takes no scene at all.
     """
     double = DoublePendulum()
-    return trials(registry, method) + ([double] if method.supports(double) is None else [])
+    return trials(registry, method) + ([double] if refusal(method, double) is None else [])
 
 
 def trial_end(scene: MechatronicSystem) -> float:
@@ -190,7 +192,25 @@ def resolution(
 
 def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> PreparedRun:
     """Prepare a trial run."""
-    return method.prepare(scene, trial_end(scene), resolution(method, scene, finer))
+    refined = resolution(method, scene, finer)
+    return answers.prepared(method.prepare(scene, trial_end(scene), refined))
+
+
+def solved(
+    method: Integrator,
+    scene: MechatronicSystem,
+    t_end: float,
+    refined: Steps | Tolerances,
+) -> Trajectory:
+    """Run a method up to t_end in s.
+
+    Raises
+    ------
+    FalseAnswer
+        If it does not give a trajectory.
+    """
+    run = answers.prepared(method.prepare(scene, t_end, refined)).measure()
+    return answers.trajectory(run, scene.sizes, scene.interval[0], t_end)
 
 
 def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> Trajectory:
@@ -201,7 +221,7 @@ def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -
     Failed
         If it does not.
     """
-    run = prepared(method, scene, finer).measure()
+    run = solved(method, scene, trial_end(scene), resolution(method, scene, finer))
     if run.status != "ok":
         raise Failed(
             f"On {scene.spec} at {words(method, scene, finer)} it ends with {run.status}: "

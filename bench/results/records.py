@@ -95,7 +95,10 @@ class Rows(msgspec.Struct, kw_only=True):
 
 
 class SceneRecord(msgspec.Struct, kw_only=True):
-    """A scene as the report shows it; ``problem`` and ``t_end`` are its key."""
+    """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
+
+    ``faults`` are sentences on its false answers; the parts that they concern are empty.
+    """
 
     problem: str
     t_end: float
@@ -116,6 +119,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     equations: list[str] = []
     nominal_step: float | None = None
     rates: dict[str, float] | None = None
+    faults: list[str] = []
 
     @property
     def omega_h(self) -> float | None:

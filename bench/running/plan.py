@@ -19,8 +19,10 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
+from integrators import answers
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
+from problems.answers import tidy
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -51,7 +53,10 @@ class Cell:
     def record(self, registry: Registry, status: str, message: str = "") -> Record:
         """Make the record of this cell with all that is known without a run."""
         scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
-        form, t0, r = integrator.formulation, scene.interval[0], self.resolution
+        facts, fault = answers.stated(integrator)
+        if fault:
+            status, message = "crashed", fault
+        form, t0, r = facts.formulation, scene.interval[0], self.resolution
         known: dict[str, Any] = {}
         if isinstance(r, Steps):
             h = (self.t_end - t0) / r.count(t0, self.t_end)
@@ -62,14 +67,14 @@ class Cell:
             key=self.key,
             problem=self.problem,
             integrator=self.integrator,
-            family=integrator.family or integrator.name,
+            family=facts.family or integrator.name,
             formulation=form if scene.has("constraint") or form == "ode" else "unconstrained",
-            controls=integrator.controls,
-            calls=integrator.calls,
+            controls="step" if isinstance(r, Steps) else "tolerance",
+            calls=facts.calls,
             t0=t0,
             t_end=self.t_end,
             status=status,
-            message=message,
+            message=tidy(message),
             fingerprint=self.fingerprint(registry),
             **known,
         )
@@ -164,11 +169,12 @@ def make_suite(
 
 def _facts(registry: Registry, text: str) -> IntegratorFacts:
     integrator = registry.integrator(text)
+    facts, _ = answers.stated(integrator)  # a fault is told by the rows of its cells
     return IntegratorFacts(
-        title=registry.integrators[integrator.name].summary,
-        orders=dict(integrator.orders),
-        formulation=integrator.formulation,
-        source=integrator.source,
+        title=tidy(registry.integrators[integrator.name].summary),
+        orders=dict(facts.orders),
+        formulation=facts.formulation,
+        source=facts.source,
     )
 
 
@@ -231,7 +237,7 @@ def _expand(
     cells = {
         cell.key: cell
         for integrator in integrators
-        for resolution in resolutions[integrator.controls]
+        for resolution in resolutions[answers.stated(integrator)[0].controls]
         if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
     }
     study = Study(

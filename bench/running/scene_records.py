@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import explain
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
+from problems import answers
+from problems.answers import said, tidy, words_of
 from problems.formulations import ode_rate
-from problems.reference import Reference
+from problems.reference import Reference, ReferenceFailed
 from problems.runtime import jax
+from problems.spec import SpecError
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene.
@@ -31,38 +36,85 @@ _BLOCKS = {
 
 
 def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
-    """Make the record of a scene; one too large for a reference has no values and pictures."""
-    known: dict[str, Any] = {
-        "reference_method": reference.missing,
+    """Make the record of a scene; one too large for a reference has no values and pictures.
+
+    A part of which the scene gives a false answer is left out, and the record says so.
+    """
+    faults: list[str] = []
+
+    def part(name: str, make: Callable[[], Any], otherwise: Any) -> Any:
+        try:
+            return make()
+        except BaseException as error:  # the scene may be a plugin
+            faults.append(f"Its {name} is left out: {why(error)}")
+            return otherwise
+
+    none = {
+        "reference_method": "No reference is known.",
         "reference_error": {},
         "reference": Rows(t=[], values={}),
     }
-    if not reference.missing:
-        t = np.linspace(scene.interval[0], reference.t_end, 301)
-        known = {
-            "reference_method": reference.method,
-            "reference_error": relative_reference_error(reference),
-            "reference": measure.rows_of({"t": t} | reference(t)),
-            "drawings": drawings(scene, reference, GHOSTS),
-            "rates": rates(scene, reference),
+    known = part("reference", lambda: _motion(scene, reference), none)
+    if known["reference"].t:
+        known |= {
+            "drawings": part("picture", lambda: drawings(scene, reference, GHOSTS), []),
+            "rates": part("spectrum", lambda: rates(scene, reference), None),
         }
+    nameless = {"title": scene.name, "description": "", "parameters": []}
+    known |= part("description", lambda: answers.description(scene.describe()), nameless)
+    if scene.has("energy"):
+        part("energy", lambda: _energy(scene), None)
+    tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
+    hard = part(
+        "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
+    )
     return SceneRecord(
         problem=scene.spec,
         t_end=reference.t_end,
-        source=scene.source,
-        components={
-            g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS
-        },
+        source=part("source", lambda: answers.text(scene.source, "source"), ""),
+        components=part("list of components", lambda: _components(scene), {}),
         sizes=scene.sizes._asdict(),
         t0=scene.interval[0],
         fingerprint=fingerprint(type(scene)),
-        tags=list(scene.tags),
-        difficulties=list(scene.difficulties),
+        tags=list(tags),
+        difficulties=list(hard),
         equations=equations(scene),
-        nominal_step=scene.nominal_step,
+        nominal_step=part("nominal step", lambda: answers.step(scene.nominal_step), None),
+        faults=faults,
         **known,
-        **scene.describe(),
     )
+
+
+def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
+    """What the record says of the reference."""
+    if reference.missing:
+        empty = Rows(t=[], values={})
+        return {"reference_method": reference.missing, "reference_error": {}, "reference": empty}
+    t = np.linspace(scene.interval[0], reference.t_end, 301)
+    return {
+        "reference_method": reference.method,
+        "reference_error": relative_reference_error(reference),
+        "reference": measure.rows_of({"t": t} | reference(t)),
+    }
+
+
+def _energy(scene: MechatronicSystem) -> float:
+    """The energy at the start."""
+    start = scene.initial_state()
+    return answers.number(scene.energy(start.q, start.v), "energy()")
+
+
+def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
+    return {g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS}
+
+
+def why(error: BaseException) -> str:
+    """Return the reason of a failure; that of a false answer needs no line of code."""
+    try:
+        known = isinstance(error, SpecError | ReferenceFailed)
+        return words_of(error) if known else tidy(explain(error))
+    except BaseException:  # an exception of a plugin may raise another one when it is shown
+        return said(error)
 
 
 def equations(scene: MechatronicSystem) -> list[str]:
@@ -81,12 +133,17 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
     list
         ``{"t": s, "lines": [[[x, y], ...], ...]}`` for each time, lengths in m; empty if the
         scene has no drawing.
+
+    Raises
+    ------
+    FalseAnswer
+        If a line is no list of finite points.
     """
     if not scene.has("draw"):
         return []
     t = np.linspace(scene.interval[0], reference.t_end, count)
     return [
-        {"t": float(now), "lines": [np.asarray(line).tolist() for line in scene.draw(q)]}
+        {"t": float(now), "lines": answers.drawing(scene.draw(q))}
         for now, q in zip(t, reference(t)["q"], strict=True)
     ]
 

@@ -9,18 +9,22 @@ import gc
 import os
 import time
 import traceback
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.plugins.registry import Registry, explain
+from bench.plugins.registry import Registry
+from bench.results.quantities import PARTS
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.plan import Cell
 from bench.running.processes import Notify
-from bench.running.scene_records import scene_record
+from bench.running.scene_records import scene_record, why
+from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
+from problems.answers import words_of
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.runtime import jax, one_thread
@@ -102,14 +106,22 @@ class Worker:
             try:
                 reference = self._reference(scene, record.t_end)
                 if reference.missing:
-                    record.message = f"No errors are known. {reference.missing}"
+                    _add(record, f"No errors are known. {reference.missing}")
                 else:
                     record.errors, record.reference_error, record.components = relative_errors(
                         run, reference
                     )
-            except Exception as error:
-                record.message = f"No errors are known, the reference failed: {explain(error)}"
-        histories = measure.histories(scene, run)
+            except BaseException as error:
+                _add(record, f"No errors are known, the reference failed: {why(error)}")
+        histories = {}
+        for name, measured in (
+            ("residual of the constraints", measure.violations),
+            ("energy drift", measure.energy_drift),
+        ):
+            try:
+                histories |= measured(scene, run)
+            except BaseException as error:
+                _add(record, f"No {name} is known: {why(error)}")
         largest = {name: finite(values.max()) for name, values in histories.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
@@ -117,36 +129,36 @@ class Worker:
 
     def _bill(self, record: Record, run: Trajectory) -> None:
         try:
-            record.operations = self.prepared[record.key].bill(run)
-        except Exception as error:
+            record.operations = answers.bill(self.prepared[record.key].bill(run), PARTS)
+        except BaseException as error:
             # Counting is not the integrator's work, and a run without a bill still has its errors.
-            reason = f"Its operations are not known: {explain(error)}"
-            record.message = f"{record.message} {reason}".strip()
+            _add(record, f"Its operations are not known: {why(error)}")
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         scene = self.problem(cell.problem)
         integrator = self.registry.integrator(cell.integrator)
-        reason = integrator.supports(scene)
-        if reason:
-            return Trajectory.failed("unsupported", reason), None
+        span = scene.interval[0], cell.t_end
         if len(self.prepared) % COUNTED_EVERY == 0 and memory_mappings() > MOST_MAPPINGS:
             self.prepared.clear()
             jax.clear_caches()
-        started = time.perf_counter()
         try:
-            run = integrator.prepare(scene, cell.t_end, cell.resolution)
+            answers.facts(integrator)
+            if reason := answers.refusal(integrator, scene):
+                return Trajectory.failed("unsupported", reason), None
+            started = time.perf_counter()
+            run = answers.prepared(integrator.prepare(scene, cell.t_end, cell.resolution))
             compile_s = time.perf_counter() - started
             measuring = time.perf_counter()
-            trajectory = run.measure()
+            measured = run.measure()
+            seconds = time.perf_counter() - measuring
+            trajectory = answers.trajectory(measured, scene.sizes, *span)
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
-            return Trajectory.failed("crashed", str(error)), None
-        except Exception as error:
+            return Trajectory.failed("crashed", words_of(error)), None
+        except BaseException as error:  # of a plugin, which may even raise SystemExit
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
-            return Trajectory.failed("crashed", f"The integrator failed: {explain(error)}"), None
-        self.prepared[cell.key] = run
-        self._seconds[cell.key] = time.perf_counter() - measuring
-        span = scene.interval[0], cell.t_end
+            return Trajectory.failed("crashed", f"The integrator failed: {why(error)}"), None
+        self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
         return measure.checked(trajectory, cell.t_end), compile_s
@@ -170,7 +182,14 @@ class Worker:
     def scene(self, problem: str, t_end: float) -> SceneRecord:
         """Make the record of a scene, everything that a report shows of it."""
         scene = self.problem(problem)
-        return scene_record(scene, self._reference(scene, t_end))
+        with suppress(BaseException):  # the record says why there is no reference
+            self._reference(scene, t_end)
+        known = self._references.get((scene.spec, t_end))
+        return scene_record(scene, known or Reference(scene, t_end))
+
+
+def _add(record: Record, sentence: str) -> None:
+    record.message = f"{record.message} {sentence}".strip()
 
 
 def memory_mappings() -> int:
