@@ -10,7 +10,6 @@ from bench.conformance.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
 from integrators.answers import refusal
 from integrators.contract import STATUSES, Integrator
-from problems.answers import FalseAnswer
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -21,7 +20,7 @@ def check_empty_interval(registry: Registry, method: Integrator) -> str:
     t0 = scene.interval[0]
     try:
         run = solved(method, scene, t0, resolution(method, scene))
-    except FalseAnswer:
+    except Failed:
         raise
     except SpecError as refused:
         return f"An interval of length zero is refused: {refused}"
@@ -58,7 +57,7 @@ def _ends_badly(method: Integrator, scene: MechatronicSystem, what: str) -> str:
     try:
         end = scene.interval[1]  # behind the blow-up, however many steps that takes
         run = solved(method, scene, end, resolution(method, scene))
-    except FalseAnswer:
+    except Failed:
         raise
     except Exception as error:
         raise Failed(

@@ -20,6 +20,7 @@ from bench.conformance.trials import (
     prepared,
     solved,
     step_count,
+    trajectory,
     trial_end,
     trials,
     words,
@@ -57,7 +58,10 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
     for name, plugin in registry.problems.items():
         if plugin.cls is None:
             continue
-        reason = answers.refusal(method, registry.problem(name))
+        try:
+            reason = answers.refusal(method, registry.problem(name))
+        except FalseAnswer as fault:
+            raise Failed(f"On {name}: {fault}") from fault
         if reason is None:
             taken.append(name)
         else:
@@ -128,10 +132,9 @@ def check_execute(registry: Registry, method: Integrator) -> str:
     scenes, silent = trials(registry, method), []
     for scene in scenes:
         run = prepared(method, scene)
-        span = scene.interval[0], trial_end(scene)
-        before = answers.trajectory(run.measure(), scene.sizes, *span)
+        before = trajectory(run, scene, trial_end(scene))
         results = [run.execute(), run.execute()]
-        after = answers.trajectory(run.measure(), scene.sizes, *span)
+        after = trajectory(run, scene, trial_end(scene))
         _same_run(before, after, f"measure() before and after execute() on {scene.spec}")
         for result in results:
             numbers = np.concatenate([np.zeros(0), *_numbers(result)])
@@ -169,8 +172,7 @@ def check_work(registry: Registry, method: Integrator) -> str:
     for scene in scenes:
         coarse, fine = (measured(method, scene, factor).work for factor in pair)
         run = prepared(method, scene)
-        own = answers.trajectory(run.measure(), scene.sizes, scene.interval[0], trial_end(scene))
-        answers.bill(run.bill(own), PARTS)
+        answers.bill(run.bill(trajectory(run, scene, trial_end(scene))), PARTS)
         for name in ("steps", "residuals"):
             few, many = getattr(coarse, name), getattr(fine, name)
             if few is None or many is None or not 0 < few < many:
@@ -200,8 +202,6 @@ def check_pattern(registry: Registry, method: Integrator) -> str:
 
     try:
         varying = run(steps)
-    except FalseAnswer:
-        raise
     except SpecError as refusal:
         return f"Step patterns are refused: {refusal}"
     if fault := ignored_pattern(varying, steps, scene.interval[0], trial_end(scene)):

@@ -15,6 +15,7 @@ from integrators import answers
 from integrators.answers import refusal
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp
+from problems.answers import FalseAnswer
 from problems.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
@@ -196,21 +197,25 @@ def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -
     return answers.prepared(method.prepare(scene, trial_end(scene), refined))
 
 
-def solved(
-    method: Integrator,
-    scene: MechatronicSystem,
-    t_end: float,
-    refined: Steps | Tolerances,
-) -> Trajectory:
-    """Run a method up to t_end in s.
+def trajectory(run: PreparedRun, scene: MechatronicSystem, t_end: float) -> Trajectory:
+    """Measure a run up to t_end in s.
 
     Raises
     ------
-    FalseAnswer
+    Failed
         If it does not give a trajectory.
     """
-    run = answers.prepared(method.prepare(scene, t_end, refined)).measure()
-    return answers.trajectory(run, scene.sizes, scene.interval[0], t_end)
+    try:
+        return answers.trajectory(run.measure(), scene.sizes, scene.interval[0], t_end)
+    except FalseAnswer as fault:
+        raise Failed(f"On {scene.spec}: {fault}") from fault
+
+
+def solved(
+    method: Integrator, scene: MechatronicSystem, t_end: float, refined: Steps | Tolerances
+) -> Trajectory:
+    """Prepare and measure a run up to t_end in s; see `trajectory`."""
+    return trajectory(answers.prepared(method.prepare(scene, t_end, refined)), scene, t_end)
 
 
 def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> Trajectory:
