@@ -35,6 +35,8 @@ MOST_COUNT = 2**53
 #: Characters that steer a terminal or cannot be written as UTF-8; of a sentence also line ends.
 _CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069"
 _CONTROLS, _BREAKS = re.compile(f"[{_CONTROL}]"), re.compile(r"[\s\u2028\u2029]+")
+#: The same value is shown alike in every process.
+_ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 _SHOWN = reprlib.Repr()
 _SHOWN.maxstring = _SHOWN.maxother = _SHOWN.maxlong = 60
 
@@ -53,7 +55,7 @@ def _seen(value: object) -> str:
     try:
         if isinstance(value, np.ndarray) and value.size != 1:
             return f"an array of {value.dtype} of shape {value.shape}"
-        return tidy(_SHOWN.repr(value))
+        return tidy(_ADDRESS.sub("", _SHOWN.repr(value)))
     except BaseException:  # a value of a plugin may do anything when it is shown
         return f"a {type(value).__name__}"
 

@@ -25,6 +25,7 @@ from bench.conformance.verdicts import (
 from bench.plugins.registry import Plugin, Registry
 from bench.running.processes import GuardedProcess, NoAnswer, Notify
 from problems import spec
+from problems.answers import words_of
 from problems.spec import SpecError
 
 #: The checks by kind of plugin and name, in the order in which they are told.
@@ -42,8 +43,8 @@ def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult
     except DoesNotApply as reason:
         return CheckResult(check, NOT_APPLICABLE, str(reason))
     except (Failed, SpecError) as fault:
-        return CheckResult(check, FAILED, str(fault))
-    except (Exception, SystemExit) as error:  # a plugin may do anything
+        return CheckResult(check, FAILED, words_of(fault))
+    except BaseException as error:  # a plugin may do anything
         return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 
 

@@ -15,7 +15,7 @@ from integrators import answers
 from integrators.answers import refusal
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp
-from problems.answers import FalseAnswer
+from problems.answers import FalseAnswer, texts
 from problems.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
@@ -154,7 +154,7 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     """
     # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
     classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
-    tagged = [name for name, cls in classes.items() if TAG in vars(cls).get("tags", ())]
+    tagged = [name for name, cls in classes.items() if TAG in _tags(cls)]
     tried = ForcedOscillator(), *map(registry.problem, tagged)
     taken = [scene for scene in tried if refusal(method, scene) is None]
     others = (scene for scene in map(registry.problem, classes) if refusal(method, scene) is None)
@@ -162,6 +162,13 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     if not taken:
         raise DoesNotApply("It takes no scene.")
     return taken
+
+
+def _tags(cls: type) -> tuple[str, ...]:
+    try:
+        return texts(vars(cls).get("tags", ()), "tags")
+    except FalseAnswer:  # the check of the scene tells it
+        return ()
 
 
 def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:

@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import explain
+from bench.plugins.registry import why
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from problems import answers
-from problems.answers import said, tidy, words_of
 from problems.formulations import ode_rate
-from problems.reference import Reference, ReferenceFailed
+from problems.reference import Reference
 from problems.runtime import jax
-from problems.spec import SpecError
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene.
@@ -106,15 +104,6 @@ def _energy(scene: MechatronicSystem) -> float:
 
 def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
     return {g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS}
-
-
-def why(error: BaseException) -> str:
-    """Return the reason of a failure; that of a false answer needs no line of code."""
-    try:
-        known = isinstance(error, SpecError | ReferenceFailed)
-        return words_of(error) if known else tidy(explain(error))
-    except BaseException:  # an exception of a plugin may raise another one when it is shown
-        return said(error)
 
 
 def equations(scene: MechatronicSystem) -> list[str]:

@@ -14,14 +14,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, why
 from bench.results.quantities import PARTS
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.plan import Cell
 from bench.running.processes import Notify
-from bench.running.scene_records import scene_record, why
+from bench.running.scene_records import scene_record
 from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
 from problems.answers import words_of
