@@ -16,7 +16,7 @@ from bench.running.errors import relative_reference_error
 from problems import answers
 from problems.formulations import ode_rate
 from problems.reference import Reference
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene.
@@ -61,7 +61,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
     nameless = {"title": scene.name, "description": "", "parameters": []}
     known |= part("description", lambda: answers.description(scene.describe()), nameless)
     if scene.has("energy"):
-        part("energy", lambda: _energy(scene), None)
+        part("energy", lambda: first_energy(scene), None)
     tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
     hard = part(
         "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
@@ -96,10 +96,16 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
     }
 
 
-def _energy(scene: MechatronicSystem) -> float:
-    """The energy at the start."""
-    start = scene.initial_state()
-    return answers.number(scene.energy(start.q, start.v), "energy()")
+def first_energy(scene: MechatronicSystem) -> float:
+    """Return the energy of a scene at its start, in J.
+
+    Raises
+    ------
+    FalseAnswer
+        If it is no finite number.
+    """
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    return answers.number(scene.energy(q, v), "energy()")
 
 
 def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
