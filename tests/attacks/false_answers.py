@@ -423,7 +423,7 @@ SCENES = {
     "EnergyNan": (
         {"energy": lambda self, q, v: NAN * (q @ v)},
         "energy",
-        "(nan), expected a finite number",
+        "energy() is Array(nan, dtype=float64",
     ),
     "EnergyText": ({"energy": lambda self, q, v: "much"}, "energy", "energy() is 'much', expected"),
     "TagsOfNumbers": ({"tags": (1, 2)}, "description", "tags[0] is 1, expected text"),
