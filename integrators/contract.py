@@ -126,6 +126,9 @@ class Steps:
             raise spec.SpecError(
                 f"A step pattern has at most 16 fractions; {len(self.pattern)} came."
             )
+        # Results are stored with them, and NumPy's floats are not those of Python.
+        object.__setattr__(self, "h", float(self.h))
+        object.__setattr__(self, "pattern", tuple(map(float, self.pattern)))
 
     def count(self, t0: float, t_end: float) -> int:
         """Return the least number of equal macro steps in [t0, t_end] (s) of at most h each.
@@ -173,7 +176,7 @@ class Tolerances:
         for name, value in (("rtol", rtol), ("atol", rtol / 100 if atol is None else atol)):
             if not (math.isfinite(value) and value > 0):
                 raise spec.SpecError(f"{name}={value:g} is not allowed; give a positive number.")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, float(value))
 
 
 @dataclass

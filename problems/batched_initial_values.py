@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from problems.answers import FalseAnswer
 from problems.formulations import Start, constraint_velocity, with_rates
 from problems.initial_values import (
     CONSISTENCY_TOLERANCE,
@@ -54,7 +55,7 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
     for k in np.flatnonzero(~good).tolist():
         try:
             alone = consistent_start(scenes[k])._replace(constrained_jerk=None)
-        except (InconsistentStart, NoConsistentStart) as error:
+        except (InconsistentStart, NoConsistentStart, FalseAnswer) as error:
             refused[k] = str(error)
             continue
         for table, row in zip(jax.tree.leaves(start), jax.tree.leaves(alone), strict=True):

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from problems import sparsity
+from problems import answers, sparsity
 from problems.compiled import compiled
 from problems.formulations import Start
 from problems.runtime import jax
@@ -44,7 +44,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
         If an array has a wrong shape.
     """
     t0 = scene.interval[0]
-    state = State(*(np.asarray(part, dtype=float) for part in scene.initial_state()))
+    state = State(*answers.state(scene.initial_state()))
     _check_dimensions(scene, state)
     if scene.has("constraint"):
         _check_constraints(scene, state, t0)

@@ -16,13 +16,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from problems import spec
+from problems import answers, spec
 from problems.runtime import jax
 from problems.stray_blocks import fault_of_blocks
 
@@ -77,10 +78,16 @@ class Component(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> Component:
-        """Read "name", "name [unit]" or "name [unit] ~ size, size of the rate, ..."."""
+        """Read "name", "name [unit]" or "name [unit] ~ size, size of the rate, ...".
+
+        Raises
+        ------
+        FalseAnswer
+            If a size is not a positive number.
+        """
         name, tilde, sizes = (part.strip() for part in text.partition("~"))
         name, bracket, unit = name.partition(" [")
-        scales = tuple(map(float, sizes.split(","))) if tilde else ()
+        scales = answers.natural_sizes(sizes.split(","), text) if tilde else ()
         return cls(name, unit.rstrip("]") if bracket else "", scales)
 
     @property
@@ -178,9 +185,13 @@ class MechatronicSystem:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "interval" in cls.__dict__:
-            start, end = cls.interval
-            cls.interval = float(start), float(end)
+        own = {name: cls.__dict__.get(name) for name in ("interval", "nominal_step")}
+        with suppress(TypeError, ValueError):  # `fault` tells of what is no number
+            if own["interval"] is not None:
+                start, end = cls.interval
+                cls.interval = float(start), float(end)
+            if own["nominal_step"] is not None:
+                cls.nominal_step = float(cls.nominal_step)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
 
@@ -241,8 +252,10 @@ class MechatronicSystem:
     @classmethod
     @cache
     def fault(cls) -> str:
-        """The sentence on blocks that cannot be used, or nothing."""
-        return fault_of_blocks(cls, MechatronicSystem)
+        """The sentence on blocks or times that cannot be used, or nothing."""
+        return fault_of_blocks(cls, MechatronicSystem) or answers.fault_of_times(
+            cls.interval, cls.nominal_step
+        )
 
     @property
     def spec(self) -> str:
@@ -258,7 +271,7 @@ class MechatronicSystem:
         SpecError
             If blocks are missing that belong together, or a method looks like a block and is none.
         """
-        fault, start = self.fault(), self.initial_state()
+        fault, start = self.fault(), State(*answers.state(self.initial_state()))
         nx = len(start.x)
         if nx and not self.has("state_rate"):
             fault = f"its initial_state has x of length {nx}, but it does not state state_rate."
@@ -268,7 +281,10 @@ class MechatronicSystem:
             raise spec.SpecError(f"{self.spec}: {fault}")
         nl = ny = 0
         if self.has("constraint"):
-            (nl,) = jax.eval_shape(self.constraint, start.q, self.interval[0]).shape
+            shape = jax.eval_shape(self.constraint, start.q, self.interval[0]).shape
+            if len(shape) != 1:
+                raise spec.SpecError(f"{self.spec}: constraint has shape {shape}, expected (nl,).")
+            nl = shape[0]
         if self.has("output"):
             ny = self._outputs(len(start.q))
         return Sizes(len(start.q), nl, nx, ny)
@@ -286,7 +302,7 @@ class MechatronicSystem:
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""
         stated = {"lam": self.multipliers, "x": self.states, "y": self.outputs}
-        texts = stated.get(group, self.coordinates)
+        texts = answers.texts(stated.get(group, self.coordinates), f"the names of {group}")
         found = [Component.read(text) for text in texts]
         for _ in range("qva".find(group)):
             found = [component.rate() for component in found]

@@ -42,7 +42,11 @@ def test_what_is_right_passes_every_check(registry, kind, text):
 @pytest.mark.parametrize(
     ("text", "check", "sentence"),
     [
-        ("wrong[how=mute]", "scenes", "supports() answers '' on"),
+        (
+            "wrong[how=mute]",
+            "scenes",
+            "supports() is '', expected None, or the reason in a sentence",
+        ),
         ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
         ("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05 (h ="),
         ("wrong[how=unchanging]", "pattern", "It counts 50 steps where the step pattern has 100"),
@@ -50,9 +54,18 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),
         ("wrong[how=off_grid]", "rows", "is no multiple of the step"),
         ("wrong[how=late]", "rows", "the last at 5.0, to the last digit"),
-        ("wrong[how=flat]", "rows", "Rows of v on forced_oscillator have shape (51,), not (51, 1)"),
+        (
+            "wrong[how=flat]",
+            "rows",
+            "On forced_oscillator: v is an array of float64 of shape (51,), "
+            "expected real numbers of shape (51, 1)",
+        ),
         ("wrong[how=without_start]", "rows", "The first row of q on forced_oscillator"),
-        ("wrong[how=backwards]", "rows", "do not increase after t=0.4 s"),
+        (
+            "wrong[how=backwards]",
+            "rows",
+            "On forced_oscillator: t[4] is 0.3, expected a time after t[3], 0.4 s",
+        ),
         ("wrong[how=uncounted]", "work", "steps on forced_oscillator: None at h=0.1 s, None at"),
         ("wrong[how=always_seven]", "work", "residuals on forced_oscillator: 7 at h=0.1 s, 7 at"),
         ("wrong[how=twice]", "work", "100 steps are counted on forced_oscillator, 50 were asked"),
@@ -93,7 +106,12 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
             "blocks",
             "force[1] by v[1] is 0, the difference quotient -1",
         ),
-        ("crumpled", "drawing", "Line 0 of draw has shape (4, 3), not (points, 2)"),
+        (
+            "crumpled",
+            "drawing",
+            "line 0 of draw() is an array of float64 of shape (4, 3), "
+            "expected an array of shape (points",
+        ),
         ("stubborn", "traced", "A traced value of m does not act as a plain one"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),

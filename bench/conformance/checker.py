@@ -28,6 +28,7 @@ from bench.plugins.facts import PluginFacts, Sources
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory, load_registry
 from problems import spec
+from problems.answers import words_of
 from problems.spec import SpecError
 
 #: The checks by kind of plugin and name, in the order in which they are told.
@@ -45,8 +46,8 @@ def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult
     except DoesNotApply as reason:
         return CheckResult(check, NOT_APPLICABLE, str(reason))
     except (Failed, SpecError) as fault:
-        return CheckResult(check, FAILED, str(fault))
-    except (Exception, SystemExit) as error:  # a plugin may do anything
+        return CheckResult(check, FAILED, words_of(fault))
+    except BaseException as error:  # a plugin may do anything
         return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from bench.conformance.trials import reference
+from bench.conformance.trials import reference, solved
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
 from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
+from integrators import answers
+from integrators.answers import refusal
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
 
@@ -58,9 +60,10 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     found, faults = [], []
     orders: dict[tuple[str, int], list[tuple[float, str]]] = {}
     for scene, t_end in trials:
-        if steady.supports(scene):
+        if refusal(steady, scene):
             continue
-        claims = {g: p for g, p in steady.claims(scene).items() if scene.sizes.of(g)}
+        stated = answers.orders(steady.claims(scene), "claims()")
+        claims = {g: p for g, p in stated.items() if scene.sizes.of(g)}
         if not claims:
             continue
         levels, floors = _refine(steady, scene, t_end, claims)
@@ -106,7 +109,7 @@ def _refine(
     while True:
         steps = round(count)
         count *= ratio
-        run = method.prepare(scene, t_end, Steps(length / steps)).measure()
+        run = solved(method, scene, t_end, Steps(length / steps))
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
         if not trouble:  # coarse steps may be too coarse
             errors, own, _ = relative_errors(run, known)
@@ -178,7 +181,7 @@ def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
         errors: dict[str, list[float]] = {"q": [], "v": []}
         done: list[float] = []
         for rtol in _RTOLS:
-            run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
+            run = solved(method, scene, t_end, Tolerances(rtol))
             if run.status == "budget_exceeded" and len(done) >= _FEWEST_RTOLS:
                 break
             if run.status != "ok":

@@ -11,8 +11,11 @@ import numpy as np
 
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
+from integrators import answers
+from integrators.answers import refusal
 from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp
+from problems.answers import FalseAnswer, texts
 from problems.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
@@ -151,14 +154,21 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     """
     # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
     classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
-    tagged = [name for name, cls in classes.items() if TAG in vars(cls).get("tags", ())]
+    tagged = [name for name, cls in classes.items() if TAG in _tags(cls)]
     tried = ForcedOscillator(), *map(registry.problem, tagged)
-    taken = [scene for scene in tried if method.supports(scene) is None]
-    others = (scene for scene in map(registry.problem, classes) if method.supports(scene) is None)
+    taken = [scene for scene in tried if refusal(method, scene) is None]
+    others = (scene for scene in map(registry.problem, classes) if refusal(method, scene) is None)
     taken = taken or list(islice(others, 1))
     if not taken:
         raise DoesNotApply("It takes no scene.")
     return taken
+
+
+def _tags(cls: type) -> tuple[str, ...]:
+    try:
+        return texts(vars(cls).get("tags", ()), "tags")
+    except FalseAnswer:  # the check of the scene tells it
+        return ()
 
 
 def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
@@ -170,7 +180,7 @@ def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSyst
         If it takes no scene at all.
     """
     double = DoublePendulum()
-    return trials(registry, method) + ([double] if method.supports(double) is None else [])
+    return trials(registry, method) + ([double] if refusal(method, double) is None else [])
 
 
 def trial_end(scene: MechatronicSystem) -> float:
@@ -190,7 +200,29 @@ def resolution(
 
 def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> PreparedRun:
     """Prepare a trial run."""
-    return method.prepare(scene, trial_end(scene), resolution(method, scene, finer))
+    refined = resolution(method, scene, finer)
+    return answers.prepared(method.prepare(scene, trial_end(scene), refined))
+
+
+def trajectory(run: PreparedRun, scene: MechatronicSystem, t_end: float) -> Trajectory:
+    """Measure a run up to t_end in s.
+
+    Raises
+    ------
+    Failed
+        If it does not give a trajectory.
+    """
+    try:
+        return answers.trajectory(run.measure(), scene.sizes, scene.interval[0], t_end)
+    except FalseAnswer as fault:
+        raise Failed(f"On {scene.spec}: {fault}") from fault
+
+
+def solved(
+    method: Integrator, scene: MechatronicSystem, t_end: float, refined: Steps | Tolerances
+) -> Trajectory:
+    """Prepare and measure a run up to t_end in s; see `trajectory`."""
+    return trajectory(answers.prepared(method.prepare(scene, t_end, refined)), scene, t_end)
 
 
 def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> Trajectory:
@@ -201,7 +233,7 @@ def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -
     Failed
         If it does not.
     """
-    run = prepared(method, scene, finer).measure()
+    run = solved(method, scene, trial_end(scene), resolution(method, scene, finer))
     if run.status != "ok":
         raise Failed(
             f"On {scene.spec} at {words(method, scene, finer)} it ends with {run.status}: "

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from bench.plugins.registry import explain
+from bench.plugins.registry import why
 from problems.spec import SpecError, format_value
 
 PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"
@@ -32,7 +32,7 @@ class DoesNotApply(Exception):
 
 def shortly(error: BaseException) -> str:
     """Return the first sentence on an exception; messages of JAX are long."""
-    return explain(error).split(". ")[0].rstrip(".") + "."
+    return why(error).split(". ")[0].rstrip(".") + "."
 
 
 def round_trip(make: Callable[[str], Any], subject: Any) -> str:

@@ -12,7 +12,8 @@ from typing import Any
 
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
-from bench.plugins.registry import explain
+from bench.plugins.registry import why
+from problems.answers import words_of
 from problems.spec import SpecError
 
 #: Tells the parent that a job goes on to another phase (bench.guard.limits), with words on it.
@@ -39,11 +40,11 @@ def serve(descriptor: int) -> None:
             sys.stdout.flush()
             content = wire.message(wire.DONE, found)
         except SpecError as error:
-            tell(wire.REFUSED, str(error))
+            tell(wire.REFUSED, words_of(error))
         except BaseException as error:  # a plugin may raise anything
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
-            tell(wire.FAILED, explain(error))
+            tell(wire.FAILED, why(error))
         else:
             if os.getpid() != myself:
                 os._exit(1)

@@ -9,6 +9,8 @@ import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import KINDS, Plugin, Registry
+from integrators import answers
+from problems.answers import step, tidy
 from problems.system import GROUPS
 
 
@@ -49,7 +51,8 @@ class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint."""
+    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint;
+    ``fault`` is the sentence on a false one."""
 
     spec: str
     name: str
@@ -63,6 +66,7 @@ class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     calls: str
     fingerprint: str
     sources: Sources = Sources()
+    fault: str = ""
 
 
 def plugin_facts(plugin: Plugin) -> PluginFacts:
@@ -70,7 +74,7 @@ def plugin_facts(plugin: Plugin) -> PluginFacts:
     return PluginFacts(
         name=plugin.name,
         origin=plugin.origin,
-        summary=plugin.summary,
+        summary=tidy(plugin.summary),
         options=plugin.options,
         reason=plugin.reason,
         sources=sources_of(plugin),
@@ -92,7 +96,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         spec=scene.spec,
         name=scene.name,
         interval=scene.interval,
-        nominal_step=float(scene.nominal_step),
+        nominal_step=step(scene.nominal_step),
         constrained=scene.has("constraint"),
         fingerprint=fingerprint(type(scene)),
         sources=sources_of(registry.problems[scene.name]),
@@ -103,19 +107,21 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
     """State the facts of the integrator that is written as ``text``."""
     method = registry.integrator(text)
     plugin = registry.integrators[method.name]
+    stated, fault = answers.stated(method)
     return MethodFacts(
         spec=method.spec,
         name=method.name,
-        title=plugin.summary,
-        family=method.family or method.name,
-        formulation=method.formulation,
-        controls=method.controls,
-        affinity=method.affinity,
-        orders=dict(method.orders),
-        source=method.source,
-        calls=method.calls,
+        title=tidy(plugin.summary),
+        family=stated.family or method.name,
+        formulation=stated.formulation,
+        controls=stated.controls,
+        affinity=stated.affinity,
+        orders=dict(stated.orders),
+        source=stated.source,
+        calls=stated.calls,
         fingerprint=fingerprint(type(method)),
         sources=sources_of(plugin),
+        fault=fault,
     )
 
 

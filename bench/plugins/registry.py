@@ -23,6 +23,7 @@ from typing import Any
 
 from integrators.contract import Integrator
 from problems import spec
+from problems.answers import said, tidy, words_of
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -303,3 +304,11 @@ def _fault(kind: str, name: str, cls: Any) -> str:
     if bare:
         return f"{', '.join(bare)} is not an option yet: decorate {cls.__name__} with @dataclass."
     return ""
+
+
+def why(error: BaseException) -> str:
+    """Return the reason of a failure; that of a false answer needs no line of code."""
+    try:
+        return words_of(error) if isinstance(error, SpecError) else tidy(explain(error))
+    except BaseException:  # an exception of a plugin may raise another one when it is shown
+        return said(error)

@@ -103,6 +103,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
     ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s``.
+    ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
     problem: str
@@ -126,6 +127,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     equations: list[str] = []
     nominal_step: float | None = None
     rates: dict[str, float] | None = None
+    faults: list[str] = []
 
     @property
     def omega_h(self) -> float | None:

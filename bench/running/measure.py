@@ -12,6 +12,7 @@ from bench.results.records import Rows
 from bench.running.errors import finite
 from integrators.contract import Steps, Trajectory
 from integrators.kept_rows import spread_rows
+from problems.answers import array
 from problems.compiled import compiled
 from problems.system import MechatronicSystem
 
@@ -19,30 +20,37 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def histories(
-    scene: MechatronicSystem, trajectory: Trajectory
-) -> dict[str, Float[np.ndarray, " k"]]:
-    """Measure the violations of a run in each of its k rows.
+def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
+    """Measure the largest absolute residuals of Phi and of its first two time derivatives.
 
     Returns
     -------
     dict
-        The largest absolute residuals of Phi and of its first two time derivatives ("position",
-        "velocity", "acceleration"), and the change of "energy" relative to the largest kinetic
-        energy. A scene without constraints or without energy lacks them.
+        "position", "velocity" and "acceleration" in each of the k rows of a run; empty if the
+        scene has no constraints.
     """
-    y, p, found = trajectory, scene.parameters(), {}
-    if scene.has("constraint"):
-        levels = compiled(scene).levels(p, y.q, y.v, y.a, y.t)
-        found = {
-            name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
-        }
-    if scene.has("energy"):
-        energy = compiled(scene).energy
-        total = np.asarray(energy(p, y.q, y.v))
-        kinetic = total - np.asarray(energy(p, y.q, 0 * y.v))
-        found["energy"] = np.abs(total - total[0]) / (np.abs(kinetic).max() or 1.0)
-    return found
+    if not scene.has("constraint"):
+        return {}
+    levels = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
+    return {
+        name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
+    }
+
+
+def energy_drift(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
+    """Measure the change of "energy" in each of the k rows, relative to the largest kinetic one.
+
+    Raises
+    ------
+    FalseAnswer
+        If the energy is not a finite number.
+    """
+    if not scene.has("energy"):
+        return {}
+    energy, p = compiled(scene).energy, scene.parameters()
+    total = array(energy(p, run.q, run.v), "energy() of the rows", run.t.shape)
+    rest = array(energy(p, run.q, 0 * run.v), "energy() at rest", run.t.shape)
+    return {"energy": np.abs(total - total[0]) / (np.abs(total - rest).max() or 1.0)}
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

@@ -21,6 +21,7 @@ from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
+from problems.answers import tidy
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -52,6 +53,8 @@ class Cell:
         self, scene: SceneFacts, method: MethodFacts, status: str, message: str = ""
     ) -> Record:
         """Make the record of this cell with all that is known without a run."""
+        if method.fault:
+            status, message = "crashed", method.fault
         form, t0, r = method.formulation, scene.interval[0], self.resolution
         known: dict[str, Any] = {}
         if isinstance(r, Steps):
@@ -65,12 +68,12 @@ class Cell:
             integrator=self.integrator,
             family=method.family,
             formulation=form if scene.constrained or form == "ode" else "unconstrained",
-            controls=method.controls,
+            controls="step" if isinstance(r, Steps) else "tolerance",
             calls=method.calls,
             t0=t0,
             t_end=self.t_end,
             status=status,
-            message=message,
+            message=tidy(message),
             fingerprint=f"{scene.fingerprint}-{method.fingerprint}",
             **known,
         )

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import why
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
+from problems import answers
 from problems.formulations import ode_rate
 from problems.reference import Reference
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene.
@@ -33,38 +36,80 @@ _BLOCKS = {
 def scene_record(
     scene: MechatronicSystem, t_end: float, reference: Reference | None, missing: str
 ) -> SceneRecord:
-    """Make the record of a scene; one that lacks a reference has the reason, and no pictures."""
+    """Make the record of a scene; one that lacks a reference has the reason, and no pictures.
+
+    A part of which the scene gives a false answer is left out, and the record says so.
+    """
+    faults: list[str] = []
+
+    def part(name: str, make: Callable[[], Any], otherwise: Any) -> Any:
+        try:
+            return make()
+        except BaseException as error:  # the scene may be a plugin
+            faults.append(f"Its {name} is left out: {why(error)}")
+            return otherwise
+
     known: dict[str, Any] = {
         "reference_method": missing,
         "reference_error": {},
         "reference": Rows(t=[], values={}),
     }
     if reference and not missing:
-        t = np.linspace(scene.interval[0], t_end, 301)
-        known = {
-            "reference_method": reference.method,
-            "reference_error": relative_reference_error(reference),
-            "reference": measure.rows_of({"t": t} | reference(t)),
-            "drawings": drawings(scene, reference, GHOSTS),
-            "rates": rates(scene, reference),
+        known |= part("reference", lambda: _motion(scene, reference), {})
+    if reference and known["reference"].t:
+        known |= {
+            "drawings": part("picture", lambda: drawings(scene, reference, GHOSTS), []),
+            "rates": part("spectrum", lambda: rates(scene, reference), None),
         }
+    nameless = {"title": scene.name, "description": "", "parameters": []}
+    known |= part("description", lambda: answers.description(scene.describe()), nameless)
+    if scene.has("energy"):
+        part("energy", lambda: first_energy(scene), None)
+    tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
+    hard = part(
+        "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
+    )
     return SceneRecord(
         problem=scene.spec,
         t_end=t_end,
-        source=scene.source,
-        components={
-            g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS
-        },
+        source=part("source", lambda: answers.text(scene.source, "source"), ""),
+        components=part("list of components", lambda: _components(scene), {}),
         sizes=scene.sizes._asdict(),
         t0=scene.interval[0],
         fingerprint=fingerprint(type(scene)),
-        tags=list(scene.tags),
-        difficulties=list(scene.difficulties),
+        tags=list(tags),
+        difficulties=list(hard),
         equations=equations(scene),
-        nominal_step=scene.nominal_step,
+        nominal_step=part("nominal step", lambda: answers.step(scene.nominal_step), None),
+        faults=faults,
         **known,
-        **scene.describe(),
     )
+
+
+def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
+    """What the record says of the reference."""
+    t = np.linspace(scene.interval[0], reference.t_end, 301)
+    return {
+        "reference_method": reference.method,
+        "reference_error": relative_reference_error(reference),
+        "reference": measure.rows_of({"t": t} | reference(t)),
+    }
+
+
+def first_energy(scene: MechatronicSystem) -> float:
+    """Return the energy of a scene at its start, in J.
+
+    Raises
+    ------
+    FalseAnswer
+        If it is no finite number.
+    """
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    return answers.number(scene.energy(q, v), "energy()")
+
+
+def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
+    return {g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS}
 
 
 def equations(scene: MechatronicSystem) -> list[str]:
@@ -83,12 +128,17 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
     list
         ``{"t": s, "lines": [[[x, y], ...], ...]}`` for each time, lengths in m; empty if the
         scene has no drawing.
+
+    Raises
+    ------
+    FalseAnswer
+        If a line is no list of finite points.
     """
     if not scene.has("draw"):
         return []
     t = np.linspace(scene.interval[0], reference.t_end, count)
     return [
-        {"t": float(now), "lines": [np.asarray(line).tolist() for line in scene.draw(q)]}
+        {"t": float(now), "lines": answers.drawing(scene.draw(q))}
         for now, q in zip(t, reference(t)["q"], strict=True)
     ]
 

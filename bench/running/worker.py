@@ -16,14 +16,17 @@ from typing import Any, NamedTuple
 from bench.guard.limits import PREPARING, REFERENCE, RUNNING
 from bench.guard.serve import Notify
 from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
-from bench.plugins.registry import Registry, explain
+from bench.plugins.registry import Registry, why
+from bench.results.quantities import PARTS
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.inventory import load_registry
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
+from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
+from problems.answers import words_of
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.runtime import check_runtime, jax, one_thread
@@ -42,10 +45,6 @@ _LONG_SECONDS = 1e-3
 MOST_MAPPINGS = 40_000
 #: Cells after which they are counted again.
 COUNTED_EVERY = 50
-
-
-class SpoiltSurroundings(RuntimeError):
-    """Something in this process makes computed numbers wrong."""
 
 
 class CellResult(NamedTuple):
@@ -113,7 +112,8 @@ class Worker:
         if trajectory.status == "ok":
             self._compare(record, trajectory, scene, errors and not lacking)
             if lacking:
-                record.message, record.stopped = f"No errors are known. {lacking}", REFERENCE
+                _add(record, f"No errors are known. {lacking}")
+                record.stopped = REFERENCE
             self._bill(record, trajectory)
         return CellResult(record, measure.rows_of(trajectory))
 
@@ -125,14 +125,22 @@ class Worker:
             try:
                 reference = self._reference(scene, record.t_end)
                 if reference.missing:
-                    record.message = f"No errors are known. {reference.missing}"
+                    _add(record, f"No errors are known. {reference.missing}")
                 else:
                     record.errors, record.reference_error, record.components = relative_errors(
                         run, reference
                     )
-            except Exception as error:
-                record.message = f"No errors are known, the reference failed: {explain(error)}"
-        histories = measure.histories(scene, run)
+            except BaseException as error:
+                _add(record, f"No errors are known, the reference failed: {why(error)}")
+        histories = {}
+        for name, measured in (
+            ("residual of the constraints", measure.violations),
+            ("energy drift", measure.energy_drift),
+        ):
+            try:
+                histories |= measured(scene, run)
+            except BaseException as error:
+                _add(record, f"No {name} is known: {why(error)}")
         largest = {name: finite(values.max()) for name, values in histories.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
@@ -140,50 +148,55 @@ class Worker:
 
     def _bill(self, record: Record, run: Trajectory) -> None:
         try:
-            record.operations = self.prepared[record.key].bill(run)
-        except Exception as error:
+            record.operations = answers.bill(self.prepared[record.key].bill(run), PARTS)
+        except BaseException as error:
             # Counting is not the integrator's work, and a run without a bill still has its errors.
-            reason = f"Its operations are not known: {explain(error)}"
-            record.message = f"{record.message} {reason}".strip()
+            _add(record, f"Its operations are not known: {why(error)}")
 
     def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         scene = self.problem(cell.problem)
         integrator = self.registry.integrator(cell.integrator)
-        reason = integrator.supports(scene)
-        if reason:
-            return Trajectory.failed("unsupported", reason), None
+        span = scene.interval[0], cell.t_end
         if len(self.prepared) % COUNTED_EVERY == 0 and memory_mappings() > MOST_MAPPINGS:
             self.prepared.clear()
             jax.clear_caches()
-        self._check_surroundings()
+        if wrong := self._wrong():
+            return Trajectory.failed("crashed", wrong), None
         self.notify(PREPARING, "tracing and compiling")
-        started = time.perf_counter()
         try:
-            run = integrator.prepare(scene, cell.t_end, cell.resolution)
+            answers.facts(integrator)
+            if reason := answers.refusal(integrator, scene):
+                return Trajectory.failed("unsupported", reason), None
+            started = time.perf_counter()
+            run = answers.prepared(integrator.prepare(scene, cell.t_end, cell.resolution))
             compile_s = time.perf_counter() - started
             self.notify(RUNNING, "running")
             measuring = time.perf_counter()
-            trajectory = run.measure()
+            measured = run.measure()
+            seconds = time.perf_counter() - measuring
+            trajectory = answers.trajectory(measured, scene.sizes, *span)
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
-            return Trajectory.failed("crashed", str(error)), None
-        except Exception as error:
+            return Trajectory.failed("crashed", words_of(error)), None
+        except BaseException as error:  # of a plugin, which may even raise SystemExit
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
-            return Trajectory.failed("crashed", f"The integrator failed: {explain(error)}"), None
-        self._check_surroundings()
-        self.prepared[cell.key] = run
-        self._seconds[cell.key] = time.perf_counter() - measuring
-        span = scene.interval[0], cell.t_end
+            return Trajectory.failed("crashed", f"The integrator failed: {why(error)}"), None
+        if wrong := self._wrong():
+            return Trajectory.failed("crashed", wrong), None
+        self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
         return measure.checked(trajectory, cell.t_end), compile_s
 
-    def _check_surroundings(self) -> None:
-        """Compute known numbers, so that no patched library or flag decides the numbers of runs."""
-        if self._watched or not self._checked:
-            if wrong := check_runtime():
-                raise SpoiltSurroundings(wrong)
-            self._checked = True
+    def _wrong(self) -> str:
+        """Return the sentence on a library or flag that makes computed numbers wrong, or nothing.
+
+        Known numbers are computed for that.
+        """
+        if self._checked and not self._watched:
+            return ""
+        self._checked = True
+        return check_runtime()
 
     def time(self, cell: Cell) -> float:
         """Return seconds per bare run, averaged over as many runs as fit a sample."""
@@ -204,12 +217,17 @@ class Worker:
     def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
         """Make the record of a scene; without a reference if ``lacking`` says why."""
         scene = self.problem(problem)
-        if lacking:
-            record = scene_record(scene, t_end, None, lacking)
-            record.stopped = REFERENCE
-            return record
-        reference = self._reference(scene, t_end)
-        return scene_record(scene, t_end, reference, reference.missing)
+        reference = None
+        if not lacking:
+            try:
+                reference = self._reference(scene, t_end)
+                lacking = reference.missing
+            except BaseException as error:  # the scene may be a plugin
+                lacking = f"The reference failed: {why(error)}"
+            return scene_record(scene, t_end, reference, lacking)
+        record = scene_record(scene, t_end, None, lacking)
+        record.stopped = REFERENCE
+        return record
 
     def pictures(self, problem: str, t_end: float, count: int) -> list[dict[str, Any]]:
         """Draw a scene at ``count`` times of its reference up to t_end in s."""
@@ -219,6 +237,10 @@ class Worker:
     def components(self, problem: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene."""
         return component_texts(self.registry, problem)
+
+
+def _add(record: Record, sentence: str) -> None:
+    record.message = f"{record.message} {sentence}".strip()
 
 
 def memory_mappings() -> int:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
+from integrators.answers import refusal
 from integrators.contract import Integrator
 from problems.batched_initial_values import consistent_starts
 from problems.formulations import complete
@@ -66,7 +67,7 @@ class Block:
 
 def refuse(method: Integrator, scene: MechatronicSystem) -> None:
     """Raise SpecError if an integrator does not take a scene, or many runs in one program."""
-    reason = method.supports(scene)
+    reason = refusal(method, scene)
     if reason:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
     if method.step_method(scene) is None:
@@ -125,7 +126,7 @@ class Batch:
         refused = {
             k: ("unsupported", reason)
             for k, (method, scene) in enumerate(pairs)
-            if (reason := method.supports(scene))
+            if (reason := refusal(method, scene))
         }
         self._refused = refused | {
             int(self._of_pair[k]): ("crashed", without[scene])

@@ -9,7 +9,7 @@ from reports.text.table import Table
 
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
-    """Pairs (name, text): interval, size, reference and its error, source."""
+    """Pairs (name, text): interval, size, reference and its error, source, faults."""
     names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
     sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
     errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
@@ -19,6 +19,7 @@ def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
         ("Reference", scene.reference_method),
         ("Its own relative error", ", ".join(errors)),
         ("Source", scene.source),
+        ("Faults", " ".join(scene.faults)),
     ]
     return [(name, text) for name, text in found if text]
 

@@ -1,0 +1,307 @@
+"""The border to plugins: all that a scene answers is checked here once and turned into own types.
+
+A check returns text, Python numbers or fresh arrays of floats, or raises `FalseAnswer` with a
+sentence on what came and what was expected. `integrators.answers` does it for integrators.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import reprlib
+from collections.abc import Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from problems.spec import SpecError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+#: Characters of a sentence, a name or a word of a plugin; the rest of a longer one is left out.
+MOST_SENTENCE = 1000
+#: Characters of a scene's description, its docstring.
+MOST_DESCRIPTION = 20_000
+#: Entries of a list of texts, such as tags, and parameters of a scene.
+MOST_TEXTS = 1000
+#: Lines of a drawing, and points of all its lines.
+MOST_LINES, MOST_POINTS = 1000, 20_000
+#: Notes of a trajectory.
+MOST_NOTES = 50
+#: Largest whole number: floats have all smaller ones.
+MOST_COUNT = 2**53
+
+#: Characters that steer a terminal or cannot be written as UTF-8; of a sentence also line ends.
+_CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069"
+_CONTROLS, _BREAKS = re.compile(f"[{_CONTROL}]"), re.compile(r"[\s\u2028\u2029]+")
+#: The same value is shown alike in every process.
+_ADDRESS = re.compile(r" at 0x[0-9a-f]+")
+_SHOWN = reprlib.Repr()
+_SHOWN.maxstring = _SHOWN.maxother = _SHOWN.maxlong = 60
+
+
+class FalseAnswer(SpecError):
+    """A plugin answered what it may not; the message says what came and what was expected."""
+
+
+def refused(what: str, value: object, expected: str) -> FalseAnswer:
+    """Make the exception on a value that came for ``what``."""
+    return FalseAnswer(f"{what} is {_seen(value)}, expected {expected}.")
+
+
+def _seen(value: object) -> str:
+    """What came, in a few words."""
+    try:
+        if isinstance(value, np.ndarray) and value.size != 1:
+            return f"an array of {value.dtype} of shape {value.shape}"
+        return tidy(_ADDRESS.sub("", _SHOWN.repr(value)))
+    except BaseException:  # a value of a plugin may do anything when it is shown
+        return f"a {type(value).__name__}"
+
+
+def tidy(words: str, most: int = MOST_SENTENCE) -> str:
+    """Return text on one line without control characters, at most ``most`` characters long."""
+    line = _BREAKS.sub(" ", words[: 2 * most]).strip()
+    return _cut(_CONTROLS.sub("\N{REPLACEMENT CHARACTER}", line), most)
+
+
+def _cut(words: str, most: int) -> str:
+    return words if len(words) <= most else words[: most - 2].rstrip() + " …"
+
+
+def asked(owner: object, name: str, what: str) -> Any:
+    """Return an attribute of a plugin's object.
+
+    Raises
+    ------
+    FalseAnswer
+        If it is not there, or to ask for it raises anything.
+    """
+    try:
+        return getattr(owner, name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise FalseAnswer(f"{what} cannot be read: {said(error)}") from error
+
+
+def words_of(error: BaseException) -> str:
+    """Return the text of an exception as a sentence; to ask for it may raise another one."""
+    try:
+        return (tidy(str(error)).rstrip(".") or "no message") + "."
+    except BaseException:
+        return "its text cannot be made."
+
+
+def said(error: BaseException) -> str:
+    """Return a sentence on an exception, with its type unless it is a `SpecError`."""
+    words = words_of(error)
+    return words if isinstance(error, SpecError) else f"{type(error).__name__}: {words}"
+
+
+# ---- text and numbers ------------------------------------------------------------------
+def text(value: object, what: str, *, empty: bool = True) -> str:
+    """Return a sentence or name, tidied."""
+    if not isinstance(value, str):
+        raise refused(what, value, "text")
+    if not (words := tidy(str.__str__(value))) and not empty:
+        raise refused(what, value, "text that is not empty")
+    return words
+
+
+def paragraphs(value: object, what: str) -> str:
+    """Return text of several lines without control characters."""
+    if not isinstance(value, str):
+        raise refused(what, value, "text")
+    return _cut(
+        _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", value[: 2 * MOST_DESCRIPTION]), MOST_DESCRIPTION
+    )
+
+
+def one_of(value: object, what: str, known: Collection[str]) -> str:
+    """Return a word that is known."""
+    if not isinstance(value, str) or value not in known:
+        raise refused(what, value, f"one of {', '.join(known)}")
+    return str.__str__(value)
+
+
+def texts(value: object, what: str) -> tuple[str, ...]:
+    """Return a tuple of texts; a single text is a tuple of one."""
+    if isinstance(value, str):
+        return (text(value, what),)
+    if not isinstance(value, list | tuple) or len(value) > MOST_TEXTS:
+        raise refused(what, value, f"a tuple of at most {MOST_TEXTS} texts")
+    return tuple(text(item, f"{what}[{k}]") for k, item in enumerate(value))
+
+
+def _numbers(value: object, what: str, expected: str) -> np.ndarray:
+    """Return an array of real numbers of any type and shape."""
+    try:
+        found = np.asarray(value)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # ragged lists, or whatever a plugin does in __array__
+        raise refused(what, value, expected) from error
+    if found.dtype.kind not in "iuf" or isinstance(value, np.ma.MaskedArray):
+        raise refused(what, value, expected)
+    return found
+
+
+def number(value: object, what: str, expected: str = "a finite number") -> float:
+    """Return a finite number as a float."""
+    found = _numbers(value, what, expected)
+    if found.ndim or not math.isfinite(found):
+        raise refused(what, value, expected)
+    return float(found)
+
+
+def whole(value: object, what: str, least: int = 0) -> int:
+    """Return a whole number of any type as an int, from ``least`` to `MOST_COUNT`."""
+    expected = f"a whole number from {least} to 2**53"
+    found = _numbers(value, what, expected)
+    if found.ndim or not least <= found <= MOST_COUNT or found != np.floor(found):
+        raise refused(what, value, expected)
+    return int(found)
+
+
+def array(value: object, what: str, shape: tuple[int, ...], *, finite: bool = True) -> np.ndarray:
+    """Return real numbers of a shape as a fresh array of floats, which are finite if asked for."""
+    expected = f"real numbers of shape {shape}"
+    found = _numbers(value, what, expected)
+    if found.shape != shape:
+        turned = found.ndim == 2 and found.T.shape == shape
+        raise refused(what, found, expected + "; it is transposed" * turned)
+    with np.errstate(over="ignore"):
+        found = np.array(found, dtype=float)
+    if finite and not np.isfinite(found).all():
+        at = tuple(map(int, np.argwhere(~np.isfinite(found))[0]))
+        place = f"{what}[{', '.join(map(str, at))}]" if at else what
+        raise refused(place, float(found[at]), "finite numbers")
+    return found
+
+
+# ---- the answers of a scene ------------------------------------------------------------
+def fault_of_times(interval: object, nominal_step: object) -> str:
+    """Return the sentence on the times of a scene in s, or nothing; a property is no fault."""
+    try:
+        if not isinstance(interval, property):
+            t0, t_end = array(interval, "interval", (2,))
+            if not t0 < t_end:
+                raise refused("interval", interval, "a start in s, and an end after it")
+        if not isinstance(nominal_step, property):
+            step(nominal_step)
+    except FalseAnswer as fault:
+        return str(fault)
+    return ""
+
+
+def step(value: object) -> float:
+    """Return the nominal step of a scene, in s."""
+    expected = "a positive number of seconds"
+    found = number(value, "nominal_step", expected)
+    if not found > 0:
+        raise refused("nominal_step", value, expected)
+    return found
+
+
+def state(value: object) -> list[Float[np.ndarray, " n"]]:
+    """Return q, v and x of an initial state as arrays of floats."""
+    what = "initial_state()"
+    if not isinstance(value, tuple) or getattr(value, "_fields", ()) != ("q", "v", "x"):
+        raise refused(what, value, "State(q, v), or State(q, v, x)")
+    q, v, x = value
+    shapes = []
+    for name, part in (("q", q), ("x", x)):
+        found = _numbers(part, f"{name} of {what}", f"real numbers of shape (n{name},)")
+        if found.ndim != 1 or (name == "q" and not len(found)):
+            raise refused(f"{name} of {what}", found, f"real numbers of shape (n{name},)")
+        shapes.append(found.shape)
+    nq, nx = shapes
+    wanted = ("q", q, nq), ("v", v, nq), ("x", x, nx)
+    return [array(part, f"{name} of {what}", shape) for name, part, shape in wanted]
+
+
+def closed_form(
+    value: object, count: int, sizes: Mapping[str, int]
+) -> dict[str, Float[np.ndarray, "count n"]]:
+    """Return the groups that `exact` gave at ``count`` times.
+
+    Parameters
+    ----------
+    sizes
+        Numbers of components of all groups; those of q, v, a, lam and x may not be left out.
+    """
+    if not isinstance(value, Mapping):
+        raise refused("exact()", value, "a dictionary of arrays by group")
+    groups = dict(value)
+    for name in groups:
+        one_of(name, "a group of exact()", sizes)
+    missing = [g for g in ("q", "v", "a", "lam", "x") if sizes[g] and g not in groups]
+    if missing:
+        raise FalseAnswer(
+            f"exact() leaves out {', '.join(missing)}; give every group of the scene."
+        )
+    return {g: array(rows, f"exact()[{g!r}]", (count, sizes[g])) for g, rows in groups.items()}
+
+
+def drawing(value: object) -> list[list[list[float]]]:
+    """Return the lines of a picture as lists of points [x, y] in m."""
+    if not isinstance(value, list | tuple) or len(value) > MOST_LINES:
+        raise refused("draw()", value, f"a list of at most {MOST_LINES} lines")
+    lines, points = [], 0
+    for number, line in enumerate(value):
+        what = f"line {number} of draw()"
+        found = _numbers(line, what, "an array of shape (points, 2)")
+        if found.ndim != 2 or found.shape[1] != 2 or not len(found):
+            raise refused(what, found, "an array of shape (points, 2)")
+        points += len(found)
+        if points > MOST_POINTS:
+            raise FalseAnswer(f"draw() gives more than {MOST_POINTS} points; leave some out.")
+        lines.append(array(line, what, found.shape).tolist())
+    return lines
+
+
+def description(value: object) -> dict[str, Any]:
+    """Return title, description and parameters of a scene."""
+    keys = {"title", "description", "parameters"}
+    if not isinstance(value, Mapping) or set(value) != keys:
+        raise refused("describe()", value, "a dictionary of title, description and parameters")
+    rows = value["parameters"]
+    if not isinstance(rows, list | tuple) or len(rows) > MOST_TEXTS:
+        raise refused("parameters of describe()", rows, f"a list of at most {MOST_TEXTS}")
+    return {
+        "title": text(value["title"], "title of describe()"),
+        "description": paragraphs(value["description"], "description of describe()"),
+        "parameters": [_parameter(row) for row in rows],
+    }
+
+
+def _parameter(row: object) -> dict[str, Any]:
+    what = "a parameter of describe()"
+    if not isinstance(row, Mapping) or not {"name", "value", "unit", "doc"} <= set(row):
+        raise refused(what, row, "a dictionary of name, value, unit and doc")
+    name = text(row["name"], f"the name of {what}")
+    value, unit, doc = row["value"], row["unit"], row["doc"]
+    if isinstance(value, int) and not isinstance(value, bool):
+        value = whole(value, f"the parameter {name}", -MOST_COUNT)
+    elif not isinstance(value, bool | str | None):
+        value = number(value, f"the parameter {name}")
+    return {
+        "name": name,
+        "value": text(value, name) if isinstance(value, str) else value,
+        "unit": text(unit, f"the unit of {name}"),
+        "doc": text(doc, f"the meaning of {name}"),
+    }
+
+
+def natural_sizes(words: Iterable[str], component: str) -> tuple[float, ...]:
+    """Return the natural sizes that a component states, which are positive."""
+    expected = "positive numbers after '~'"
+    try:
+        found = tuple(map(float, words))
+    except ValueError:
+        raise refused("a component", component, expected) from None
+    if not all(0 < size < math.inf for size in found):
+        raise refused("a component", component, expected)
+    return found

@@ -1,0 +1,196 @@
+"""False answers of plugins: each is a row, a missing part or a failed check that says its fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import false_answers as false
+import msgspec
+import numpy as np
+import pytest
+
+from bench.conformance.checker import examine
+from bench.conformance.verdicts import FAILED
+from bench.plugins.registry import Registry
+from bench.results.records import Record, Rows, SceneRecord
+from bench.running import scene_records
+from bench.running.plan import Cell, make_suite
+from bench.running.profiles import ProfileFile, StudyFile
+from bench.running.worker import Worker
+from integrators import Steps
+from problems.answers import MOST_DESCRIPTION, MOST_SENTENCE
+from problems.reference import Reference
+from problems.scenes.spring_mass import SpringMass
+from problems.spec import snake_case
+
+PLUGINS = Path(__file__).parent / "false_answers.py"
+METHODS = {
+    name: words
+    for kind in (false.TRAJECTORIES, false.FACTS, false.SUPPORTS, false.PREPARES)
+    for name, (*_, words) in kind.items()
+}
+
+
+@pytest.fixture(scope="module")
+def registry():
+    return Registry([PLUGINS])
+
+
+@pytest.fixture(scope="module")
+def worker(registry):
+    return Worker(registry)
+
+
+def stored(kind, value):
+    """The value as it is read back from a store."""
+    assert msgspec.json.decode(msgspec.json.encode(value), type=kind) == value
+    return value
+
+
+def row(worker, how, scene="oscillator"):
+    """The record of a cell, and its rows, without errors."""
+    result = worker.measure(Cell(scene, f"lying[how={how}]", 20.0, Steps(0.1)), errors=False)
+    record, _ = stored(Record, result.record), stored(Rows, result.rows)
+    assert "Traceback" not in record.message
+    assert record.message.isprintable()
+    assert len(record.message) < 2 * MOST_SENTENCE
+    return record
+
+
+@pytest.mark.parametrize("how", METHODS)
+def test_a_false_answer_is_a_row_that_says_what_came(worker, how):
+    record = row(worker, how)
+    assert record.status == "crashed"
+    assert METHODS[how] in record.message
+    assert record.family in ("liars", "lying")
+
+
+@pytest.mark.parametrize("how", METHODS)
+def test_a_check_says_what_is_false(registry, how):
+    check = "facts" if how in false.FACTS else "scenes" if how in false.SUPPORTS else "rows"
+    finding = examine(registry, "integrators", f"lying[how={how}]", check)
+    assert finding.verdict == FAILED
+    assert METHODS[how] in finding.text
+    assert finding.text.isprintable()
+
+
+@pytest.mark.parametrize("how", false.RAISED)
+def test_whatever_a_run_raises_is_a_row(worker, how):
+    record = row(worker, how)
+    assert record.status == "crashed"
+    assert false.RAISED[how][1] in record.message
+
+
+@pytest.mark.parametrize("how", false.BILLS)
+def test_a_false_bill_costs_the_bill(worker, how):
+    record = row(worker, how)
+    assert (record.status, record.operations) == ("ok", {})
+    assert f"Its operations are not known: {false.BILLS[how][1]}" in record.message
+
+
+@pytest.mark.parametrize("how", false.MENDED)
+def test_what_can_be_read_is_turned_into_own_types(worker, how):
+    record = row(worker, how)
+    failed = {"text_of_its_own", "nan_rows_of_a_failure", "nan_rows", "infinite_rows"}
+    assert record.status == ("diverged" if how in failed else "ok")
+    assert {type(n) for n in record.work.values()} <= {int, type(None)}
+    assert record.rows == false.ROWS - 1
+
+
+def test_rows_are_not_those_of_the_plugin(worker):
+    scene, mine = SpringMass(), {}
+
+    class Kept(false.Run):
+        def measure(self):
+            mine["run"] = super().measure()
+            return mine["run"]
+
+    from integrators import answers
+
+    theirs = Kept("", scene, 20.0).measure()
+    ours = answers.trajectory(theirs, scene.sizes, 0.0, 20.0)
+    for name in ("t", "q", "v", "a", "lam", "x", "xdot", "y"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        assert not np.shares_memory(getattr(ours, name), getattr(theirs, name))
+    assert ours.work == theirs.work
+    assert ours.work is not theirs.work
+    assert ours.notes is not theirs.notes
+
+
+@pytest.mark.parametrize("how", false.FACTS)
+def test_false_facts_cost_their_owners_cells(registry, worker, how):
+    study = StudyFile(problems=["oscillator"], integrators=[f"lying[how={how}]"], steps=[0.1])
+    suite = make_suite("facts", ProfileFile(study=[study]), registry)
+    (facts,) = suite.plan.integrators.values()
+    assert facts.orders == {}
+    stored(type(suite.plan), suite.plan)
+    (cell,) = suite.cells.values()
+    assert false.FACTS[how][-1] in worker.measure(cell, errors=False).record.message
+
+
+@pytest.mark.parametrize("name", false.SCENES)
+def test_a_false_part_of_a_scene_costs_the_part(registry, monkeypatch, name):
+    monkeypatch.setattr(scene_records, "rates", lambda *_: None)  # they are compiled
+    scene = registry.problem(snake_case(name))
+    record = stored(SceneRecord, scene_records.scene_record(scene, Reference(scene, 20.0)))
+    words = false.SCENES[name][-1].replace("coordinates[0]", "the names of q[0]")
+    assert any(words in fault for fault in record.faults)
+    assert all(fault.isprintable() for fault in record.faults)
+    assert record.sizes["nq"] == 1
+    assert record.equations
+    if false.SCENES[name][1] != "reference" and "coordinates" not in false.SCENES[name][0]:
+        assert record.reference.t
+
+
+@pytest.mark.parametrize("name", false.SCENES | false.STARTS)
+def test_a_check_says_what_is_false_in_a_scene(registry, name):
+    _, check, words = (false.SCENES | false.STARTS)[name]
+    finding = examine(registry, "problems", snake_case(name), check)
+    assert finding.verdict == FAILED
+    assert words in finding.text
+    assert finding.text.isprintable()
+
+
+@pytest.mark.parametrize("name", false.STARTS)
+def test_a_false_start_is_a_row(worker, name):
+    record = row(worker, "well", snake_case(name))
+    assert record.status == "crashed"
+    assert false.STARTS[name][-1] in record.message
+
+
+@pytest.mark.parametrize("name", false.TIMES)
+def test_false_times_are_told_when_the_scene_is_found(registry, name):
+    plugin = registry.problems[snake_case(name)]
+    assert plugin.cls is None
+    assert false.TIMES[name][-1] in plugin.reason
+    finding = examine(registry, "problems", plugin.name, "start")
+    assert finding.verdict == FAILED
+    assert false.TIMES[name][-1] in finding.text
+
+
+@pytest.mark.parametrize("name", ["EnergyVector", "EnergyNan", "EnergyText"])
+def test_a_false_energy_costs_the_drift_of_rows(worker, name):
+    record = row(worker, "well", snake_case(name))
+    assert (record.status, record.energy_drift) == ("ok", None)
+    assert "No energy drift is known: " in record.message
+
+
+def test_a_closed_form_with_nan_costs_the_errors(worker):
+    cell = Cell("nan", "lying[how=well]", 20.0, Steps(0.1))
+    record = stored(Record, worker.measure(cell).record)
+    assert (record.status, record.errors) == ("ok", {})
+    assert "the reference failed: exact()['q'][0, 0] is nan, expected finite" in record.message
+
+
+def test_scenes_are_turned_into_own_types(registry, monkeypatch):
+    monkeypatch.setattr(scene_records, "rates", lambda *_: None)
+    scene = registry.problem("numpy_step")
+    record = stored(SceneRecord, scene_records.scene_record(scene, Reference(scene, 20.0)))
+    assert type(record.nominal_step) is float
+    assert (record.tags, record.faults) == (["smooth"], [])
+    stored(Record, Cell("numpy_step", "lying", 20.0, Steps(np.float64(0.1))).record(registry, "ok"))
+    long = registry.problem("long_story")
+    record = stored(SceneRecord, scene_records.scene_record(long, Reference(long, 20.0)))
+    assert (len(record.title), record.faults) == (len(record.title), [])
+    assert 0 < len(record.description) <= MOST_DESCRIPTION
+    assert record.title.isprintable()
