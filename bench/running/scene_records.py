@@ -34,11 +34,18 @@ _BLOCKS = {
 
 
 def scene_record(
-    scene: MechatronicSystem, t_end: float, reference: Reference | None, missing: str
+    scene: MechatronicSystem, t_end: float, reference: Callable[[], Reference], lacking: str = ""
 ) -> SceneRecord:
-    """Make the record of a scene; one that lacks a reference has the reason, and no pictures.
+    """Make the record of a scene; one without a reference has the reason, and no pictures.
 
     A part of which the scene gives a false answer is left out, and the record says so.
+
+    Parameters
+    ----------
+    scene, t_end
+        The scene, up to t_end in s.
+    reference
+        Gives its reference; not called if ``lacking`` says why there is none.
     """
     faults: list[str] = []
 
@@ -50,16 +57,16 @@ def scene_record(
             return otherwise
 
     known: dict[str, Any] = {
-        "reference_method": missing,
+        "reference_method": lacking or "No reference is known.",
         "reference_error": {},
         "reference": Rows(t=[], values={}),
     }
-    if reference and not missing:
-        known |= part("reference", lambda: _motion(scene, reference), {})
-    if reference and known["reference"].t:
+    if not lacking:
+        known |= part("reference", lambda: _motion(scene, reference()), {})
+    if known["reference"].t:
         known |= {
-            "drawings": part("picture", lambda: drawings(scene, reference, GHOSTS), []),
-            "rates": part("spectrum", lambda: rates(scene, reference), None),
+            "drawings": part("picture", lambda: drawings(scene, reference(), GHOSTS), []),
+            "rates": part("spectrum", lambda: rates(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
     known |= part("description", lambda: answers.description(scene.describe()), nameless)
@@ -88,6 +95,8 @@ def scene_record(
 
 def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
     """What the record says of the reference."""
+    if reference.missing:
+        return {"reference_method": reference.missing}
     t = np.linspace(scene.interval[0], reference.t_end, 301)
     return {
         "reference_method": reference.method,

@@ -217,16 +217,8 @@ class Worker:
     def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
         """Make the record of a scene; without a reference if ``lacking`` says why."""
         scene = self.problem(problem)
-        reference = None
-        if not lacking:
-            try:
-                reference = self._reference(scene, t_end)
-                lacking = reference.missing
-            except BaseException as error:  # the scene may be a plugin
-                lacking = f"The reference failed: {why(error)}"
-            return scene_record(scene, t_end, reference, lacking)
-        record = scene_record(scene, t_end, None, lacking)
-        record.stopped = REFERENCE
+        record = scene_record(scene, t_end, lambda: self._reference(scene, t_end), lacking)
+        record.stopped = REFERENCE if lacking else ""
         return record
 
     def pictures(self, problem: str, t_end: float, count: int) -> list[dict[str, Any]]:
