@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.commands.paths import PathName
+from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.registry import Registry
 from bench.results.store import StoreError
 from bench.running.plan import check_end
 from integrators.contract import Integrator, Steps, Tolerances
+from problems.plain_text import shortened
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 
@@ -33,6 +36,29 @@ class ShortErrors(click.Group):
                 f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
             )
         return super().resolve_command(ctx, args)
+
+    def main(self, *args: Any, **more: Any) -> Any:
+        """Run a command line and end the process with its exit code."""
+        code = 0
+        try:
+            with plain_streams():
+                code = self._run(*args, **more | {"standalone_mode": False})
+        except LostOutput as error:
+            if not code:  # else the reason was said
+                code = 1
+                click.echo(f"Error: {error}", err=True)
+        sys.exit(code)
+
+    def _run(self, *args: Any, **more: Any) -> int:
+        try:
+            return super().main(*args, **more) or 0
+        except click.ClickException as error:
+            error.message = shortened(error.message)
+            with suppress(OSError):  # standard error may be full
+                error.show()
+            return error.exit_code
+        except click.Abort:
+            return _INTERRUPTED
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -169,14 +195,14 @@ def unvaried_resolution(
 # ---- options -----------------------------------------------------------------------------
 #: Folder of `stepbench run`, which other commands read if none is named.
 RESULTS = "stepbench-results"
-with_results = click.argument("folder", type=click.Path(path_type=Path), default=RESULTS)
+with_results = click.argument("folder", type=PathName("folder"), default=RESULTS)
 
 
 def with_folder(default: str, words: str) -> Callable:
     """Add --out for a folder with a default name."""
     return click.option(
         "--out",
-        type=click.Path(path_type=Path),
+        type=PathName("folder"),
         default=default,
         show_default=True,
         help=words,
@@ -185,7 +211,7 @@ def with_folder(default: str, words: str) -> Callable:
 
 def with_file(words: str) -> Callable:
     """Add --out for a file."""
-    return click.option("--out", "-o", type=click.Path(path_type=Path), help=words)
+    return click.option("--out", "-o", type=PathName("file"), help=words)
 
 
 def with_integrators(words: str) -> Callable:

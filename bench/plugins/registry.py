@@ -23,6 +23,7 @@ from typing import Any
 
 from integrators.contract import Integrator
 from problems import spec
+from problems.plain_text import said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -82,7 +83,7 @@ class Registry:
         # An empty path, as from an unset shell variable, would mean the current folder.
         if any(not str(path).strip() for path in paths):
             raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
-        self.paths = [str(Path(path).resolve()) for path in paths]
+        self.paths = [str(_resolved(path)) for path in paths]
         self._files: set[str] = set()
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}
@@ -181,18 +182,29 @@ def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code it came from."""
     if isinstance(error, SyntaxError):
         return f"{type(error).__name__}: {error.msg} (line {error.lineno})."
-    text = " ".join(str(error).split()) or "no message"
+    text = said(error)
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {text.rstrip('.')}{where}."
+    return f"{type(error).__name__}: {text}{where}."
+
+
+def _resolved(path: str | Path) -> Path:
+    try:
+        return Path(path).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null byte
+        raise PluginError(f"{str(path)!r} is not the path of a plugin: {said(error)}.") from None
 
 
 def _files(path: Path) -> list[Path]:
+    files = [path]
     if path.is_dir():
-        return sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
-    if not path.is_file():
-        raise PluginError(f"There is no plugin file or folder {path}.")
-    return [path]
+        files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+        if not files:
+            raise PluginError(f"The folder {path} has no Python file with a plugin.")
+    for file in files:
+        if not file.is_file():  # a pipe would be waited for
+            raise PluginError(f"There is no plugin file or folder {file}.")
+    return files
 
 
 def _import_file(file: Path) -> Any:

@@ -13,6 +13,7 @@ from typing import Any
 from bench.plugins.registry import Registry
 from bench.running.processes import NoAnswer
 from bench.running.runner import Runner, Task
+from problems.plain_text import said
 from problems.spec import SpecError
 
 CONNECT_SECONDS = 10
@@ -50,9 +51,10 @@ class ClusterRunner(Runner):
             ) from None
         try:
             self._client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
+        # A tls:// address without certificates is a TypeError or a RuntimeError.
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise SpecError(
-                f"No dask scheduler answers at {address!r} ({error or 'no answer'}); start one by "
+                f"No dask scheduler answers at {address!r} ({said(error)}); start one by "
                 f"'dask scheduler' and give its address, such as tcp://host:8786."
             ) from None
         self._arguments = list(map(str, plugin_paths)), 1, budget_s, memory_gib
@@ -90,7 +92,7 @@ class ClusterRunner(Runner):
             return list(zip(group, future.result(), strict=True))
         except Exception as error:
             lost = NoAnswer(
-                "crashed", f"The cluster could not run it: {type(error).__name__}: {error}"
+                "crashed", f"The cluster could not run it: {type(error).__name__}: {said(error)}"
             )
             return [(task, lost) for task in group]
 
