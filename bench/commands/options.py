@@ -14,7 +14,7 @@ from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.registry import Registry
 from bench.results.store import StoreError
-from bench.running.plan import check_end
+from bench.running.plan import LARGEST_BUDGET, check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.plain_text import shortened
 from problems.spec import SpecError, suggest
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
+#: Most worker processes that can be asked for.
+_MOST_JOBS = 1000
 
 
 class ShortErrors(click.Group):
@@ -222,7 +224,7 @@ def with_integrators(words: str) -> Callable:
 def with_jobs(words: str) -> Callable:
     """Add --jobs."""
     return click.option(
-        "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help=words
+        "--jobs", type=click.IntRange(1, _MOST_JOBS), default=2, show_default=True, help=words
     )
 
 
@@ -262,7 +264,7 @@ with_set = click.option(
 )
 with_budget = click.option(
     "--budget",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(0, LARGEST_BUDGET, min_open=True),
     callback=not_nan,
     default=300.0,
     show_default=True,

@@ -124,7 +124,7 @@ def map_(
         scene,
         method,
         (x, y),
-        _read_grid(grid) if grid else (points[0], points[1]),
+        _read_grid(grid) if grid is not None else (points[0], points[1]),
         resolution,
         t_end,
         error,

@@ -31,26 +31,26 @@ class PathName(click.Path):
 
     def __init__(self, kind: Literal["file", "folder", "page"]) -> None:
         super().__init__(path_type=Path)
-        self._kind = kind
+        self.kind = kind
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """Return the path; another kind of thing in its place is refused, and is never opened."""
         text = os.fspath(value)
         if not text.strip():
-            self.fail(f"the name of the {self._kind} is empty.", param, ctx)
-        allowed = ("file", "folder") if self._kind == "page" else (self._kind,)
+            self.fail(f"the name of the {self.kind} is empty.", param, ctx)
+        allowed = ("file", "folder") if self.kind == "page" else (self.kind,)
         path = Path(text)
         try:
             there = _KINDS.get(stat.S_IFMT(path.stat().st_mode), "thing")
         except FileNotFoundError:
-            if self._kind == "file" and not path.parent.is_dir():
+            if self.kind == "file" and not path.parent.is_dir():
                 self.fail(f"there is no folder {str(path.parent)!r}; make it first.", param, ctx)
             return path
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            self.fail(f"{text!r} names no {self._kind}: {reason}.", param, ctx)
+            self.fail(f"{text!r} names no {self.kind}: {reason}.", param, ctx)
         if there not in allowed:
-            self.fail(f"{text!r} is a {there}; name a {self._kind}.", param, ctx)
+            self.fail(f"{text!r} is a {there}; name a {self.kind}.", param, ctx)
         return path
 
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from integrators.contract import Integrator
 from problems import spec
-from problems.plain_text import said
+from problems.plain_text import said, shortened
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -181,7 +181,8 @@ class Registry:
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code it came from."""
     if isinstance(error, SyntaxError):
-        return f"{type(error).__name__}: {error.msg} (line {error.lineno})."
+        line = f" (line {error.lineno})" if error.lineno else ""
+        return f"{type(error).__name__}: {shortened(str(error.msg))}{line}."
     text = said(error)
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -153,7 +154,7 @@ def outcome_map(
     """
     refuse(method, scene)
     group, norm = read_error(error, scene)
-    if not threshold > 0:
+    if not 0 < threshold < math.inf:
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     started = time.perf_counter()
