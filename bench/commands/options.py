@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -55,12 +54,18 @@ class ShortErrors(click.Group):
         try:
             return super().main(*args, **more) or 0
         except click.ClickException as error:
-            error.message = shortened(error.message)
-            with suppress(OSError):  # standard error may be full
-                error.show()
-            return error.exit_code
+            refusal = error
+        except OSError as error:
+            name = f" ({error.filename})" if error.filename else ""
+            refusal = click.ClickException(
+                f"The system refused: {error.strerror or error}{name}; check the path, its "
+                f"permissions and the free space."
+            )
         except click.Abort:
             return _INTERRUPTED
+        refusal.message = shortened(refusal.message)
+        refusal.show()
+        return refusal.exit_code
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -74,14 +79,6 @@ class ShortErrors(click.Group):
                 "Interrupted." + (stored if ctx.invoked_subcommand == "run" else ""), err=True
             )
             sys.exit(_INTERRUPTED)
-        except BrokenPipeError:
-            sys.exit(1)
-        except OSError as error:
-            name = f" ({error.filename})" if error.filename else ""
-            raise click.ClickException(
-                f"The system refused: {error.strerror or error}{name}; check the path, its "
-                f"permissions and the free space."
-            ) from error
 
 
 # ---- values of options -------------------------------------------------------------------

@@ -11,51 +11,56 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TextIO
+from typing import Any, TextIO
 
 from problems.plain_text import visible
 
 
-class PlainStream(io.TextIOBase):
-    """A text stream that writes control characters as escapes.
-
-    Parameters
-    ----------
-    stream
-        Where the text goes. Characters that its encoding lacks become escapes, too.
-    """
+class _Through(io.TextIOBase):
+    """A text stream that hands over to another one."""
 
     #: Click writes bytes around a stream in ASCII; in this one there is every character.
     encoding = "utf-8"
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO | _Through) -> None:
         self.stream = stream
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+
+    def flush(self) -> None:
+        self.stream.flush()
+
+    def isatty(self) -> bool:
+        return self.stream.isatty()
+
+    def fileno(self) -> int:
+        return self.stream.fileno()
+
+    def writable(self) -> bool:
+        return True
+
+
+class PlainStream(_Through):
+    """A text stream that writes control characters as escapes."""
 
     def write(self, text: str, /) -> int:
         """Write a text; returns its length."""
         self.stream.write(visible(text))
         return len(text)
 
+
+class _Lossy(_Through):
+    """A text stream for messages: one that cannot be written is no reason to end a run."""
+
+    def write(self, text: str, /) -> int:
+        with suppress(OSError):
+            self.stream.write(text)
+        return len(text)
+
     def flush(self) -> None:
-        """Hand over what is held back."""
-        self.stream.flush()
-
-    def isatty(self) -> bool:
-        """Whether it is a terminal."""
-        return self.stream.isatty()
-
-    def fileno(self) -> int:
-        """Return the number of the file."""
-        return self.stream.fileno()
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
+        with suppress(OSError):
+            self.stream.flush()
 
 
-def behind(stream: TextIO) -> TextIO:
+def behind(stream: Any) -> Any:
     """Return the stream behind a `PlainStream`, or the stream itself."""
     return stream.stream if isinstance(stream, PlainStream) else stream
 
@@ -77,7 +82,10 @@ def plain_streams() -> Iterator[None]:
     if sys.stdout is None:
         raise LostOutput("The standard output is closed; give it a file, or /dev/null.")
     kept = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(sys.stderr)
+    for stream in kept:  # characters that the encoding lacks become escapes, too
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(_Lossy(sys.stderr))
     try:
         yield
     finally:

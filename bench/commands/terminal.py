@@ -25,6 +25,8 @@ from rich.text import Text
 from bench.commands.standard_streams import behind
 from problems.plain_text import visible
 
+#: Tables are never narrower, in characters, however small COLUMNS is.
+_LEAST_WIDTH = 40
 #: Without a terminal a line is printed this often, in s, instead of a moving bar.
 _QUIET_SECONDS = 5.0
 
@@ -34,6 +36,8 @@ class _PlainConsole(Console):
 
     def __init__(self, file: TextIO) -> None:
         super().__init__(file=behind(file))
+        if self.width < _LEAST_WIDTH:
+            self.width = _LEAST_WIDTH
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
