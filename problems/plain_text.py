@@ -48,6 +48,12 @@ def said(error: BaseException) -> str:
     return shortened(" ".join(str.split(text))).rstrip(".") or "no message"
 
 
+def named(error: BaseException) -> str:
+    """Return the class of an exception and what it says: "ValueError: not a number"."""
+    name = type.__dict__["__name__"].__get__(type(error))  # a metaclass may hide it
+    return f"{_cut(visible(name), LONGEST_WORD)}: {said(error)}"
+
+
 def _cut(text: str, most: int) -> str:
     """Cut the middle out of a text that is too long; most of its beginning stays."""
     if len(text) <= most:

@@ -23,7 +23,7 @@ from typing import Any
 
 from integrators.contract import Integrator
 from problems import spec
-from problems.plain_text import said, shortened
+from problems.plain_text import named, said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -180,13 +180,10 @@ class Registry:
 
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code it came from."""
-    if isinstance(error, SyntaxError):
-        line = f" (line {error.lineno})" if error.lineno else ""
-        return f"{type(error).__name__}: {shortened(str(error.msg))}{line}."
-    text = said(error)
-    frames = traceback.extract_tb(error.__traceback__)
+    # A syntax error says its own line; it came from the importer's.
+    frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {text}{where}."
+    return f"{named(error)}{where}."
 
 
 def _resolved(path: str | Path) -> Path:

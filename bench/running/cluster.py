@@ -13,7 +13,7 @@ from typing import Any
 from bench.plugins.registry import Registry
 from bench.running.processes import NoAnswer
 from bench.running.runner import Runner, Task
-from problems.plain_text import said
+from problems.plain_text import named, said
 from problems.spec import SpecError
 
 CONNECT_SECONDS = 10
@@ -91,9 +91,7 @@ class ClusterRunner(Runner):
         try:
             return list(zip(group, future.result(), strict=True))
         except Exception as error:
-            lost = NoAnswer(
-                "crashed", f"The cluster could not run it: {type(error).__name__}: {said(error)}"
-            )
+            lost = NoAnswer("crashed", f"The cluster could not run it: {named(error)}")
             return [(task, lost) for task in group]
 
 
