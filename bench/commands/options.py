@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -63,8 +64,9 @@ class ShortErrors(click.Group):
             )
         except click.Abort:
             return _INTERRUPTED
-        refusal.message = shortened(refusal.message)
-        refusal.show()
+        told = io.StringIO()
+        refusal.show(told)
+        click.echo(shortened(told.getvalue()), err=True, nl=False)
         return refusal.exit_code
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -104,7 +104,7 @@ def _require_certificates(address: str) -> None:
     SpecError
         If dask's configuration names no certificates, or they cannot be read.
     """
-    import dask
+    import dask.config
     from distributed import Security
 
     loader = dask.config.get("distributed.client.security-loader", None)
