@@ -33,19 +33,19 @@ def shortened(text: str) -> str:
     )
 
 
-def said(error: BaseException) -> str:
-    """Return what an exception says, on one short line without a full stop at its end.
-
-    The class of an exception may be a plugin's, and do anything in ``__str__``.
-    """
+def text_of(error: BaseException) -> str:
+    """Return what an exception says. Its class may be a plugin's, and do anything when asked."""
     try:
-        text = str(error)
+        return str.__str__(str(error))  # the text, too, may be of a class of the plugin's
     except BaseException as fault:
         if isinstance(fault, KeyboardInterrupt):
             raise
-        text = "its message cannot be read"
-    # The text itself may be of a class of the plugin's.
-    return shortened(" ".join(str.split(text))).rstrip(".") or "no message"
+        return "its message cannot be read"
+
+
+def said(error: BaseException) -> str:
+    """Return what an exception says, on one short line without a full stop at its end."""
+    return shortened(" ".join(text_of(error).split())).rstrip(".") or "no message"
 
 
 def named(error: BaseException) -> str:

@@ -16,7 +16,7 @@ from bench.plugins.registry import Registry
 from bench.results.store import StoreError
 from bench.running.plan import LARGEST_BUDGET, check_end
 from integrators.contract import Integrator, Steps, Tolerances
-from problems.plain_text import shortened
+from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 
@@ -73,7 +73,7 @@ class ShortErrors(click.Group):
         try:
             return super().invoke(ctx)
         except (SpecError, StoreError) as error:
-            raise click.ClickException(str(error)) from error
+            raise click.ClickException(text_of(error)) from error
         except KeyboardInterrupt:
             # Only a run stores as it goes.
             stored = " Finished runs are stored; the same command goes on."

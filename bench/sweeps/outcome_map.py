@@ -17,6 +17,7 @@ from bench.sweeps.batch import Batch, BatchRun, Block, refuse
 from bench.sweeps.ensemble import within_budget
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
+from problems.plain_text import said
 from problems.reference import Reference
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -229,5 +230,5 @@ class _ErrorMeter:
                 group = self._group.strip("|")
                 self._exact[key] = reference(t)[group], scales(reference, group)
             except Exception as error:  # the scene may be a plugin, which may do anything
-                self._exact[key] = f"The reference failed: {error}"
+                self._exact[key] = f"The reference failed: {said(error)}"
         return self._exact[key]

@@ -221,7 +221,7 @@ PROFILES = {
     "long number": "samples = " + "9" * 10_000,
     "long key": "x" * 10_000 + " = 1",
     "key of sequences": '"\\u001b[31m" = 1',
-    "huge": "title = '" + "x" * 2_000_000 + "'",
+    "huge": PROFILE.format(top="", study="#" * 2_000_000),
     "no table": "study = 1",
     "table": "[study]\nproblems = ['pendulum']",
     "numbers": "study = [1, 2]",

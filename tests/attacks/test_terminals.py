@@ -27,11 +27,12 @@ from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 
 print(TEXT)
+DOC = TEXT[:-1]  # a docstring cannot hold a lone surrogate
 
 @dataclass(frozen=True)
 class Hostile(GeneralizedAlpha):
-    __doc__ = TEXT + " [/bold][red]"
-    order_of: str = option(TEXT, TEXT)
+    __doc__ = "[/bold][red] " + DOC
+    word: str = option(DOC, DOC)
 """
 EXCEPTION = """
 class Refused(Exception):
@@ -53,7 +54,7 @@ def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypa
     monkeypatch.setenv("FORCE_COLOR", "1")  # our own colours are control sequences
     result = stepbench(*command, "--plugins", hostile_file(tmp_path))
     assert result.exit_code == 0, result.output
-    assert "hostile" in result.stdout
+    assert "[/bold][red]" in result.stdout
     assert [text for text in COMMANDS if text in result.output] == []
     assert r"\x1b" in result.stderr  # what it prints
     assert ("\x1b[2m" in result.stdout) == ("--json" not in command)
@@ -67,6 +68,8 @@ def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypa
         "raise ValueError('line\\n' * 10_000)",
         "raise type(TEXT, (Exception,), {})()",
         "raise SyntaxError(TEXT)",
+        "from problems.spec import SpecError\n"
+        "class E(SpecError):\n    def __str__(self): raise OSError\nraise E",
         "raise ExceptionGroup(TEXT, [ValueError(TEXT)])",
         "class T(str):\n    def split(self, *_): raise OSError\n"
         "class E(Exception):\n    def __str__(self): return T(TEXT)\nraise E",
