@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from problems.plain_text import named, said
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
@@ -70,6 +71,11 @@ def _cut(words: str, most: int) -> str:
     return words if len(words) <= most else words[: most - 2].rstrip() + " …"
 
 
+def reason(error: BaseException) -> str:
+    """Return a sentence on an exception, with its type unless it is a `SpecError`."""
+    return f"{said(error) if isinstance(error, SpecError) else named(error)}."
+
+
 def asked(owner: object, name: str, what: str) -> Any:
     """Return an attribute of a plugin's object.
 
@@ -83,21 +89,7 @@ def asked(owner: object, name: str, what: str) -> Any:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise FalseAnswer(f"{what} cannot be read: {said(error)}") from error
-
-
-def words_of(error: BaseException) -> str:
-    """Return the text of an exception as a sentence; to ask for it may raise another one."""
-    try:
-        return (tidy(str(error)).rstrip(".") or "no message") + "."
-    except BaseException:
-        return "its text cannot be made."
-
-
-def said(error: BaseException) -> str:
-    """Return a sentence on an exception, with its type unless it is a `SpecError`."""
-    words = words_of(error)
-    return words if isinstance(error, SpecError) else f"{type(error).__name__}: {words}"
+        raise FalseAnswer(f"{what} cannot be read: {reason(error)}") from error
 
 
 # ---- text and numbers ------------------------------------------------------------------

@@ -14,6 +14,8 @@ from fractions import Fraction
 from functools import cache
 from typing import Any, TypeVar
 
+from problems.plain_text import named
+
 _NAME = r"[A-Za-z_][\w.-]*"
 _SPEC = re.compile(rf"\s*({_NAME})\s*(?:\[(.*)\])?\s*", re.DOTALL)
 
@@ -143,8 +145,7 @@ def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
     except SpecError:
         raise
     except (Exception, SystemExit) as error:  # the class may be a plugin
-        text = " ".join(str(error).split()).rstrip(".") or "no message"
-        raise SpecError(f"{name} cannot be made: {type(error).__name__}: {text}.") from error
+        raise SpecError(f"{name} cannot be made: {named(error)}.") from error
 
 
 def validate(instance: Any) -> None:

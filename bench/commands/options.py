@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import click
 
+from bench.commands.paths import PathName
+from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.facts import SceneFacts, Sources
 from bench.results.store import StoreError
 from bench.running.inventory import Inventory
-from bench.running.plan import check_end
+from bench.running.plan import LARGEST_BUDGET, check_end
 from integrators.contract import Tolerances
+from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
+
+#: Exit code of a command that Ctrl-C ended.
+_INTERRUPTED = 130
+#: Most worker processes that can be asked for.
+_MOST_JOBS = 1000
 
 
 class ShortErrors(click.Group):
@@ -29,19 +37,41 @@ class ShortErrors(click.Group):
             )
         return super().resolve_command(ctx, args)
 
+    def main(self, *args: Any, **more: Any) -> Any:
+        """Run a command line and end the process with its exit code."""
+        code = 0
+        try:
+            with plain_streams():
+                code = self._run(*args, **more | {"standalone_mode": False})
+        except LostOutput as error:
+            if not code:  # else the reason was said
+                code = 1
+                click.echo(f"Error: {error}", err=True)
+        sys.exit(code)
+
+    def _run(self, *args: Any, **more: Any) -> int:
+        try:
+            return super().main(*args, **more) or 0
+        except click.ClickException as error:
+            refusal = error
+        except OSError as error:
+            name = f" ({error.filename})" if error.filename else ""
+            refusal = click.ClickException(
+                f"The system refused: {error.strerror or error}{name}; check the path, its "
+                f"permissions and the free space."
+            )
+        except click.Abort:
+            return _INTERRUPTED
+        told = io.StringIO()
+        refusal.show(told)
+        click.echo(shortened(told.getvalue()), err=True, nl=False)
+        return refusal.exit_code
+
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
         except (SpecError, StoreError) as error:
-            raise click.ClickException(str(error)) from error
-        except BrokenPipeError:
-            sys.exit(1)
-        except OSError as error:
-            name = f" ({error.filename})" if error.filename else ""
-            raise click.ClickException(
-                f"The system refused: {error.strerror or error}{name}; check the path, its "
-                f"permissions and the free space."
-            ) from error
+            raise click.ClickException(text_of(error)) from error
 
 
 # ---- values of options -------------------------------------------------------------------
@@ -136,14 +166,14 @@ def guarded(
 # ---- options -----------------------------------------------------------------------------
 #: Folder of `stepbench run`, which other commands read if none is named.
 RESULTS = "stepbench-results"
-with_results = click.argument("folder", type=click.Path(path_type=Path), default=RESULTS)
+with_results = click.argument("folder", type=PathName("folder"), default=RESULTS)
 
 
 def with_folder(default: str, words: str) -> Callable:
     """Add --out for a folder with a default name."""
     return click.option(
         "--out",
-        type=click.Path(path_type=Path),
+        type=PathName("folder"),
         default=default,
         show_default=True,
         help=words,
@@ -152,7 +182,7 @@ def with_folder(default: str, words: str) -> Callable:
 
 def with_file(words: str) -> Callable:
     """Add --out for a file."""
-    return click.option("--out", "-o", type=click.Path(path_type=Path), help=words)
+    return click.option("--out", "-o", type=PathName("file"), help=words)
 
 
 def with_integrators(words: str) -> Callable:
@@ -163,7 +193,7 @@ def with_integrators(words: str) -> Callable:
 def with_jobs(words: str) -> Callable:
     """Add --jobs."""
     return click.option(
-        "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help=words
+        "--jobs", type=click.IntRange(1, _MOST_JOBS), default=2, show_default=True, help=words
     )
 
 
@@ -203,7 +233,7 @@ with_set = click.option(
 )
 with_budget = click.option(
     "--budget",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(0, LARGEST_BUDGET, min_open=True),
     callback=not_nan,
     default=300.0,
     show_default=True,

@@ -99,7 +99,7 @@ def map_(
     names = tuple(name.strip() for name in over.split(","))
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
-    counts = _read_grid(grid) if grid else None
+    counts = None if grid is None else _read_grid(grid)
     registry = options.usable_registry(plugins)
     given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
     sources = (

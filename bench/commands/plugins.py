@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import keyword
 import re
+import sys
 from importlib import resources
 from pathlib import Path
 
@@ -114,7 +116,7 @@ def check(
 @click.command()
 @click.argument("kind", type=click.Choice(list(_SKELETONS)))
 @click.argument("name")
-@click.option("--out", type=click.Path(path_type=Path), help="File; NAME.py if not given.")
+@options.with_file("File; NAME.py if not given.")
 def new(kind: str, name: str, out: Path | None) -> None:
     """Write a small scene or integrator, which runs at once.
 
@@ -127,6 +129,11 @@ def new(kind: str, name: str, out: Path | None) -> None:
     path = out or Path(f"{name}.py")
     if path.suffix != ".py":
         raise SpecError(f"{path} is not the name of a Python file; give one that ends with .py.")
+    if _shadows(path):
+        raise SpecError(
+            f"A file {path.name} would hide the module {path.stem!r} from scripts beside it; give "
+            f"another name or --out."
+        )
     skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
     text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
     try:
@@ -153,6 +160,17 @@ def _require_free(name: str) -> None:
         if name in plugins:
             taken = plugins[name].origin
             raise SpecError(f"The name {name!r} is taken by {taken}; try 'my_{name}'.")
+
+
+def _shadows(path: Path) -> bool:
+    """Whether Python finds another module under the name of a file that is to be written."""
+    if path.stem in sys.stdlib_module_names:
+        return True
+    try:
+        found = importlib.util.find_spec(path.stem)
+    except (ImportError, ValueError):  # a name with dots, or of no use to an import
+        return False
+    return found is not None and found.origin != str(path.resolve())
 
 
 def _class_name(name: str) -> str:

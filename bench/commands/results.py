@@ -9,6 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
+from bench.commands.paths import PathName
 from bench.results.csv_text import csv_text
 from bench.results.records import flatten
 from bench.results.store import Store
@@ -52,8 +53,8 @@ def _limits(
 
 
 @click.command()
-@click.argument("old", type=click.Path(path_type=Path))
-@click.argument("new", type=click.Path(path_type=Path))
+@click.argument("old", type=PathName("folder"))
+@click.argument("new", type=PathName("folder"))
 @click.option(
     "--fail-on",
     "limits",
@@ -63,7 +64,12 @@ def _limits(
     "error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with 'vanished', also if "
     "NEW lacks a run.",
 )
-@options.with_file("Folder for comparison.html and comparison.md; no pages if not given.")
+@click.option(
+    "--out",
+    "-o",
+    type=PathName("folder"),
+    help="Folder for comparison.html and comparison.md; no pages if not given.",
+)
 @options.with_as_json
 def compare(
     old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
@@ -104,8 +110,8 @@ def compare(
 
 
 @click.command()
-@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER FOLDER...")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="A new folder.")
+@click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
+@click.option("--out", required=True, type=PathName("folder"), help="A new folder.")
 def merge(folders: tuple[Path, ...], out: Path) -> None:
     """Put the results of several folders, from several machines perhaps, into one.
 
@@ -129,7 +135,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
 
 
 @click.command("open")
-@options.with_results
+@click.argument("folder", type=PathName("page"), default=options.RESULTS)
 def open_(folder: Path) -> None:
     """Open the report in FOLDER (or a page that is named itself) in the browser.
 
@@ -152,7 +158,7 @@ def open_(folder: Path) -> None:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PathName("folder"))
 @click.argument("kind", metavar="work_precision|convergence|trajectory")
 @click.option("--scene", help="The scene; may be left out if the folder has one.")
 @click.option("--error", metavar="GROUP:NORM", help="Which error, as a:max; q:end if not given.")

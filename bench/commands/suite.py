@@ -10,6 +10,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import write_reports
+from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.records import INTERRUPTED, Record
 from bench.results.store import Store
@@ -28,6 +29,7 @@ from bench.running.profiles import read_profile
 @options.with_jobs("Worker processes; timing is done by one at a time.")
 @click.option(
     "--cluster",
+    type=ClusterAddress(),
     metavar="ADDRESS",
     help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
 )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable
+from typing import TextIO
 
-from rich.console import Console, Group
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -16,21 +18,42 @@ from rich.progress import (
     TextColumn,
     TimeElapsedColumn,
 )
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from bench.commands.standard_streams import behind
+from problems.plain_text import visible
+
+#: Tables are never narrower, in characters, however small COLUMNS is.
+_LEAST_WIDTH = 40
 #: Without a terminal a line is printed this often, in s, instead of a moving bar.
 _QUIET_SECONDS = 5.0
 
 
+class _PlainConsole(Console):
+    """A console on which a text's control characters are seen, and do nothing."""
+
+    def __init__(self, file: TextIO) -> None:
+        super().__init__(file=behind(file))
+        if self.width < _LEAST_WIDTH:
+            self.width = _LEAST_WIDTH
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else visible(text), style, control)
+
+
 def show(content: Table | Group) -> None:
     """Print tables and lines on standard output."""
-    Console().print(content)
+    _PlainConsole(sys.stdout).print(content)
 
 
 def say(line: Text | str) -> None:
     """Print a line as it is, however long: the terminal wraps it."""
-    Console().print(line, soft_wrap=True, markup=False, highlight=False)
+    _PlainConsole(sys.stdout).print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def new_table(title: str = "") -> Table:
@@ -49,7 +72,7 @@ class RunProgress:
     """A progress bar that names the cell in work; plain lines where there is no terminal."""
 
     def __init__(self) -> None:
-        self._console = Console(file=sys.stderr)
+        self._console = _PlainConsole(sys.stderr)
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.fields[phase]}"),

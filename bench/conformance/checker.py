@@ -28,7 +28,7 @@ from bench.plugins.facts import PluginFacts, Sources
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory, load_registry
 from problems import spec
-from problems.answers import words_of
+from problems.plain_text import said
 from problems.spec import SpecError
 
 #: The checks by kind of plugin and name, in the order in which they are told.
@@ -46,7 +46,7 @@ def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult
     except DoesNotApply as reason:
         return CheckResult(check, NOT_APPLICABLE, str(reason))
     except (Failed, SpecError) as fault:
-        return CheckResult(check, FAILED, words_of(fault))
+        return CheckResult(check, FAILED, f"{said(fault)}.")
     except BaseException as error:  # a plugin may do anything
         return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 

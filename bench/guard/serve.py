@@ -13,7 +13,7 @@ from typing import Any
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
 from bench.plugins.registry import why
-from problems.answers import words_of
+from problems.plain_text import said
 from problems.spec import SpecError
 
 #: Tells the parent that a job goes on to another phase (bench.guard.limits), with words on it.
@@ -40,7 +40,7 @@ def serve(descriptor: int) -> None:
             sys.stdout.flush()
             content = wire.message(wire.DONE, found)
         except SpecError as error:
-            tell(wire.REFUSED, words_of(error))
+            tell(wire.REFUSED, f"{said(error)}.")
         except BaseException as error:  # a plugin may raise anything
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()

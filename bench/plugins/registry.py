@@ -23,7 +23,7 @@ from typing import Any
 
 from integrators.contract import Integrator
 from problems import spec
-from problems.answers import said, tidy, words_of
+from problems.plain_text import named, said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -212,26 +212,35 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
     # An empty path, as from an unset shell variable, would mean the current folder.
     if any(not str(path).strip() for path in paths):
         raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
-    files = [str(file) for path in paths for file in _files(Path(path).resolve())]
+    files = [str(file) for path in paths for file in _files(_resolved(path))]
     return list(dict.fromkeys(files))
 
 
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code it came from."""
-    if isinstance(error, SyntaxError):
-        return f"{type(error).__name__}: {error.msg} (line {error.lineno})."
-    text = " ".join(str(error).split()) or "no message"
-    frames = traceback.extract_tb(error.__traceback__)
+    # A syntax error says its own line; it came from the importer's.
+    frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {text.rstrip('.')}{where}."
+    return f"{named(error)}{where}."
+
+
+def _resolved(path: str | Path) -> Path:
+    try:
+        return Path(path).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null byte
+        raise PluginError(f"{str(path)!r} is not the path of a plugin: {said(error)}.") from None
 
 
 def _files(path: Path) -> list[Path]:
+    files = [path]
     if path.is_dir():
-        return sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
-    if not path.is_file():
-        raise PluginError(f"There is no plugin file or folder {path}.")
-    return [path]
+        files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+        if not files:
+            raise PluginError(f"The folder {path} has no Python file with a plugin.")
+    for file in files:
+        if not file.is_file():  # a pipe would be waited for
+            raise PluginError(f"There is no plugin file or folder {file}.")
+    return files
 
 
 def _import_file(file: Path) -> Any:
@@ -308,7 +317,4 @@ def _fault(kind: str, name: str, cls: Any) -> str:
 
 def why(error: BaseException) -> str:
     """Return the reason of a failure; that of a false answer needs no line of code."""
-    try:
-        return words_of(error) if isinstance(error, SpecError) else tidy(explain(error))
-    except BaseException:  # an exception of a plugin may raise another one when it is shown
-        return said(error)
+    return f"{said(error)}." if isinstance(error, SpecError) else explain(error)

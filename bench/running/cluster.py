@@ -14,6 +14,7 @@ from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.registry import plugin_files
 from bench.running.runner import Runner, Task
+from problems.plain_text import named, said
 from problems.spec import SpecError
 
 CONNECT_SECONDS = 10
@@ -51,11 +52,13 @@ class ClusterRunner(Runner):
             raise SpecError(
                 "--cluster needs dask.distributed; install it by: pip install 'stepbench[cluster]'."
             ) from None
+        if address.startswith(("tls:", "wss:")):
+            _require_certificates(address)
         try:
             self._client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             raise SpecError(
-                f"No dask scheduler answers at {address!r} ({error or 'no answer'}); start one by "
+                f"No dask scheduler answers at {address!r} ({said(error)}); start one by "
                 f"'dask scheduler' and give its address, such as tcp://host:8786."
             ) from None
         super().__init__(1, limits, printed)
@@ -97,10 +100,32 @@ class ClusterRunner(Runner):
             return answers
         except Exception as error:
             lost = NoAnswer(
-                status="interrupted",
-                message=f"The cluster could not run it: {type(error).__name__}: {error}",
+                status="interrupted", message=f"The cluster could not run it: {named(error)}"
             )
             return [(task, lost) for task in group]
+
+
+def _require_certificates(address: str) -> None:
+    """Refuse an address whose encryption is not configured, which the client finds out by hanging.
+
+    Raises
+    ------
+    SpecError
+        If dask's configuration names no certificates, or they cannot be read.
+    """
+    import dask.config
+    from distributed import Security
+
+    loader = dask.config.get("distributed.client.security-loader", None)
+    try:
+        context = Security().get_connection_args("client").get("ssl_context")
+    except OSError as error:
+        raise SpecError(f"Certificates for {address!r} cannot be read: {said(error)}.") from None
+    if not (context or loader):
+        raise SpecError(
+            f"{address!r} needs certificates; name them in dask's configuration, by "
+            "DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY."
+        )
 
 
 def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, bytes]]:

@@ -28,6 +28,8 @@ from problems.system import MechatronicSystem
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
 DEFAULT_HALVINGS = 6
 DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+#: Largest budget of a run, in s of time and in GiB of memory.
+LARGEST_BUDGET = 1e9
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,11 @@ def make_suite(
     if not 0 <= profile.samples <= 1000:
         raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
     for key in ("budget_s", "memory_gib"):
-        if not getattr(profile, key) > 0:
-            raise SpecError(f"{key}={getattr(profile, key)} is not allowed; give more than 0.")
+        if not 0 < getattr(profile, key) <= LARGEST_BUDGET:
+            raise SpecError(
+                f"{key}={getattr(profile, key)} is not allowed; give more than 0, and at most "
+                f"{LARGEST_BUDGET:g}."
+            )
     studies, cells = [], {}
     placed: defaultdict[str, set[str]] = defaultdict(set)
     for file in files:
@@ -286,7 +291,7 @@ def _components(file: StudyFile, scene: SceneFacts, registry: Inventory) -> list
     names = registry.components(scene.spec)  # needs JAX, which takes a while to load
     for text in file.components:
         for part in text.split(":", 1):  # "q2:q1" is the second over the first
-            match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", part)
+            match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d{0,8})", part)
             if not match or int(match[2]) > len(names[match[1]]):
                 raise SpecError(
                     f"{scene.spec} has no component {part!r}; give a group and a number such as "

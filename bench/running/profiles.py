@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import stat
 import tomllib
 from importlib import resources
 from itertools import product
@@ -16,6 +18,8 @@ from problems.spec import SpecError
 #: Figures and tables that a study can show; "runs" is a table of every run.
 FIGURES = ("trajectory", "convergence", "work_precision")
 TABLES = ("runs",)
+#: Largest profile in bytes, and most integrators of a study.
+_LARGEST, _MOST_VARIED = 1_000_000, 10_000
 
 
 class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -74,12 +78,7 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
         raise SpecError(
             f"There is no profile {name!r}; {spec.suggest(name, known)}, or give a .toml file."
         )
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SpecError(f"The profile {path} cannot be read: {error.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
+    data = _read_toml(path)
     _check_keys(data, ProfileFile, f"The profile {path}")
     studies = data.get("study")
     for study in studies if isinstance(studies, list) else []:
@@ -92,8 +91,26 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
     return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
 
 
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        about = path.stat()
+        # A pipe or a device might never end.
+        if not stat.S_ISREG(about.st_mode) or about.st_size > _LARGEST:
+            raise SpecError(f"The profile {path} is not a file of at most {_LARGEST:,} bytes.")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SpecError(f"The profile {path} cannot be read: {error.strerror}.") from None
+    except RecursionError:
+        raise SpecError(f"The profile {path} is nested too deeply.") from None
+    except ValueError as error:  # of TOML, of UTF-8, of a null byte in the path, of a huge number
+        raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
+
+
 def _varied(study: StudyFile) -> StudyFile:
     """Return the study with every combination of the options that it varies written out."""
+    count = len(study.integrators) * math.prod(map(len, study.vary.values()))
+    if count > _MOST_VARIED:
+        raise SpecError(f"A [[study]] varies {count} integrators; {_MOST_VARIED} are allowed.")
     combinations = [
         dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
     ]

@@ -26,8 +26,8 @@ from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
-from problems.answers import words_of
 from problems.initial_values import InconsistentStart, NoConsistentStart
+from problems.plain_text import said
 from problems.reference import Reference
 from problems.runtime import check_runtime, jax, one_thread
 from problems.spec import SpecError
@@ -176,7 +176,7 @@ class Worker:
             seconds = time.perf_counter() - measuring
             trajectory = answers.trajectory(measured, scene.sizes, *span)
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
-            return Trajectory.failed("crashed", words_of(error)), None
+            return Trajectory.failed("crashed", f"{said(error)}."), None
         except BaseException as error:  # of a plugin, which may even raise SystemExit
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()

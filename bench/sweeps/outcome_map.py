@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from bench.sweeps.batch import Batch, BatchRun, Block, refuse
 from bench.sweeps.ensemble import within_budget
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
+from problems.plain_text import said
 from problems.reference import Reference
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -157,7 +159,7 @@ def outcome_map(
     """
     refuse(method, scene)
     group, norm = read_error(error, scene)
-    if not threshold > 0:
+    if not 0 < threshold < math.inf:
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     started = time.perf_counter()
@@ -233,5 +235,5 @@ class _ErrorMeter:
                 group = self._group.strip("|")
                 self._exact[key] = reference(t)[group], scales(reference, group)
             except Exception as error:  # the scene may be a plugin, which may do anything
-                self._exact[key] = f"The reference failed: {error}"
+                self._exact[key] = f"The reference failed: {said(error)}."
         return self._exact[key]

@@ -1,0 +1,120 @@
+"""The standard streams of a command: no text harms a terminal, and none is lost silently.
+
+What a command prints goes through `PlainStream`, also the prints of plugins in its process; tables
+go around it (`bench/commands/terminal.py`), because their colours are control sequences of our own.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
+
+from problems.plain_text import visible
+
+
+class _Through(io.TextIOBase):
+    """A text stream that hands over to another one."""
+
+    #: Click writes bytes around a stream in ASCII; in this one there is every character.
+    encoding = "utf-8"
+
+    def __init__(self, stream: TextIO | _Through) -> None:
+        self.stream = stream
+
+    def flush(self) -> None:
+        self.stream.flush()
+
+    def isatty(self) -> bool:
+        return self.stream.isatty()
+
+    def fileno(self) -> int:
+        return self.stream.fileno()
+
+    def writable(self) -> bool:
+        return True
+
+
+class PlainStream(_Through):
+    """A text stream that writes control characters as escapes."""
+
+    def write(self, text: str, /) -> int:
+        """Write a text; returns its length."""
+        self.stream.write(visible(text))
+        return len(text)
+
+
+class _Lossy(_Through):
+    """A text stream for messages: one that cannot be written is no reason to end a run."""
+
+    def write(self, text: str, /) -> int:
+        with suppress(OSError):
+            self.stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            self.stream.flush()
+
+
+def behind(stream: Any) -> Any:
+    """Return the stream behind a `PlainStream`, or the stream itself."""
+    return stream.stream if isinstance(stream, PlainStream) else stream
+
+
+class LostOutput(Exception):
+    """Standard output is closed or full."""
+
+
+@contextmanager
+def plain_streams() -> Iterator[None]:
+    """Have standard output and standard error write control characters as escapes.
+
+    Raises
+    ------
+    LostOutput
+        If standard output is closed at the start, or takes no more at the end.
+    """
+    _fill_places()
+    if sys.stdout is None:
+        raise LostOutput("The standard output is closed; give it a file, or /dev/null.")
+    kept = sys.stdout, sys.stderr
+    for stream in kept:  # characters that the encoding lacks become escapes, too
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(_Lossy(sys.stderr))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = kept
+        full = [stream for stream in kept if not _flushed(stream)]
+    if kept[0] in full:
+        raise LostOutput("The standard output takes no more; not all of the answer is there.")
+
+
+def _fill_places() -> None:
+    """Open the null device for each closed standard stream.
+
+    Else the next file that is opened, as a store, would get its number, and what libraries print.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", errors="backslashreplace")  # noqa: SIM115  stays open
+
+
+def _flushed(stream: TextIO) -> bool:
+    """Flush a stream; one that takes no more goes to nowhere, so that the end is silent."""
+    try:
+        stream.flush()
+    except OSError:
+        with suppress(OSError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
+        return False
+    return True

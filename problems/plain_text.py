@@ -1,0 +1,62 @@
+"""Text of users, plugins and libraries made fit for a message: short and visible."""
+
+from __future__ import annotations
+
+import re
+
+#: Most characters of a line of a message, and of a word in it.
+LONGEST_LINE, LONGEST_WORD = 600, 200
+#: Most lines of a message.
+MOST_LINES = 20
+
+#: Control characters but tab and line feed, marks that turn the direction of writing, and lone
+#: surrogates, as of a path that is not UTF-8.
+_HIDDEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+
+def visible(text: str) -> str:
+    r"""Write characters that command a terminal as escapes like ``\x1b``; keep lines and tabs."""
+    return _HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def shortened(text: str) -> str:
+    """Make a message short and visible: long words, long lines and many lines lose their middle."""
+    lines = visible(text).split("\n")
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 2], "…", lines[-1]]
+    return "\n".join(
+        _cut(_LONG_WORD.sub(lambda word: _cut(word[0], LONGEST_WORD), line), LONGEST_LINE)
+        for line in lines
+    )
+
+
+def text_of(error: BaseException) -> str:
+    """Return what an exception says. Its class may be a plugin's, and do anything when asked."""
+    try:
+        return str.__str__(str(error))  # the text, too, may be of a class of the plugin's
+    except BaseException as fault:
+        if isinstance(fault, KeyboardInterrupt):
+            raise
+        return "its message cannot be read"
+
+
+def said(error: BaseException) -> str:
+    """Return what an exception says, on one short line without a full stop at its end."""
+    return shortened(" ".join(text_of(error).split())).rstrip(".") or "no message"
+
+
+def named(error: BaseException) -> str:
+    """Return the class of an exception and what it says: "ValueError: not a number"."""
+    name = type.__dict__["__name__"].__get__(type(error))  # a metaclass may hide it
+    return f"{_cut(visible(name), LONGEST_WORD)}: {said(error)}"
+
+
+def _cut(text: str, most: int) -> str:
+    """Cut the middle out of a text that is too long; most of its beginning stays."""
+    if len(text) <= most:
+        return text
+    tail = most // 3
+    return f"{text[: most - tail - 1]}…{text[-tail:]}"

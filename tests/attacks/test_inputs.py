@@ -1,0 +1,299 @@
+"""Bad inputs, generated over all commands, options and arguments: each ends in one short sentence.
+
+For every parameter of every command, and every wrong value of the parameter's type, a command line
+is made that is right but for this value.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections.abc import Iterator
+
+import click
+import pytest
+from click.testing import Result
+from planted import everything, plant
+
+from bench.commands.main import main
+from bench.commands.paths import ClusterAddress, PathName
+from problems.plain_text import visible
+
+#: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
+RIGHT = {
+    "list": ["all"],
+    "check": ["pendulum"],
+    "new": ["integrator", "mine"],
+    "show": ["pendulum"],
+    "catalogue": ["pendulum"],
+    "solve": ["pendulum", "newmark"],
+    "order": ["pendulum", "newmark"],
+    "run": ["quick"],
+    "report": ["{store}"],
+    "export": ["{store}"],
+    "compare": ["{store}", "{store}"],
+    "merge": ["{store}"],
+    "open": ["{store}"],
+    "figure": ["{store}", "convergence"],
+    "stability": ["newmark"],
+    "atlas": ["undamped_index3"],
+    "map": ["pendulum", "generalized_alpha"],
+    # Parameters that only other arguments take:
+    **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
+    **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
+    "figure cost": ["{store}", "work_precision"],
+    "figure component": ["{store}", "trajectory"],
+}
+MEMBERS = {"ensemble": ["--ensemble", "2"], "vary": ["--vary", "th0:1..2"]}
+#: Options that go with the arguments or with the parameter that is wrong.
+NEEDED = {
+    "map": {"over": ["--over", "h,rho_inf"]},
+    "merge": {"out": ["--out", "all"]},
+    "figure": {"scene": ["--scene", "pendulum"]},
+    **{f"map {name}": {"over": ["--over", "rho_inf,th0"]} for name in ("step", "rtol", "atol")},
+    **{f"solve {option}": MEMBERS for option in ("ensemble", "vary", "seed", "out")},
+}
+#: These commands tell of a plugin file that is of no use, and go on; a name has options to check.
+TOLD = re.compile(r"(list|check) plugins (text|binary)|check names (number|half)")
+
+ANY = {
+    "empty": "",
+    "blank": " \t",
+    "sequences": "\x1b[31mred\x1b]0;title\x07\x9b2J\rover",
+    "direction": "\u202ependulum\u2066",
+    "long": "x" * 10_000,
+    "words": "no such thing " * 1000,
+    "lines": "line\n" * 1000,
+    "not UTF-8": os.fsdecode(b"\xff\xfe"),
+    "null": "pen\0dulum",
+    "deep": "newmark" + "[" * 10_000,
+    "half": "newmark[beta=",
+    "twice": "newmark[beta=0.25,beta=0.25]",
+    "key": "newmark[=1]",
+    "number": "newmark[beta=nan]",
+    "module": "os.system",
+}
+REAL = ANY | {
+    "nan": "nan",
+    "minus": "-1",
+    "huge": "1e400",
+    "-inf": "-inf",
+    "hex": "0x1",
+    "unit": "1s",
+}
+WHOLE = REAL | {"digits": "9" * 5000, "half": "1.5", "zero": "-0.0"}
+LIST = ANY | {"nans": "0.1,nan,0.2", "gap": "0.1,,0.2", "comma": ",", "minus": "-0.1,-0.2,0.3"}
+ADDRESS = ANY | {
+    "no port": "tcp://head",
+    "port": "tcp://head:99999999999",
+    "protocol": "file:///etc/passwd",
+    "space": "tcp://he ad:8786",
+}
+PLACE = {
+    "pipe": "{odd}/pipe",
+    "socket": "{odd}/socket",
+    "null device": "/dev/null",
+    "full device": "/dev/full",
+    "below a file": "{odd}/file.txt/below",
+    "long": "x" * 10_000,
+    "deep": "x/" * 5_000,
+    "null": "re\0sults",
+    "circle": "{odd}/circle",
+    "empty": "",
+    "blank": "  ",
+}
+PLUGIN = PLACE | {"text": "{odd}/file.txt", "none": "{odd}/none", "binary": "{odd}/bits.py"}
+
+
+def wrong_values(parameter: click.Parameter) -> dict[str, str]:
+    """What is wrong for a parameter, each with a word for it."""
+    kind = parameter.type
+    if getattr(parameter, "is_flag", False):
+        return {"value": "yes"}
+    if isinstance(kind, PathName):
+        return PLACE | (
+            {"file": "{odd}/file.txt"} if kind.kind == "folder" else {"folder": "{odd}"}
+        )
+    if isinstance(kind, ClusterAddress):
+        return ADDRESS
+    if parameter.name == "plugins":
+        return PLUGIN
+    if isinstance(kind, click.types.IntParamType):
+        return WHOLE
+    if isinstance(kind, click.types.FloatParamType):
+        return REAL
+    return LIST if parameter.name in ("steps", "pattern", "at") else ANY
+
+
+def wrong_lines() -> Iterator[tuple[str, list[str]]]:
+    """Command lines with one wrong value each, and names for them."""
+    for command, described in main.commands.items():
+        arguments = [p.name for p in described.params if isinstance(p, click.Argument)]
+        for parameter in described.params:
+            needed = NEEDED.get(f"{command} {parameter.name}", NEEDED.get(command, {}))
+            others = [
+                part for name, two in needed.items() if name != parameter.name for part in two
+            ]
+            for word, value in wrong_values(parameter).items():
+                options = others
+                given = list(RIGHT.get(f"{command} {parameter.name}", RIGHT[command]))
+                if parameter.name in arguments:
+                    given[arguments.index(parameter.name)] = value
+                elif getattr(parameter, "is_flag", False):
+                    options = [*others, f"{parameter.opts[-1]}={value}"]
+                else:
+                    options = [*others, parameter.opts[-1], value]
+                name = f"{command} {parameter.name} {word}"
+                if not TOLD.fullmatch(name):
+                    yield name, [command, *options, "--", *given]
+
+
+LINES = dict(wrong_lines())
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> dict[str, str]:
+    """A folder of results, and one of odd things."""
+    folder = tmp_path_factory.mktemp("places")
+    odd = folder / "odd"
+    (odd / "none").mkdir(parents=True)
+    os.mkfifo(odd / "pipe")
+    (odd / "circle").symlink_to("circle")
+    (odd / "file.txt").write_text("text")
+    (odd / "bits.py").write_bytes(bytes(range(256)))
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(odd / "socket"))
+    plant(folder / "store", everything()[:5])
+    return {"odd": str(odd), "store": str(folder / "store")}
+
+
+def assert_refused(result: Result) -> str:
+    """Return the sentence: the only thing that was printed, short and of visible characters."""
+    assert isinstance(result.exception, SystemExit), repr(result.exception)
+    assert result.exit_code in (1, 2), result.output
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    assert visible(result.stderr) == result.stderr
+    usage, *sentences = re.split("^Error: ", result.stderr, flags=re.M)
+    assert len(sentences) == 1, result.stderr
+    assert re.fullmatch(r"(Usage: .*\nTry '.*' for help.\n\n)?", usage)
+    assert len(usage) < 300
+    assert 10 < len(sentences[0]) < 700
+    assert re.search(r"[.?)]\n$", sentences[0]), sentences[0]
+    return sentences[0]
+
+
+def some(lines: dict[str, list[str]]) -> list:
+    """All lines, of which `make test` takes every fifth."""
+    return [
+        pytest.param(line, id=name, marks=[pytest.mark.attack] if number % 5 else [])
+        for number, (name, line) in enumerate(lines.items())
+    ]
+
+
+@pytest.mark.parametrize("line", some(LINES))
+def test_a_wrong_value_is_refused_in_a_sentence(stepbench, places, tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(stepbench(*(part.format(**places) if "{" in part else part for part in line)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_is_attacked():
+    assert {name.partition(" ")[0] for name in RIGHT} == set(main.commands)
+    assert len(LINES) > 1000
+
+
+PROFILE = """
+{top}
+[[study]]
+problems = ["pendulum"]
+integrators = ["newmark"]
+{study}
+"""
+PROFILES = {
+    "deep": "a = " + "[" * 10_000,
+    "deep tables": "a" + ".a" * 20_000 + " = 1",
+    "empty": "",
+    "binary": "\udcff\udcfe\0",
+    "null": "a = '\0'",
+    "sequences": "title = '\x1b[31m'",
+    "long number": "samples = " + "9" * 10_000,
+    "long key": "x" * 10_000 + " = 1",
+    "key of sequences": '"\\u001b[31m" = 1',
+    "huge": PROFILE.format(top="", study="#" * 2_000_000),
+    "no table": "study = 1",
+    "table": "[study]\nproblems = ['pendulum']",
+    "numbers": "study = [1, 2]",
+    "nan": PROFILE.format(top="budget_s = nan", study=""),
+    "inf": PROFILE.format(top="budget_s = inf", study=""),
+    "memory": PROFILE.format(top="memory_gib = inf", study=""),
+    "samples": PROFILE.format(top="samples = -1", study=""),
+    "text": PROFILE.format(top="samples = 'many'", study=""),
+    "twice": PROFILE.format(top="samples = 1\nsamples = 2", study=""),
+    "date": PROFILE.format(top="title = 1979-05-27", study=""),
+    "atlas": PROFILE.format(top="atlas = ['nothing']", study=""),
+    "step nan": PROFILE.format(top="", study="steps = [nan]"),
+    "step text": PROFILE.format(top="", study="steps = ['0.1']"),
+    "step zero": PROFILE.format(top="", study="steps = [0.0]"),
+    "end": PROFILE.format(top="", study="t_end = inf"),
+    "tolerance": PROFILE.format(top="", study="rtol = [-1.0]"),
+    "pattern": PROFILE.format(top="", study="pattern = [0.5, nan]"),
+    "no pattern": PROFILE.format(top="", study="pattern = []"),
+    "norm": PROFILE.format(top="", study="norm = 'best'"),
+    "figure": PROFILE.format(top="", study="figures = ['\\u001b[2J']"),
+    "component": PROFILE.format(top="", study="components = ['q999']"),
+    "digits": PROFILE.format(top="", study=f"components = ['q{'9' * 5000}']"),
+    "unknown key": PROFILE.format(top="", study="problem = 'pendulum'"),
+    "vary key": PROFILE.format(top="", study="vary = {nothing = ['1']}"),
+    "vary nothing": PROFILE.format(top="", study="vary = {beta = []}"),
+    "vary all": PROFILE.format(
+        top="",
+        study="vary = {" + ", ".join(f"o{k} = ['1', '2', '3']" for k in range(60)) + "}",
+    ),
+    "no scene": "[[study]]\nproblems = []\nintegrators = []",
+    "scene": "[[study]]\nproblems = ['pendulum[']\nintegrators = ['newmark']",
+    "method": "[[study]]\nproblems = ['pendulum']\nintegrators = ['\\u202enewmark']",
+}
+
+
+@pytest.mark.parametrize("text", PROFILES.values(), ids=PROFILES)
+def test_a_wrong_profile_is_refused_in_a_sentence(stepbench, tmp_path, text):
+    file = tmp_path / "profile.toml"
+    file.write_bytes(text.encode("utf-8", "surrogateescape"))
+    assert_refused(stepbench("run", file, "--out", tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder", "circle", "missing", "device"])
+def test_an_odd_thing_in_the_place_of_a_profile_is_not_waited_for(stepbench, tmp_path, kind):
+    file = tmp_path / "profile.toml"
+    if kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    elif kind != "missing":
+        file.symlink_to("/dev/zero" if kind == "device" else file)
+    assert str(file) in assert_refused(stepbench("run", file, "--out", tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+NAMES = ["numpy", "json", "jax", "types", "test", "bench", "problems", "site", "click"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_new_file_does_not_hide_a_module(stepbench, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert "hide the module" in assert_refused(stepbench("new", "integrator", name))
+    assert "hide the module" in assert_refused(
+        stepbench("new", "problem", "mine", "--out", f"{name}.py")
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("line", [[], ["lits"], ["--nothing"], ["x" * 10_000], ["\x1b[2J"], [""]])
+def test_a_wrong_command_is_refused_in_a_sentence(stepbench, line):
+    if line:
+        assert_refused(stepbench(*line))
+    else:
+        assert stepbench().exit_code == 2

@@ -1,0 +1,239 @@
+"""Texts of plugins that command a terminal, and terminals, streams and encodings that are odd."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+import click
+import pytest
+from planted import everything, plant
+
+from bench.commands.standard_streams import PlainStream
+from bench.plugins.registry import explain
+from problems.plain_text import LONGEST_LINE, said, shortened, visible
+
+COMMAND = [sys.executable, "-c", "from bench.commands.main import main; main()"]
+HOSTILE = "\x1b[2J\x1b]0;owned\x07 \x9b31m \x08\r \u202eback\u2066 \u200f \x7f \udcff"
+COMMANDS = ("\x1b[2J", "\x1b]", "\x07", "\x9b", "\x08", "\r", "\u202e", "\u2066", "\u200f", "\x7f")
+METHOD = """
+import json
+from dataclasses import dataclass
+from integrators.contract import option
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+
+print(TEXT)
+DOC = TEXT[:-1]  # a docstring cannot hold a lone surrogate
+
+@dataclass(frozen=True)
+class Hostile(GeneralizedAlpha):
+    __doc__ = "[/bold][red] " + DOC
+    word: str = option(DOC, DOC)
+"""
+EXCEPTION = """
+class Refused(Exception):
+    def __str__(self):
+        raise SystemExit("no")
+    __repr__ = __str__
+raise Refused
+"""
+
+
+def hostile_file(folder, text=METHOD):
+    file = folder / "hostile.py"
+    file.write_text(f"TEXT = {json.dumps(HOSTILE)}\n{text}")
+    return file
+
+
+@pytest.mark.parametrize("command", [["list"], ["list", "--json"], ["list", "integrators"]])
+def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypatch, command):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # our own colours are control sequences
+    result = stepbench(*command, "--plugins", hostile_file(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert "[/bold][red]" in result.stdout
+    assert [text for text in COMMANDS if text in result.output] == []
+    assert r"\x1b" in result.stderr  # what it prints
+    assert ("\x1b[2m" in result.stdout) == ("--json" not in command)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        EXCEPTION,
+        "raise ValueError(TEXT * 10_000)",
+        "raise ValueError('line\\n' * 10_000)",
+        "raise type(TEXT, (Exception,), {})()",
+        "raise SyntaxError(TEXT)",
+        "from problems.spec import SpecError\n"
+        "class E(SpecError):\n    def __str__(self): raise OSError\nraise E",
+        "raise ExceptionGroup(TEXT, [ValueError(TEXT)])",
+        "class T(str):\n    def split(self, *_): raise OSError\n"
+        "class E(Exception):\n    def __str__(self): return T(TEXT)\nraise E",
+        "class M(type):\n    __name__ = property(lambda cls: 1 / 0)\n"
+        "class E(Exception, metaclass=M): pass\nraise E",
+        "import sys\nsys.exit(TEXT)",
+        "def f(n): f(n + 1)\nf(0)",
+    ],
+)
+def test_whatever_a_plugin_raises_is_a_short_reason(stepbench, tmp_path, source):
+    result = stepbench("solve", "pendulum", "hostile", "--plugins", hostile_file(tmp_path, source))
+    assert result.exit_code == 1, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert result.stderr.startswith("Error: Plugin ")
+    assert len(result.stderr) < 1000
+    assert visible(result.stderr) == result.stderr
+
+
+def test_a_message_is_cut_in_its_middle():
+    text = shortened("begin " + "x" * 10_000 + " " + "word " * 10_000 + "end")
+    assert len(text) == LONGEST_LINE
+    assert text.startswith("begin xxx")
+    assert "…" in text
+    assert text.endswith("word end")
+    assert len(shortened("line\n" * 1000).split("\n")) == 20
+    assert shortened("a tab\tand\nlines, äß…≤ stay") == "a tab\tand\nlines, äß…≤ stay"
+
+
+def test_an_exception_that_is_interrupted_stays_an_interrupt():
+    class Slow(Exception):
+        def __str__(self):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        said(Slow())
+    assert explain(ValueError("x.")) == "ValueError: x."
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-16", "utf-8"])
+def test_a_stream_of_any_encoding_takes_any_text(encoding):
+    raw = io.TextIOWrapper(io.BytesIO(), encoding, errors="backslashreplace")
+    stream = PlainStream(raw)
+    stream.write(HOSTILE)
+    click.echo(HOSTILE + " ✓ …", file=stream)
+    written = raw.buffer.getvalue().decode(encoding)
+    assert r"\x1b[2J" in written
+    assert visible(written) == written
+    assert any(tick in written for tick in ("✓", r"\u2713"))
+
+
+# ---- whole commands in processes of their own ---------------------------------------------
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return plant(tmp_path_factory.mktemp("results"), everything()[:5])
+
+
+def closed(*numbers: int) -> Callable[[], None]:
+    return lambda: [os.close(number) for number in numbers] and None
+
+
+def ended(arguments: list[str], **more) -> subprocess.CompletedProcess[bytes]:
+    known = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "timeout": 60}
+    more["env"] = {**more.get("env", os.environ), "PYTHONUNBUFFERED": ""}  # as users have it
+    result = subprocess.run([*COMMAND, *arguments], **known | more)
+    assert b"Traceback" not in (result.stderr or b"")
+    assert b"Exception ignored" not in (result.stderr or b"")
+    return result
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["list"],
+        *(
+            pytest.param(line, marks=pytest.mark.attack)
+            for line in (["list", "--json"], ["--help"], ["export"], ["--version"], ["run", "-h"])
+        ),
+    ],
+)
+@pytest.mark.parametrize("kind", ["closed", "full"])
+def test_an_answer_that_cannot_be_given_is_no_success(store, arguments, kind):
+    line = [*arguments, str(store)] if arguments == ["export"] else arguments
+    with open("/dev/full", "wb") as full:
+        more = {"preexec_fn": closed(1)} if kind == "closed" else {"stdout": full}
+        result = ended(line, **more)
+    assert result.returncode == 1
+    assert result.stderr.startswith(b"Error: The s")
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("arguments", [["list"], ["list", "--json"], ["export"]])
+def test_a_reader_that_leaves_early_ends_it_quietly(store, arguments):
+    line = [*arguments, str(store)] if arguments == ["export"] else arguments
+    reader, writer = os.pipe()
+    os.close(reader)
+    result = ended(line, stdout=writer)
+    os.close(writer)
+    assert result.returncode == 1
+    assert result.stderr == b""
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("kind", ["stdin", "stderr", "both", "full"])
+def test_messages_that_cannot_be_given_cost_no_answer(kind):
+    numbers = {"stdin": (0,), "stderr": (2,), "both": (0, 2)}.get(kind, ())
+    with open("/dev/full", "wb") as full:
+        more = {"stderr": full} if kind == "full" else {}
+        right = ended(["list"], preexec_fn=closed(*numbers), **more)
+        wrong = ended(["lits"], preexec_fn=closed(*numbers), **more)
+    assert right.returncode == 0
+    assert b"pendulum" in right.stdout
+    assert wrong.returncode == 1
+    assert wrong.stdout == b""
+
+
+def test_a_store_does_not_take_the_place_of_a_closed_stream(tmp_path):
+    """Else what a library prints on it would go into the file."""
+    code = (
+        "import os; from bench.commands.standard_streams import plain_streams\n"
+        "with plain_streams():\n"
+        f"    number = os.open({str(tmp_path / 'store')!r}, os.O_CREAT | os.O_WRONLY)\n"
+        "raise SystemExit(number)"
+    )
+    process = subprocess.run([sys.executable, "-c", code], preexec_fn=closed(0, 2), timeout=60)
+    assert process.returncode > 2
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        {"LC_ALL": "nonsense"},
+        {"TERM": "dumb"},
+        {"TERM": "", "FORCE_COLOR": "1"},
+        *({"COLUMNS": width} for width in ("0", "1", "-5", "wide", "999999")),
+        {"LINES": "0", "COLUMNS": "1", "PYTHONIOENCODING": "ascii", "FORCE_COLOR": "1"},
+    ],
+    ids=str,
+)
+def test_an_odd_terminal_gets_the_whole_answer(tmp_path, setting):
+    environment = {**os.environ, **setting}
+    listed = ended(["list", "--plugins", str(hostile_file(tmp_path))], env=environment)
+    assert listed.returncode == 0
+    assert b"pendulum" in listed.stdout
+    assert b"hostile" in listed.stdout
+    refused = ended(["check", os.fsdecode(b"p\xc3\xa9nd\xff")], env=environment)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith(b"Error: ")
+
+
+@pytest.mark.attack
+def test_a_run_needs_no_name_in_utf_8_and_no_place_for_its_messages(stepbench, tmp_path):
+    profile = tmp_path / "tiny.toml"
+    profile.write_text(
+        'samples = 1\n[[study]]\nproblems = ["spring_mass"]\nintegrators = ["newmark"]\n'
+        "steps = [0.1]\nt_end = 1.0\n"
+    )
+    folder = os.fsdecode(os.fsencode(tmp_path) + b"/r\xe9sults")
+    with open("/dev/full", "wb") as full:
+        result = ended(["run", str(profile), "--out", folder], stderr=full)
+    assert result.returncode == 0
+    assert sum(name.startswith("report.") for name in os.listdir(folder)) == 2
+    exported = stepbench("export", folder, "--json")
+    assert [row["status"] for row in json.loads(exported.stdout)] == ["ok"]
