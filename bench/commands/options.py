@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.plugins.registry import Registry
-from bench.results.store import StoreError
+from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.plan import check_end
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, suggest
@@ -245,3 +245,9 @@ with_budget = click.option(
 with_as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
 )
+
+
+def tell_set_aside(store: Store, more: str = "") -> None:
+    """Say on standard error which rows of a store cannot be read, if any; ``more`` follows."""
+    if text := set_aside_text(store.set_aside()):
+        click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)

@@ -61,6 +61,7 @@ def run(
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         with runner_for(suite, registry, jobs, cluster) as runner:
             measured = measure_suite(suite, store, registry, runner, progress)
             damping.complete(suite, store, registry, runner, progress)
@@ -83,6 +84,6 @@ def run(
 @options.with_results
 def report(folder: Path) -> None:
     """Make the report pages anew from the results in FOLDER."""
-    with Store(folder):
-        pass  # says clearly if there is none
+    with Store(folder) as store:  # says clearly if there is none
+        options.tell_set_aside(store)
     write_reports(folder)

@@ -45,13 +45,14 @@ def runner_for(suite: Suite, registry: Registry, jobs: int, cluster: str | None 
 
 
 def missing_cells(suite: Suite, store: Store, registry: Registry) -> list[Cell]:
-    """List the cells that have no record of this source, or ran out of a smaller budget."""
-    stored = store.records()
+    """List the cells without a readable record of this source, or with one of a smaller budget."""
+    stored, with_rows = store.records(), store.keys_with_rows()
 
     def is_missing(cell: Cell) -> bool:
         record = stored.get(cell.key)
         return (
             record is None
+            or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or (record.status == "budget_exceeded" and _raised(suite.plan.budget_s, record))
         )
@@ -85,6 +86,7 @@ def measure_suite(
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.save_plan(suite.plan)
+    store.forget_spoilt_samples()
     number = 0
     if cells or _samples_due(suite, store.records()):
         number = store.save_environment(environment())

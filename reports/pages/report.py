@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
 from bench.results.records import Environment, Plan, Record, SceneRecord
-from bench.results.store import Store
+from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
@@ -98,12 +98,15 @@ def read_report(folder: Path, interactive: bool) -> Report:
                 scene_chapter(f"scene-{i}", sections, series[names[key]], studies, same_as)
             )
         environments, experiments = store.environments(), list(store.experiments().values())
-        known = store.damping()
+        known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
-        missing=missing_data(plan, scenes, records, keys, environments),
+        missing=[
+            *filter(None, [set_aside_text(set_aside)]),
+            *missing_data(plan, scenes, records, keys, environments),
+        ],
         winners=winners_table(verdicts(ranking), ids),
         overall=overall(ranking),
         overview=[
