@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 #: The sign for "no value".
@@ -45,6 +47,12 @@ def words(items: Iterable[str]) -> str:
     """'a', 'a and b', 'a, b and c'."""
     *head, last = items
     return f"{', '.join(head)} and {last}" if head else last
+
+
+def file_name(text: str) -> str:
+    """A name for a file or an anchor: the text itself if it is short and plain."""
+    plain = re.sub(r"[^\w.,=+\[\]-]", "_", text, flags=re.ASCII).lstrip(".")[:80]
+    return plain if plain == text else f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def named(items: Iterable[str], separator: str = ", ", most: int = 3) -> str:

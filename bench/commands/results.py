@@ -9,7 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
-from bench.results.csv_text import csv_text
+from bench.results.csv_text import csv_export
 from bench.results.records import flatten
 from bench.results.store import Store
 from problems.spec import SpecError
@@ -36,7 +36,7 @@ def export(folder: Path, form: str, out: Path | None) -> None:
     with Store(folder) as store:
         rows = [flatten(record) for record in store.records().values()]
         options.tell_set_aside(store)
-    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
+    text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
     if out:
         out.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} records in {out}")

@@ -6,6 +6,9 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 
+#: A text that begins so is run as a formula by a spreadsheet.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
 
 def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None) -> str:
     """Write rows as CSV with a header line.
@@ -29,3 +32,17 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     writer.writeheader()
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
+    """Write rows as CSV that a spreadsheet may open: no text, and no name of a column, is a formula.
+
+    Such a text gets an apostrophe in front, as spreadsheets have it. Numbers stay as they are.
+    """
+    columns = {name: str(_quoted(name)) for row in rows for name in row}
+    quoted = [{columns[name]: _quoted(value) for name, value in row.items()} for row in rows]
+    return csv_text(quoted, list(columns.values()))
+
+
+def _quoted(value: object) -> object:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value

@@ -193,8 +193,9 @@ class Store:
     def set_aside(self) -> list[SetAside]:
         """All rows that cannot be read; the other methods pass over them."""
         self._spoilt.clear()
-        self.plan(), self.environments(), self.scenes(), self.experiments()
-        self.damping(), self.records(), self.keys_with_rows()
+        readers = self.environments, self.scenes, self.experiments, self.damping, self.records
+        for read in (self.plan, *readers, self.keys_with_rows):
+            read()
         return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
 
     def plan(self) -> Plan | None:
@@ -281,7 +282,7 @@ class Store:
                 continue
             # A plan has a name of its own; damping and environments do not hold their keys.
             own = [getattr(value, column, k) for column, k in zip(columns, key, strict=True)]
-            if None in key or (own != key and kind is not Plan):
+            if None in key or (own != key and table != "plan"):
                 self._note(table, name, "its key is not that of its value")
             else:
                 yield tuple(key), value

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from bench.results.clean_text import clean, clean_json
 from bench.results.csv_text import csv_text
 from bench.results.quantities import NORM, NORM_NAMES, NORMS
 from reports.charts.line_styles import LineStyle
@@ -111,6 +112,27 @@ class Dataset:
 def datasets(tables: Sequence[Dataset]) -> dict[str, str]:
     """The rows of a chart as CSV by name; CSV names each column only once."""
     return {table.name: csv_text(table.rows, table.columns) for table in tables}
+
+
+def chart_json(value: Any, **options: Any) -> str:
+    """JSON of a chart that every engine can draw: clean text, null for numbers without a value.
+
+    ``options`` are those of `json.dumps`.
+    """
+    try:
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, **options)
+    except ValueError:
+        text = json.dumps(_without_nan(value), ensure_ascii=False, **options)
+    # Control characters stand in JSON as escapes.
+    return clean_json(clean(text).encode()).decode()
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _without_nan(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # ---- channels and axes -------------------------------------------------------------------

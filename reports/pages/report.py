@@ -13,6 +13,7 @@ from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.pareto_front import pareto_chart
+from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
@@ -178,7 +179,7 @@ def _cost_by_size(
             f"Cost of {kind} against its size (unknowns: coordinates, multipliers, controller "
             "states, outputs), of the run with the most steps. A flat line on the right is a cost "
             "that grows like the size.",
-            {f"sizes-{kind}": chart},
+            {f"sizes-{file_name(kind)}": chart},
         )
         for kind, chart in size_charts(records, scenes, styles).items()
     ]
