@@ -28,9 +28,9 @@ def number_range(values: Iterable[float | None]) -> str:
 
 
 def text_range(texts: Iterable[str]) -> str:
-    """'first to last' of texts in order; one of them if both are the same."""
-    first, *others = texts
-    return " to ".join(dict.fromkeys((first, (others or [first])[-1])))
+    """'first to last' of texts in order; one of them if both are the same, none of none."""
+    known = list(texts)
+    return " to ".join(dict.fromkeys((known[0], known[-1]))) if known else ""
 
 
 def order_text(order: float) -> str:

@@ -22,6 +22,7 @@ TIMING_SECONDS = 1.0
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=0, le=2**62)]
+Controls = Annotated[str, Meta(pattern="^(step|tolerance)$")]
 Norm = Annotated[str, Meta(pattern=f"^({'|'.join(NORMS)})$")]
 
 
@@ -58,7 +59,7 @@ class Record(msgspec.Struct, kw_only=True):
     integrator: str
     family: str
     formulation: str
-    controls: str
+    controls: Controls
     calls: str = ""
     h: Positive | None = None
     pattern: Annotated[tuple[Positive, ...], Meta(min_length=1)] = (1.0,)

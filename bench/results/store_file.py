@@ -7,6 +7,7 @@ import sqlite3
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.results.clean_text import clean
 from bench.results.records import SCHEMA
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def check_schema(db: sqlite3.Connection, path: Path) -> None:
     if not row:
         raise StoreError(f"{path} is no stepbench store (it has no schema); {WAY_OUT}.")
     # Compared as text: a damaged version may be no number.
-    found = row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0])
+    found = clean(row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0]))
     if found != str(SCHEMA):
         raise StoreError(
             f"The store {path} has schema {found}, this version reads {SCHEMA}; {WAY_OUT}."

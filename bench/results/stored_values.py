@@ -72,7 +72,7 @@ def crashed(record: Record, reason: object) -> Record:
         integrator=_text(record.integrator),
         family=_text(record.family),
         formulation=_text(record.formulation),
-        controls=_text(record.controls),
+        controls="step" if record.h is not None else "tolerance",
         **{name: getattr(record, name) for name in ("h", "pattern", "rtol", "atol")},
         **{name: getattr(record, name) for name in ("t0", "t_end", "environment", "budget_s")},
         fingerprint=_text(record.fingerprint),
@@ -109,7 +109,9 @@ def _flaw(value: object) -> str:
     if isinstance(value, Record):
         wanted = ("rtol", "atol") if value.controls == "tolerance" else ("h",)
         lacking = [name for name in wanted if getattr(value, name) is None]
-        return f"it has no {lacking[0]}" if lacking else ""
+        if lacking:
+            return f"it has no {lacking[0]}"
+        return "" if value.t0 < value.t_end else f"it ends at {value.t_end:g} s, before its start"
     if isinstance(value, Rows):
         return _ragged(value)
     if isinstance(value, SceneRecord):
@@ -125,12 +127,10 @@ def _flaw(value: object) -> str:
 
 
 def _ragged(rows: Rows) -> str:
-    columns: dict[str, Sequence[Any]] = {**rows.values, **rows.notes}
     uneven = [n for n, values in rows.values.items() if len({len(row) for row in values}) > 1]
     if uneven:
         return f"rows of {clean(uneven[0])} have different lengths"
-    # A group that the scene lacks may have no rows at all.
-    return _unequal({"t": rows.t} | {name: values for name, values in columns.items() if values})
+    return _unequal({"t": rows.t, **rows.values, **rows.notes})
 
 
 def _unequal(lists: Mapping[str, Sequence[Any]]) -> str:

@@ -52,13 +52,19 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
     """
     if path.suffix != ".html":
         raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
-    points = [point for d in drawings for line in d["lines"] for point in line]
+    points = [p for d in drawings for line in d["lines"] for p in line if None not in map(short, p)]
     if not points:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
     (x0, x1), (y0, y1) = ((min(c), max(c)) for c in zip(*points, strict=True))
     extent = max(x1 - x0, y1 - y0)
     frames = [
-        {"t": d["t"], "lines": [[[short(x), short(-y)] for x, y in line] for line in d["lines"]]}
+        {
+            "t": d["t"],
+            "lines": [
+                [[x, -y] for x, y in (map(short, p) for p in line) if None not in (x, y)]
+                for line in d["lines"]
+            ],
+        }
         for d in drawings
     ]
     wide, high = (max(b - a, extent / 3) + 0.1 * extent for a, b in ((x0, x1), (y0, y1)))
