@@ -37,7 +37,7 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
 def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
     """Write rows as CSV for a spreadsheet: none of its texts is a formula.
 
-    A text that would be one gets an apostrophe in front, as spreadsheets have it. Numbers stay as they are.
+    A text that would be one gets an apostrophe in front. Numbers stay as they are.
     """
     columns = {name: str(_quoted(name)) for row in rows for name in row}
     quoted = [{columns[name]: _quoted(value) for name, value in row.items()} for row in rows]
