@@ -68,7 +68,7 @@ def run(
             time_suite(suite, store, runner, progress)
         stored = store.records()
         results = complete(experiments, [], store, registry, jobs, progress)
-    records = [stored[key] for key in suite.cells]
+    records = [stored[key] for key in suite.cells if key in stored]
     good = sum(record.status == "ok" for record in records)
     click.echo(
         f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "

@@ -31,7 +31,9 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     writer = csv.DictWriter(buffer, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return buffer.getvalue()
+    text = buffer.getvalue()
+    # The writer leaves carriage returns without quotes, and readers end a line at them.
+    return text.replace("\r", " ")
 
 
 def csv_export(rows: Sequence[Mapping[str, object]]) -> str:

@@ -115,7 +115,8 @@ def time_suite(suite: Suite, store: Store, runner: Runner, progress: Progress) -
     due = _samples_due(suite, records)
     if not due:
         return
-    cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
+    good = {key for key, record in records.items() if record.status == "ok"}
+    cells = [cell for key, cell in suite.cells.items() if key in good]
     have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
     progress.phase("timing, one run at a time", due)
     for cell, sample, seconds in runner.time(cells, suite.plan.samples, have):

@@ -61,7 +61,11 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
         {
             "t": d["t"],
             "lines": [
-                [[x, -y] for x, y in (map(short, p) for p in line) if None not in (x, y)]
+                [
+                    [x, -y]
+                    for x, y in (map(short, p) for p in line)
+                    if x is not None and y is not None
+                ]
                 for line in d["lines"]
             ],
         }
