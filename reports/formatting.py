@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 #: The sign for "no value".
@@ -26,9 +28,9 @@ def number_range(values: Iterable[float | None]) -> str:
 
 
 def text_range(texts: Iterable[str]) -> str:
-    """'first to last' of texts in order; one of them if both are the same."""
-    first, *others = texts
-    return " to ".join(dict.fromkeys((first, (others or [first])[-1])))
+    """'first to last' of texts in order; one of them if both are the same, none of none."""
+    known = list(texts)
+    return " to ".join(dict.fromkeys((known[0], known[-1]))) if known else ""
 
 
 def order_text(order: float) -> str:
@@ -45,6 +47,12 @@ def words(items: Iterable[str]) -> str:
     """'a', 'a and b', 'a, b and c'."""
     *head, last = items
     return f"{', '.join(head)} and {last}" if head else last
+
+
+def file_name(text: str) -> str:
+    """A name for a file or an anchor: the text itself if it is short and plain."""
+    plain = re.sub(r"[^\w.,=+\[\]-]", "_", text, flags=re.ASCII).lstrip(".")[:80]
+    return plain if plain == text else f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def named(items: Iterable[str], separator: str = ", ", most: int = 3) -> str:

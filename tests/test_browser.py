@@ -231,3 +231,32 @@ def test_charts_far_below_wait_until_they_come_near(browser, folder):
     assert not all(states)
     browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
     assert all(browser.execute_script(drawn))
+
+
+def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, folder):
+    browser.get((folder / "report.html").as_uri())
+    browser.get_log("browser")
+    browser.execute_script(
+        """
+        const script = document.createElement("script");
+        script.textContent = "window.came = 1";
+        document.body.append(script);
+        document.body.insertAdjacentHTML("beforeend", "<img src=x onerror='window.came = 1'>");
+        """
+    )
+    said = waited(lambda: browser.get_log("browser"))
+    assert browser.execute_script("return window.came === undefined")
+    assert "Content Security Policy" in said[0]["message"]
+
+
+def test_an_animation_plays_and_nothing_is_complained_of(browser, tmp_path):
+    from reports.pages.catalogue import write_animation
+
+    pictures = [{"t": k / 10, "lines": [[[0.0, 0.0], [1.0, k / 10]]]} for k in range(30)]
+    browser.get_log("browser")
+    browser.get(write_animation("<b>pendulum", pictures, tmp_path / "a.html").as_uri())
+    path = "return document.querySelector('path').getAttribute('d')"
+    first = browser.execute_script(path)
+    assert first.startswith("M0 0L1 ")
+    waited(lambda: browser.execute_script(path) != first)
+    assert browser.get_log("browser") == []

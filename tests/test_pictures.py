@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import math
+import os
 import re
+import signal
 import subprocess
 import sys
 
+import psutil
 import pytest
 from planted import Document, plant, planted
 
@@ -34,18 +39,15 @@ def drawn(folder):
     return {f.name: re.sub(r"(clip|gradient_)\d+", r"\1", f.read_text()) for f in folder.iterdir()}
 
 
-def test_two_processes_draw_what_one_draws(tmp_path, monkeypatch):
-    started = []
-    popen = subprocess.Popen
-    monkeypatch.setattr(
-        rendering.subprocess, "Popen", lambda *a, **k: started.append(a) or popen(*a, **k)
-    )
-    rendering.draw(CHARTS, tmp_path / "one")
-    assert started == []
+def test_two_engines_draw_what_one_draws_and_are_kept(tmp_path, monkeypatch):
+    assert rendering.draw(CHARTS, tmp_path / "one") == {}
     monkeypatch.setattr(rendering, "PART_SIZE", 400)
     monkeypatch.setattr(rendering, "cores", lambda: 2)
     rendering.draw(CHARTS, tmp_path / "two")
-    assert len(started) == 1
+    engines = list(rendering._idle)
+    assert len(engines) >= 2
+    rendering.draw(CHARTS, tmp_path / "two")
+    assert set(rendering._idle) == set(engines)
     assert drawn(tmp_path / "one") == drawn(tmp_path / "two")
     assert set(drawn(tmp_path / "one")) == {f"{name}.svg" for name in CHARTS}
     assert "#123456" in drawn(tmp_path / "one")["chart-0.svg"]
@@ -55,10 +57,60 @@ def test_two_processes_draw_what_one_draws(tmp_path, monkeypatch):
 def test_a_chart_that_cannot_be_drawn_says_so(tmp_path, monkeypatch, worth):
     monkeypatch.setattr(rendering, "PART_SIZE", worth)
     monkeypatch.setattr(rendering, "cores", lambda: 2)
-    # The larger part is drawn here, the smaller one by the other process.
     charts = {"good": line("good", "a,b\n" + "1,2\n" * 99), "bad": {"mark": "no such mark"}}
-    with pytest.raises(RuntimeError, match="bad cannot be drawn"):
-        rendering.draw(charts, tmp_path)
+    failed = rendering.draw(charts, tmp_path)
+    assert list(failed) == ["bad"]
+    assert failed["bad"].sentence.startswith("This chart cannot be drawn: ")
+    assert set(drawn(tmp_path)) == {"good.svg"}
+
+
+def dangerous(monkeypatch):
+    """Charts reach the engines as they are, unclean."""
+    monkeypatch.setattr(rendering, "chart_json", json.dumps)
+    return line("bad") | {"title": "a\0b"}
+
+
+def test_a_chart_that_ends_its_engine_costs_no_other(monkeypatch):
+    # vl-convert's text measuring panics at a NUL, and takes its process along.
+    bad = dangerous(monkeypatch)
+    found = rendering.pictures({"one": CHARTS["chart-0"], "bad": bad, "two": CHARTS["chart-1"]})
+    assert [name for name, picture in found.items() if picture.content] == ["one", "two"]
+    assert "its drawing process ended with code -" in found["bad"].sentence
+
+
+def test_what_would_end_an_engine_is_cleaned_before():
+    numbers = {"data": {"values": [{"a": math.inf, "b": math.nan}]}}
+    for text in ("a\0b", "\ud800", "\x1b[31m", "\uffff", "</script>", "\u202e"):
+        svg = rendering.picture(line("bad") | numbers | {"title": text}).svg
+        assert svg.startswith("<svg"), svg
+        assert not set(svg) & set("\0\x1b\uffff\u202e")
+
+
+def test_an_engine_that_was_killed_is_replaced():
+    assert rendering.picture(CHARTS["chart-0"]).content
+    for engine in rendering._idle:
+        engine._process.kill()
+    assert rendering.picture(CHARTS["chart-0"]).content
+
+
+def test_an_engine_that_does_not_end_is_stopped(monkeypatch):
+    monkeypatch.setattr(rendering, "LONGEST", 0.01)
+    for engine in rendering._idle:
+        os.kill(engine._process.pid, signal.SIGSTOP)
+    picture = rendering.picture(CHARTS["chart-0"])
+    assert "its drawing process ended with code -9" in picture.sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a signal of Linux")
+def test_engines_end_with_their_parent():
+    code = (
+        "import os; from reports.charts import rendering; "
+        f"rendering.picture({CHARTS['chart-0']!r}); "
+        "print(rendering._idle[0]._process.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    told = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, check=False)
+    engine = psutil.Process(int(told.stdout)) if psutil.pid_exists(int(told.stdout)) else None
+    assert engine is None or engine.wait(2) is None or not engine.is_running()
 
 
 def test_parts_are_of_about_the_same_size():

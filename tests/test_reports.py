@@ -272,6 +272,15 @@ def test_the_drawing_code_is_bundled_once(tmp_path: Path, monkeypatch: pytest.Mo
     )
     assert [html_report.javascript_library() for _ in range(2)] == ["a<\\/script"] * 2
     assert made == [1]
+    # A copy that was changed, cut or is no text is made anew.
+    (kept,) = (tmp_path / "stepbench").iterdir()
+    whole = kept.read_bytes()
+    for spoilt in (whole.replace(b"a<", b"b<"), whole[:-1], b"", b"\xff", b"a<\\/script"):
+        kept.write_bytes(spoilt)
+        made.clear()
+        assert html_report.javascript_library() == "a<\\/script"
+        assert made == [1]
+        assert kept.read_bytes() == whole
     (tmp_path / "file").touch()
     monkeypatch.setattr(
         html_report.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "file")

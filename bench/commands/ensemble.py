@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bench.commands import options
-from bench.results.csv_text import csv_text
+from bench.results.csv_text import csv_export
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def solve_ensemble(
         show(ensemble_table(result))
     if out:
         as_json_file = out.suffix == ".json"
-        text = json.dumps(rows, indent=1, allow_nan=False) if as_json_file else csv_text(rows)
+        text = json.dumps(rows, indent=1, allow_nan=False) if as_json_file else csv_export(rows)
         out.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} members in {out}", err=as_json)
     if "ok" not in statuses:

@@ -14,7 +14,7 @@ import click
 from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.facts import SceneFacts, Sources
-from bench.results.store import StoreError
+from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
 from integrators.contract import Tolerances
@@ -251,3 +251,9 @@ def with_given_budget(words: str) -> Callable:
 with_as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
 )
+
+
+def tell_set_aside(store: Store, more: str = "") -> None:
+    """Say on standard error which rows of a store cannot be read, if any; ``more`` follows."""
+    if text := set_aside_text(store.set_aside()):
+        click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)

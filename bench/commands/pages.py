@@ -27,13 +27,17 @@ def write_reports(folder: Path) -> None:
         If one cannot be written; the others are.
     """
     from concurrent.futures import ProcessPoolExecutor
+    from contextlib import ExitStack
     from multiprocessing import get_context
 
     # One process for each page: they do not wait for each other, and each may fail alone.
     writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
-    failed = []
-    with ProcessPoolExecutor(len(writers), mp_context=get_context("spawn")) as pool:
-        pages = {w.name: pool.submit(_write_report, w.value, folder) for w in writers}
+    failed, pages = [], {}
+    with ExitStack() as stack:
+        for writer in writers:
+            pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+            submit = stack.enter_context(pool).submit
+            pages[writer.name] = submit(_write_report, writer.value, folder)
         for name, page in pages.items():
             try:
                 click.echo(f"Report: {page.result()}")

@@ -10,7 +10,7 @@ import click
 from bench.commands import options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
-from bench.results.csv_text import csv_text
+from bench.results.csv_text import csv_export
 from bench.results.records import flatten
 from bench.results.store import Store
 from problems.spec import SpecError
@@ -36,7 +36,8 @@ def export(folder: Path, form: str, out: Path | None) -> None:
     """
     with Store(folder) as store:
         rows = [flatten(record) for record in store.records().values()]
-    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
+        options.tell_set_aside(store)
+    text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
     if out:
         out.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} records in {out}")
@@ -94,6 +95,7 @@ def compare(
 
     comparison = compare_folders(old, new)
     worse = regressions(comparison, limits)
+    _tell_set_aside(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer), indent=2))
@@ -125,6 +127,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
     from bench.results.merge import merge as merge_stores
 
     merged = merge_stores(folders, out)
+    _tell_set_aside(*folders)
     click.echo(
         f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
         f"environments, are in {out}."
@@ -201,4 +204,11 @@ def figure(
         t_end=t_end,
         **{name: value for name, value in given.items() if value is not None},
     )
+    _tell_set_aside(folder)
     click.echo(f"Figure: {written}")
+
+
+def _tell_set_aside(*folders: Path) -> None:
+    for folder in folders:
+        with Store(folder) as store:
+            options.tell_set_aside(store)

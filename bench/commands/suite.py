@@ -73,6 +73,7 @@ def run(
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
         remark("Finished runs are stored; the same command goes on.")
+        options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
         with runner_for(suite, jobs, progress, cluster) as runner:
@@ -81,7 +82,7 @@ def run(
             time_suite(suite, store, registry, runner, progress)
         stored = store.records()
         results = complete(experiments, [], store, registry, jobs, progress)
-    records = [stored[key] for key in suite.cells]
+    records = [stored[key] for key in suite.cells if key in stored]
     good = sum(record.status == "ok" for record in records)
     cut = sum(record.status == INTERRUPTED for record in records)
     interrupted = f"{cut} interrupted, which the same command runs again; " if cut else ""
@@ -111,6 +112,6 @@ def in_common(records: Sequence[Record]) -> str:
 @options.with_results
 def report(folder: Path) -> None:
     """Make the report pages anew from the results in FOLDER."""
-    with Store(folder):
-        pass  # says clearly if there is none
+    with Store(folder) as store:  # says clearly if there is none
+        options.tell_set_aside(store)
     write_reports(folder)

@@ -6,6 +6,9 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 
+#: A text that begins so is run as a formula by a spreadsheet.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
 
 def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None) -> str:
     """Write rows as CSV with a header line.
@@ -28,4 +31,20 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     writer = csv.DictWriter(buffer, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return buffer.getvalue()
+    text = buffer.getvalue()
+    # The writer leaves carriage returns without quotes, and readers end a line at them.
+    return text.replace("\r", " ")
+
+
+def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
+    """Write rows as CSV for a spreadsheet: none of its texts is a formula.
+
+    A text that would be one gets an apostrophe in front. Numbers stay as they are.
+    """
+    columns = {name: str(_quoted(name)) for row in rows for name in row}
+    quoted = [{columns[name]: _quoted(value) for name, value in row.items()} for row in rows]
+    return csv_text(quoted, list(columns.values()))
+
+
+def _quoted(value: object) -> object:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value

@@ -60,8 +60,10 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
     worst: dict[float, float] = {}
     for h, e in zip(steps, errors, strict=True):
         if e is not None and math.isfinite(e) and e > max(TRUST * floor, 0.0):
-            worst[h] = max(e, worst.get(h, 0.0))
-    points = sorted((math.log(h), math.log(e)) for h, e in worst.items())
+            # Steps that differ by a rounding error are one.
+            place = math.log(h)
+            worst[place] = max(e, worst.get(place, 0.0))
+    points = sorted((place, math.log(e)) for place, e in worst.items())
     if len(points) < 3:
         return Fit(None, None, 0, "not determined")
     if min(e for _, e in points) > points[-1][1] - math.log(2.0):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, TypedDict
 
 import msgspec
+from msgspec import Meta
 
 from bench.results.quantities import GROUPS, LEVELS, NORMS, PARTS, whole
 
@@ -19,6 +20,13 @@ INTERRUPTED = "interrupted"
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.
 TIMING_SECONDS = 1.0
+
+#: Numbers within their bounds, which are checked when a value is read.
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Count = Annotated[int, Meta(ge=0, le=2**62)]
+Controls = Annotated[str, Meta(pattern="^(step|tolerance)$")]
+Norm = Annotated[str, Meta(pattern=f"^({'|'.join(NORMS)})$")]
 
 
 class Environment(msgspec.Struct, kw_only=True):
@@ -55,26 +63,26 @@ class Record(msgspec.Struct, kw_only=True):
     integrator: str
     family: str
     formulation: str
-    controls: str
+    controls: Controls
     calls: str = ""
-    h: float | None = None
-    pattern: tuple[float, ...] = (1.0,)
-    rtol: float | None = None
-    atol: float | None = None
+    h: Positive | None = None
+    pattern: Annotated[tuple[Positive, ...], Meta(min_length=1)] = (1.0,)
+    rtol: Positive | None = None
+    atol: NotNegative | None = None
     t0: float
     t_end: float
     status: str
     message: str = ""
-    errors: dict[str, dict[str, float | None]] = {}
-    reference_error: dict[str, dict[str, float]] = {}
-    components: dict[str, dict[str, list[float | None]]] = {}
-    rows: int = 0
-    constraint: dict[str, float | None] = {}
-    energy_drift: float | None = None
-    work: dict[str, int | None] = {}
-    operations: dict[str, float] = {}
-    compile_s: float | None = None
-    run_s: list[float] = []
+    errors: dict[str, dict[str, NotNegative | None]] = {}
+    reference_error: dict[str, dict[str, NotNegative]] = {}
+    components: dict[str, dict[str, list[NotNegative | None]]] = {}
+    rows: Count = 0
+    constraint: dict[str, NotNegative | None] = {}
+    energy_drift: NotNegative | None = None
+    work: dict[str, Count | None] = {}
+    operations: dict[str, NotNegative] = {}
+    compile_s: NotNegative | None = None
+    run_s: list[Positive] = []
     environment: int = 0
     fingerprint: str = ""
     budget_s: float | None = None
@@ -99,6 +107,22 @@ class Rows(msgspec.Struct, kw_only=True):
     notes: dict[str, list[float | None]] = {}
 
 
+class Parameter(TypedDict):
+    """A parameter of a scene; ``value`` is plain data."""
+
+    name: str
+    value: Any
+    unit: str
+    doc: str
+
+
+class Drawing(TypedDict):
+    """A scene at the time ``t`` in s: lines of points (x, y) in m, None for no number."""
+
+    t: float
+    lines: list[list[tuple[float | None, float | None]]]
+
+
 class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
@@ -111,14 +135,14 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     title: str
     description: str
     source: str
-    parameters: list[dict[str, Any]]
+    parameters: list[Parameter]
     components: dict[str, list[str]]
     sizes: dict[str, int]
     t0: float
     reference_method: str
     reference_error: dict[str, float]
     reference: Rows
-    drawings: list[dict[str, Any]] = []
+    drawings: list[Drawing] = []
     fingerprint: str = ""
     stopped: str = ""
     budget_s: float | None = None
@@ -145,7 +169,7 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     t_end: float
     figures: list[str]
     cells: list[str]
-    norm: str = "settled"
+    norm: Norm = "settled"
     components: list[str] = []
 
 

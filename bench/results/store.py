@@ -6,49 +6,45 @@ killed at any moment has lost nothing but the cell in work.
 
 from __future__ import annotations
 
-import errno
+import math
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
 
+from bench.results.clean_text import clean
 from bench.results.experiments import ExperimentResult
-from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
+from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
+from bench.results.store_file import (
+    FILE,
+    WAY_OUT,
+    check_schema,
+    locked,
+    open_to_read,
+    prepare,
+    remove,
+)
+from bench.results.store_file import StoreError as StoreError
+from bench.results.stored_values import Unreadable, crashed, decoded, encoded, undescribed
 
 if TYPE_CHECKING:
     from filelock import FileLock
 
-FILE = "stepbench.sqlite"
-#: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
-#: Not the database itself, whose own locks SQLite would lose when another file object is closed.
-_LOCK = ".stepbench.lock"
+T = TypeVar("T")
 
-_TABLES = """
-CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS environments (id INTEGER PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS scenes (
-    problem TEXT, t_end REAL, value BLOB NOT NULL, PRIMARY KEY (problem, t_end));
-CREATE TABLE IF NOT EXISTS records (
-    key TEXT PRIMARY KEY, problem TEXT NOT NULL, integrator TEXT NOT NULL, status TEXT NOT NULL,
-    value BLOB NOT NULL, rows BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS damping (integrator TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS experiments (name TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS samples (
-    key TEXT NOT NULL REFERENCES records(key), number INTEGER NOT NULL, seconds REAL NOT NULL,
-    PRIMARY KEY (key, number));
-"""
-
-_WAY_OUT = "start again with --fresh or another --out"
-#: Errors of msgspec for damaged values: not JSON, another form, not UTF-8, or not bytes at all
-#: (SQLite keeps any type in any column).
-_DAMAGED = (msgspec.DecodeError, UnicodeDecodeError, TypeError)
+#: Most rows that are named in the sentence about those set aside.
+_NAMED = 3
 
 
-class StoreError(RuntimeError):
-    """The folder has no readable store, or the store cannot be written."""
+class SetAside(NamedTuple):
+    """A row that cannot be read: its table, its key, and the reason."""
+
+    table: str
+    key: str
+    reason: str
 
 
 class Store:
@@ -80,18 +76,18 @@ class Store:
         try:
             if create:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                self._lock = _locked(self.folder)
+                self._lock = locked(self.folder)
                 if fresh:
-                    _remove(path)
+                    remove(path)
                 opened = sqlite3.connect(path, isolation_level=None, timeout=30.0)
-                _prepare(opened)
+                prepare(opened)
             elif path.is_file():
-                opened = _open_to_read(path)
+                opened = open_to_read(path)
             else:
                 raise StoreError(
                     f"{self.folder} holds no stepbench results; run 'stepbench run' first."
                 )
-            _check_schema(opened, path)
+            check_schema(opened, path)
         except (OSError, sqlite3.Error, StoreError) as error:
             if opened is not None:
                 opened.close()
@@ -99,8 +95,11 @@ class Store:
                 self._lock.release()
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"The store {path} cannot be opened ({error}); {_WAY_OUT}.") from error
+            raise StoreError(f"The store {path} cannot be opened ({error}); {WAY_OUT}.") from error
+        # Text that is no UTF-8 costs its row, not the query.
+        opened.text_factory = lambda text: text.decode(errors="replace")
         self._db = opened
+        self._spoilt: dict[tuple[str, str], str] = {}
 
     def close(self) -> None:
         """Close the file; the write-ahead log is folded in."""
@@ -117,85 +116,116 @@ class Store:
     # ---- writing -----------------------------------------------------------------------
     def save_plan(self, plan: Plan) -> None:
         """Keep the plan of a run; reports follow it."""
-        self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", msgspec.json.encode(plan))
+        self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", encoded(plan))
 
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
-        self._write("INSERT INTO environments (value) VALUES (?)", msgspec.json.encode(environment))
+        self._write("INSERT INTO environments (value) VALUES (?)", encoded(environment))
         return self._read("SELECT MAX(id) FROM environments")[0][0]
 
     def save_scene(self, scene: SceneRecord) -> None:
-        """Keep a scene's description, reference and drawings."""
+        """Keep a scene's description, reference and drawings; the reason if they are unfit."""
+        try:
+            value = encoded(scene)
+        except Unreadable as error:
+            value = encoded(undescribed(scene, error))
         self._write(
             "INSERT OR REPLACE INTO scenes VALUES (?, ?, ?)",
-            scene.problem,
+            clean(scene.problem),
             scene.t_end,
-            msgspec.json.encode(scene),
+            value,
         )
 
     def save_experiment(self, found: ExperimentResult) -> None:
         """Keep the result of an experiment of the atlas."""
-        self._write(
-            "INSERT OR REPLACE INTO experiments VALUES (?, ?)",
-            found.name,
-            msgspec.json.encode(found),
-        )
+        self._write("INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, encoded(found))
 
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""
         if damping is None:
-            self._write("DELETE FROM damping WHERE integrator = ?", integrator)
-        else:
-            value = msgspec.json.encode(damping)
-            self._write("INSERT OR REPLACE INTO damping VALUES (?, ?)", integrator, value)
+            self._write("DELETE FROM damping WHERE integrator = ?", clean(integrator))
+            return
+        try:
+            value = encoded(damping)
+        except Unreadable as error:
+            value = encoded(Damping(omega_h=[], message=f"It cannot be stored: {error}."))
+        self._write("INSERT OR REPLACE INTO damping VALUES (?, ?)", clean(integrator), value)
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell with its rows, in one transaction; forgets older samples."""
+        """Keep a finished cell with its rows, in one transaction; forgets older samples.
+
+        Sampled values that could not be read again are left out; a record that could not is kept
+        as that of a crashed run. Its message says so.
+        """
+        try:
+            sampled = encoded(rows)
+        except Unreadable as error:
+            sampled = encoded(Rows(t=[], values={}))
+            said = f"{record.message} Its sampled values cannot be stored: {error}."
+            record = msgspec.structs.replace(record, message=said.strip())
+        try:
+            value = encoded(record)
+        except Unreadable as error:
+            record = crashed(record, error)
+            value = encoded(record)
+        names = (record.key, record.problem, record.integrator, record.status)
+        key, *others = map(clean, names)
         with self._transaction():
-            self._db.execute("DELETE FROM samples WHERE key = ?", (record.key,))
+            self._db.execute("DELETE FROM samples WHERE key = ?", (key,))
             self._db.execute(
                 "INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?)",
-                (
-                    record.key,
-                    record.problem,
-                    record.integrator,
-                    record.status,
-                    msgspec.json.encode(record),
-                    msgspec.json.encode(rows),
-                ),
+                (key, *others, value, sampled),
             )
 
     def add_sample(self, key: str, number: int, seconds: float) -> None:
         """Keep one timing sample of a cell."""
-        self._write("INSERT OR REPLACE INTO samples VALUES (?, ?, ?)", key, number, seconds)
+        self._write("INSERT OR REPLACE INTO samples VALUES (?, ?, ?)", clean(key), number, seconds)
+
+    def forget_spoilt_samples(self) -> None:
+        """Forget the timing samples that cannot be read, with all others of their cells.
+
+        Rounds of samples are taken anew as a whole, so that those of several cells stay in step.
+        """
+        for key in {key for key, seconds in self._samples() if seconds is None}:
+            self._write("DELETE FROM samples WHERE key = ?", key)
 
     # ---- reading -----------------------------------------------------------------------
+    def set_aside(self) -> list[SetAside]:
+        """All rows that cannot be read; the other methods pass over them."""
+        self._spoilt.clear()
+        readers = self.environments, self.scenes, self.experiments, self.damping, self.records
+        for read in (self.plan, *readers, self.keys_with_rows):
+            read()
+        return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
+
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
-        found = self._read("SELECT value FROM meta WHERE name = 'plan'", kind=Plan)
-        return found[0][0] if found else None
+        found = self._values("meta WHERE name = 'plan'", ("name",), Plan)
+        return next((plan for _, plan in found), None)
 
     def environments(self) -> dict[int, Environment]:
         """All environments by number."""
-        return dict(self._read("SELECT id, value FROM environments ORDER BY id", kind=Environment))
+        found = self._values("environments ORDER BY id", ("id",), Environment)
+        return {number: environment for (number,), environment in found}
 
     def scenes(self) -> dict[tuple[str, float], SceneRecord]:
         """All scenes by (problem, t_end)."""
-        found = self._read("SELECT value FROM scenes ORDER BY problem, t_end", kind=SceneRecord)
-        return {(scene.problem, scene.t_end): scene for (scene,) in found}
+        columns = ("problem", "t_end")
+        found = self._values("scenes ORDER BY problem, t_end", columns, SceneRecord)
+        return {(scene.problem, scene.t_end): scene for _, scene in found}
 
     def experiments(self) -> dict[str, ExperimentResult]:
         """Results of the experiments of the atlas by name, in the order of their numbers."""
         if not self._has_table("experiments"):
             return {}
-        found = self._read("SELECT name, value FROM experiments", kind=ExperimentResult)
-        return dict(sorted(found, key=lambda row: row[1].number))
+        found = [value for _, value in self._values("experiments", ("name",), ExperimentResult)]
+        return {value.name: value for value in sorted(found, key=lambda value: value.number)}
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""
         if not self._has_table("damping"):
             return {}
-        return dict(self._read("SELECT integrator, value FROM damping", kind=Damping))
+        return {name: value for (name,), value in self._values("damping", ("integrator",), Damping)}
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.
@@ -204,46 +234,90 @@ class Store:
         """
         # Before the records: a run that goes on meanwhile may add samples, but takes no record
         # away, so that every sample read here finds its record below.
-        samples = self._read(
-            "SELECT samples.key, records.key, seconds FROM samples "
-            "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
-        )
-        found = dict(self._read("SELECT key, value FROM records ORDER BY rowid", kind=Record))
+        samples = self._samples()
+        found = {
+            key: record
+            for (key,), record in self._values("records ORDER BY rowid", ("key",), Record)
+        }
         plan = self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
-        for key, owner, seconds in samples:
-            if owner is None:
-                raise self._unreadable(f"a timing sample of {key} has no record")
-            records[owner].run_s.append(seconds)
+        for key, seconds in samples:
+            if key in records and seconds is not None:
+                records[key].run_s.append(seconds)
         return records
 
     def rows(self, key: str) -> Rows:
-        """The sampled values of a cell.
+        """The sampled values of a cell; none if they cannot be read.
 
         Raises
         ------
         KeyError
             If the cell is not there.
         """
-        found = self._read("SELECT rows FROM records WHERE key = ?", key, kind=Rows)
+        found = self._read("SELECT rows FROM records WHERE key = ?", key)
         if not found:
             raise KeyError(key)
-        return found[0][0]
+        return self._decoded("rows", key, found[0][0], Rows) or Rows(t=[], values={})
+
+    def keys_with_rows(self) -> set[str]:
+        """The keys of the cells whose sampled values can be read."""
+        found = self._read("SELECT key, rows FROM records")
+        return {key for key, raw in found if self._decoded("rows", str(key), raw, Rows)}
 
     # ---- parts -------------------------------------------------------------------------
     def _has_table(self, name: str) -> bool:
         """Whether there is a table; stores of earlier versions may lack some."""
         return bool(self._read("SELECT 1 FROM sqlite_master WHERE name = ?", name))
 
-    def _read(self, sql: str, *parameters: object, kind: type | None = None) -> list[tuple]:
-        """All rows of a query; their last column is decoded if its ``kind`` is given."""
+    def _values(
+        self, source: str, columns: Sequence[str], kind: type[T]
+    ) -> Iterator[tuple[tuple, T]]:
+        """Pairs (key, value) of a table's rows; those that cannot be read are noted."""
+        table = "plan" if kind is Plan else source.split()[0]
+        for *key, raw in self._read(f"SELECT {', '.join(columns)}, value FROM {source}"):
+            name = ", ".join(map(str, key))
+            value = self._decoded(table, name, raw, kind)
+            if value is None:
+                continue
+            # A plan has a name of its own; damping and environments do not hold their keys.
+            own = [getattr(value, column, k) for column, k in zip(columns, key, strict=True)]
+            if None in key or (own != key and table != "plan"):
+                self._note(table, name, "its key is not that of its value")
+            else:
+                yield tuple(key), value
+
+    def _samples(self) -> list[tuple[str, float | None]]:
+        """Keys and seconds of the timing samples; None for seconds that cannot be read."""
+        samples = []
+        for key, owner, number, seconds in self._read(
+            "SELECT samples.key, records.key, number, seconds FROM samples "
+            "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
+        ):
+            known = isinstance(number, int) and isinstance(seconds, float)
+            good = known and owner is not None and 0 < seconds < math.inf
+            if not good:
+                reason = f"{str(seconds)[:40]!r} is no time in s" if owner else "it has no record"
+                self._note("samples", f"{key}, number {number}", reason)
+            samples.append((key, seconds if good else None))
+        return samples
+
+    def _decoded(self, table: str, key: str, raw: object, kind: type[T]) -> T | None:
+        """A value, or None if it cannot be read, which is noted."""
         try:
-            rows = self._db.execute(sql, parameters).fetchall()
-            if kind is None:
-                return rows
-            return [(*row[:-1], msgspec.json.decode(row[-1], type=kind)) for row in rows]
-        except (sqlite3.Error, *_DAMAGED) as error:
+            return decoded(raw, kind)
+        except Unreadable as error:
+            self._note(table, key, str(error))
+            return None
+
+    def _note(self, table: str, key: str, reason: str) -> None:
+        self._spoilt[table, key] = reason
+
+    def _read(self, sql: str, *parameters: object) -> list[tuple]:
+        """All rows of a query."""
+        try:
+            return self._db.execute(sql, parameters).fetchall()
+        except sqlite3.Error as error:
             raise self._unreadable(error) from error
 
     def _write(self, sql: str, *parameters: object) -> None:
@@ -267,7 +341,7 @@ class Store:
             raise
 
     def _unreadable(self, reason: object) -> StoreError:
-        return StoreError(f"The store {self._path} cannot be read ({reason}); {_WAY_OUT}.")
+        return StoreError(f"The store {self._path} cannot be read ({reason}); {WAY_OUT}.")
 
     def _unwritable(self, error: sqlite3.Error) -> StoreError:
         return StoreError(
@@ -276,68 +350,11 @@ class Store:
         )
 
 
-def _locked(folder: Path) -> FileLock | None:
-    """The lock of a folder, taken; None where the file system has no locks."""
-    from filelock import FileLock, Timeout  # not needed to read, and slow to import
-
-    lock = FileLock(folder / _LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise StoreError(
-            f"Another run is writing into {folder}; wait for its end, or give another --out."
-        ) from None
-    except OSError as error:
-        if error.errno in (errno.ENOLCK, errno.EOPNOTSUPP):
-            return None
-        raise
-    return lock
-
-
-def _remove(path: Path) -> None:
-    # The file goes last: a log left behind without its file would meet the new one.
-    for suffix in ("-wal", "-shm", ""):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def _prepare(db: sqlite3.Connection) -> None:
-    db.execute("PRAGMA journal_mode=WAL")
-    db.execute("PRAGMA synchronous=NORMAL")
-    # One transaction, so that a store that has tables also has its schema.
-    db.executescript(
-        f"BEGIN IMMEDIATE; {_TABLES} "
-        f"INSERT OR IGNORE INTO meta VALUES ('schema', CAST('{SCHEMA}' AS BLOB)); COMMIT;"
-    )
-
-
-def _open_to_read(path: Path) -> sqlite3.Connection:
-    uri = f"{path.absolute().as_uri()}?mode=ro"
-    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
-    try:
-        db.execute("SELECT 1 FROM sqlite_master")  # the file is opened by the first query
-        return db
-    except sqlite3.Error as error:
-        db.close()
-        log = path.with_name(path.name + "-wal")
-        # In a folder that cannot be written there is no place for the log's index. Nobody
-        # writes there either, so the file stands still, but rows still in a log would be lost.
-        refused = error.sqlite_errorcode & 0xFF in (
-            sqlite3.SQLITE_CANTOPEN,
-            sqlite3.SQLITE_READONLY,
-        )
-        if not refused or (log.exists() and log.stat().st_size):
-            raise
-    return sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
-
-
-def _check_schema(db: sqlite3.Connection, path: Path) -> None:
-    has_meta = db.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
-    row = has_meta and db.execute("SELECT value FROM meta WHERE name = 'schema'").fetchone()
-    if not row:
-        raise StoreError(f"{path} is no stepbench store (it has no schema); {_WAY_OUT}.")
-    # Compared as text: a damaged version may be no number.
-    found = row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0])
-    if found != str(SCHEMA):
-        raise StoreError(
-            f"The store {path} has schema {found}, this version reads {SCHEMA}; {_WAY_OUT}."
-        )
+def set_aside_text(found: Sequence[SetAside]) -> str:
+    """Say how many rows cannot be read, and name a few; empty if all can be."""
+    if not found:
+        return ""
+    named = [f"{row.table} {clean(row.key)[:80]!r} ({row.reason})" for row in found[:_NAMED]]
+    more = [f"{len(found) - _NAMED} more"] if len(found) > _NAMED else []
+    rows = "1 row" if len(found) == 1 else f"{len(found)} rows"
+    return f"{rows} of the store cannot be read and left out: {'; '.join([*named, *more])}."

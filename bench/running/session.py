@@ -47,14 +47,15 @@ def teller(progress: Progress) -> Callable[[str, str], None]:
 
 
 def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
-    """List the cells to be run: those that have no record of this source, were interrupted, or
-    ran out of a smaller budget."""
-    stored = store.records()
+    """List the cells to be run: those without a readable record of this source, and those that
+    were interrupted or ran out of a smaller budget."""
+    stored, with_rows = store.records(), store.keys_with_rows()
 
     def is_missing(cell: Cell) -> bool:
         record = stored.get(cell.key)
         return (
             record is None
+            or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or record.status == INTERRUPTED
             or (record.stopped != "" and _raised(suite.plan.budget_s, record.budget_s))
@@ -92,6 +93,7 @@ def measure_suite(
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.save_plan(suite.plan)
+    store.forget_spoilt_samples()
     number = 0
     if cells or _samples_due(suite, store.records()):
         number = store.save_environment(environment())
@@ -136,7 +138,8 @@ def time_suite(
     due = _samples_due(suite, records)
     if not due:
         return
-    cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
+    good = {key for key, record in records.items() if record.status == "ok"}
+    cells = [cell for key, cell in suite.cells.items() if key in good]
     have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
     tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
     progress.phase("timing, one run at a time", due)

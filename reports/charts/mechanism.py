@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ def mechanism(drawings: Sequence[Mapping[str, Any]]) -> Spec | None:
             rows += [
                 {"line": f"{i}.{j}", "k": k, "x": short(x), "y": short(y), "fade": round(fade, 2)}
                 for k, (x, y) in enumerate(line)
-                if math.isfinite(x) and math.isfinite(y)
+                if short(x) is not None and short(y) is not None
             ]
     if not rows:
         return None

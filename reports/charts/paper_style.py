@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import vl_convert
-
-from reports.charts.vega_lite import Dataset, Spec, datasets
+from problems.spec import SpecError
+from reports.charts.rendering import picture
+from reports.charts.vega_lite import Dataset, Spec, chart_json, datasets
 
 #: Width of a column in points (88 mm), and height of the panel without its legend.
 _WIDTH, _HEIGHT = 250, 165
@@ -60,23 +59,30 @@ def _config() -> Spec:
     }
 
 
+def _drawn(figure: Spec, form: str, **options: float) -> bytes:
+    drawn = picture(figure, form, **options)
+    if drawn.reason:
+        raise SpecError(drawn.sentence)
+    return drawn.content
+
+
 def _svg(path: Path, figure: Spec) -> None:
-    text = vl_convert.vegalite_to_svg(figure)
+    text = _drawn(figure, "svg").decode()
     # A pixel of the drawing is a point on paper, as it is in the PDF.
     text = re.sub(r'(?<= )(width|height)="([\d.]+)"', r'\1="\2pt"', text, count=2)
     path.write_text(text, encoding="utf-8")
 
 
 def _png(path: Path, figure: Spec) -> None:
-    path.write_bytes(vl_convert.vegalite_to_png(figure, ppi=_PNG_PER_INCH))
+    path.write_bytes(_drawn(figure, "png", ppi=_PNG_PER_INCH))
 
 
 def _pdf(path: Path, figure: Spec) -> None:
-    path.write_bytes(vl_convert.vegalite_to_pdf(figure))
+    path.write_bytes(_drawn(figure, "pdf"))
 
 
 def _json(path: Path, figure: Spec) -> None:
-    path.write_text(json.dumps(figure, indent=1) + "\n", encoding="utf-8")
+    path.write_text(chart_json(figure, indent=1) + "\n", encoding="utf-8")
 
 
 FORMATS = {".svg": _svg, ".png": _png, ".pdf": _pdf, ".json": _json}

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from bench.results.clean_text import clean, clean_json
 from bench.results.csv_text import csv_text
 from bench.results.quantities import NORM, NORM_NAMES, NORMS
 from reports.charts.line_styles import LineStyle
@@ -23,8 +24,10 @@ GREY = "#808080"
 _TEXT_COLUMNS = {
     *("series", "style", "norm", "run", "line", "scene", "group", "target", "cost", "text")
 }
+#: Differences of larger numbers overflow.
+_LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
-_DIGITS = ((5.0, range(1, 10)), (100.0, (1, 2, 5)), (math.inf, (1,)))
+_DIGITS = ((0.7, range(1, 10)), (2.0, (1, 2, 5)), (math.inf, (1,)))
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,27 @@ def datasets(tables: Sequence[Dataset]) -> dict[str, str]:
     return {table.name: csv_text(table.rows, table.columns) for table in tables}
 
 
+def chart_json(value: Any, **options: Any) -> str:
+    """JSON of a chart that every engine can draw: clean text, null for numbers without a value.
+
+    ``options`` are those of `json.dumps`.
+    """
+    try:
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, **options)
+    except ValueError:
+        text = json.dumps(_without_nan(value), ensure_ascii=False, **options)
+    # Control characters stand in JSON as escapes.
+    return clean_json(clean(text).encode()).decode()
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _without_nan(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 # ---- channels and axes -------------------------------------------------------------------
 def quantity(field: str, **more: Any) -> Spec:
     """A channel that shows numbers."""
@@ -140,13 +164,14 @@ def run_tooltip(*more: Spec) -> list[Spec]:
     return [*(category(field, title=title) for field, title in names), *more]
 
 
-def log_axis(values: Sequence[float], numbers: str, zoomed: str = "", **more: Any) -> Spec:
+def log_axis(values: Sequence[float | None], numbers: str, zoomed: str = "", **more: Any) -> Spec:
     """A logarithmic axis with strong grid lines at decades and labels at few digits.
 
     ``zoomed`` is a Vega expression; where it holds, all digits have labels.
     """
-    ratio = max(values) / min(values)
-    digits = next(list(digits) for limit, digits in _DIGITS if ratio < limit)
+    known = [value for value in values if value and value > 0] or [1.0]
+    decades = math.log10(max(known)) - math.log10(min(known))
+    digits = next(list(digits) for most, digits in _DIGITS if decades < most)
     exponent = "log(datum.value) / LN10"
     decade = f"abs({exponent} - round({exponent})) < 1e-6"
     digit = f"round(datum.value / pow(10, floor({exponent} + 1e-6)))"
@@ -220,7 +245,7 @@ def config() -> Spec:
 
 
 def short(value: float | None) -> float | None:
-    """A number rounded to five digits, enough for a chart; None if it is not finite."""
-    if value is None or not math.isfinite(value):
+    """A number rounded to five digits, enough for a chart; None if no axis can show it."""
+    if value is None or not abs(value) <= _LARGEST:
         return None
     return float(f"{value:.5g}")

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import vl_convert
-
 from bench.results.experiments import ExperimentResult
 from reports.charts.atlas import experiment_chart
+from reports.charts.rendering import pictures
+from reports.formatting import file_name
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.templating import html
 from reports.text.atlas_tables import experiments_table, part_table, predicted_counts
@@ -48,14 +48,18 @@ def atlas_chapter(found: Sequence[ExperimentResult]) -> AtlasChapter | None:
 def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
     """Write atlas.html into a folder."""
     chapter = atlas_chapter(found)
-    pictures = {
-        name: vl_convert.vegalite_to_svg(chart)
+    charts = {
+        name: chart
         for experiment in (chapter.experiments if chapter else [])
         for figure in experiment.figures
         for name, chart in figure.charts.items()
     }
     path = Path(folder) / FILE
-    text = html("atlas.html.j2", atlas=chapter, pictures=pictures)
+    text = html(
+        "atlas.html.j2",
+        atlas=chapter,
+        pictures={n: drawn.svg for n, drawn in pictures(charts).items()},
+    )
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -66,6 +70,6 @@ def _section(f: ExperimentResult) -> ExperimentSection:
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
-        figure = captioned(caption, {f"atlas-{f.name}-{k}": experiment_chart(part)})
+        figure = captioned(caption, {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)})
         parts.append((part_table(part), figure))
     return ExperimentSection(f, f"{verdict}: {predicted_counts(f)} numbers.", parts)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import vl_convert
-
 from bench.results.records import SceneRecord
 from problems.spec import SpecError
 from reports.charts.mechanism import mechanism
+from reports.charts.rendering import picture, pictures
 from reports.charts.vega_lite import short
-from reports.formatting import number, paragraphs
+from reports.formatting import file_name, number, paragraphs
 from reports.pages.templating import html, markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 
@@ -35,12 +33,12 @@ def write_picture(title: str, drawings: Sequence[dict[str, Any]], path: Path) ->
     chart = mechanism(drawings)
     if chart is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    if path.suffix == ".svg":
-        path.write_text(vl_convert.vegalite_to_svg(chart), encoding="utf-8")
-    elif path.suffix == ".png":
-        path.write_bytes(vl_convert.vegalite_to_png(chart, scale=2))
-    else:
+    if path.suffix not in (".svg", ".png"):
         raise NoPicture(f"{path.name} is not a picture; give a name that ends in .svg or .png.")
+    drawn = picture(chart) if path.suffix == ".svg" else picture(chart, "png", scale=2)
+    if drawn.reason:
+        raise NoPicture(f"{title}: {drawn.sentence}")
+    path.write_bytes(drawn.content)
     return path
 
 
@@ -54,13 +52,23 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
     """
     if path.suffix != ".html":
         raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
-    points = [point for d in drawings for line in d["lines"] for point in line]
+    points = [p for d in drawings for line in d["lines"] for p in line if None not in map(short, p)]
     if not points:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
     (x0, x1), (y0, y1) = ((min(c), max(c)) for c in zip(*points, strict=True))
     extent = max(x1 - x0, y1 - y0)
     frames = [
-        {"t": d["t"], "lines": [[[short(x), short(-y)] for x, y in line] for line in d["lines"]]}
+        {
+            "t": d["t"],
+            "lines": [
+                [
+                    [x, -y]
+                    for x, y in (map(short, p) for p in line)
+                    if x is not None and y is not None
+                ]
+                for line in d["lines"]
+            ],
+        }
         for d in drawings
     ]
     wide, high = (max(b - a, extent / 3) + 0.1 * extent for a, b in ((x0, x1), (y0, y1)))
@@ -70,7 +78,7 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
         title=title,
         view=" ".join(f"{x:.6g}" for x in (*corner, wide, high)),
         stroke=f"{extent / 150:.4g}",
-        frames=json.dumps(frames, separators=(",", ":")),
+        frames=frames,
     )
     path.write_text(text, encoding="utf-8")
     return path
@@ -79,28 +87,27 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
 def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
     """Write catalogue.html and catalogue.md with a picture of every scene into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    entries = []
-    for scene in scenes:
-        chart = mechanism(scene.drawings)
-        entries.append(
-            {
-                "scene": scene,
-                "about": paragraphs(scene.description),
-                "facts": [*_catalogue_facts(scene), *scene_facts(scene)],
-                "parameters": parameters_table(scene),
-                "svg": vl_convert.vegalite_to_svg(chart) if chart else "",
-            }
-        )
-    pictures = folder / PICTURES
+    charts = {scene.problem: mechanism(scene.drawings) for scene in scenes}
+    drawn = pictures({name: chart for name, chart in charts.items() if chart})
+    entries = [
+        {
+            "scene": scene,
+            "about": paragraphs(scene.description),
+            "facts": [*_catalogue_facts(scene), *scene_facts(scene)],
+            "parameters": parameters_table(scene),
+            "picture": drawn.get(scene.problem),
+            "file": f"{PICTURES}/{file_name(scene.problem)}.svg",
+        }
+        for scene in scenes
+    ]
     for entry in entries:
-        if entry["svg"]:
-            pictures.mkdir(exist_ok=True)
-            file = pictures / f"{entry['scene'].problem}.svg"
-            file.write_text(entry["svg"], encoding="utf-8")
+        if entry["picture"] and entry["picture"].content:
+            (folder / PICTURES).mkdir(exist_ok=True)
+            (folder / entry["file"]).write_bytes(entry["picture"].content)
     pages = [folder / "catalogue.html", folder / "catalogue.md"]
     texts = (
         html("catalogue.html.j2", entries=entries),
-        markdown("catalogue.md.j2", entries=entries, pictures=PICTURES),
+        markdown("catalogue.md.j2", entries=entries),
     )
     for page, text in zip(pages, texts, strict=True):
         page.write_text(text, encoding="utf-8")

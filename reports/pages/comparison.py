@@ -33,8 +33,12 @@ def write_comparison(
     """
     folder.mkdir(parents=True, exist_ok=True)
     charts = ratio_charts(comparison)
-    draw(charts, folder / FIGURES)
-    pictures = {f"{FIGURES}/{name}.svg": chart["title"]["text"] for name, chart in charts.items()}
+    failed = draw(charts, folder / FIGURES)
+    pictures = {
+        f"{FIGURES}/{name}.svg": chart["title"]["text"]
+        for name, chart in charts.items()
+        if name not in failed
+    }
     values = {
         "title": f"{comparison.old} → {comparison.new}",
         "state": comparison.state(),
@@ -43,6 +47,7 @@ def write_comparison(
         "tables": comparison_tables(comparison),
         "charted": _CHARTED,
         "pictures": pictures,
+        "failed": [picture.sentence for picture in failed.values()],
     }
     inline = [(folder / name).read_text(encoding="utf-8") for name in pictures]
     pages = [folder / "comparison.html", folder / "comparison.md"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -44,12 +45,15 @@ def write_html_report(folder: Path) -> Path:
 def javascript_library() -> str:
     """The JavaScript that draws the charts.
 
-    Its making takes seconds, so a copy is kept in the user's cache folder if possible.
+    Its making takes seconds, so a copy is kept in the user's cache folder if possible. Its first
+    line is the digest of the others; a copy that differs is made anew.
     """
     folder = Path(platformdirs.user_cache_dir("stepbench"))
     kept = folder / f"vega-{version('vl-convert-python')}.js"
-    with contextlib.suppress(OSError):
-        return kept.read_text(encoding="utf-8")
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        digest, _, text = kept.read_text(encoding="utf-8").partition("\n")
+        if digest == _digest(text):
+            return text
     # The type stub lacks the default of the argument.
     text = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
     text = text.replace("</script", "<\\/script")
@@ -57,6 +61,10 @@ def javascript_library() -> str:
         folder.mkdir(parents=True, exist_ok=True)
         # Two processes may write at a time: each puts a whole file in place.
         own = kept.with_suffix(f".{os.getpid()}")
-        own.write_text(text, encoding="utf-8")
+        own.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
         own.replace(kept)
     return text
+
+
+def _digest(text: str) -> str:
+    return f"// sha256 {hashlib.sha256(text.encode()).hexdigest()}"

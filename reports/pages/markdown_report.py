@@ -34,9 +34,10 @@ def write_markdown_report(folder: Path) -> Path:
     """
     report = read_report(folder, interactive=False)
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
-    draw(charts, Path(folder) / FIGURES)
+    failed = draw(charts, Path(folder) / FIGURES)
     path = Path(folder) / FILE
-    path.write_text(markdown("report.md.j2", report=report, figures=FIGURES), encoding="utf-8")
+    text = markdown("report.md.j2", report=report, figures=FIGURES, failed=failed)
+    path.write_text(text, encoding="utf-8")
     return path
 
 

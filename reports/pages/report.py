@@ -8,11 +8,12 @@ from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
 from bench.results.records import Environment, Plan, Record, SceneRecord
-from bench.results.store import Store
+from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.pareto_front import pareto_chart
+from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
@@ -98,12 +99,15 @@ def read_report(folder: Path, interactive: bool) -> Report:
                 scene_chapter(f"scene-{i}", sections, series[names[key]], studies, same_as)
             )
         environments, experiments = store.environments(), list(store.experiments().values())
-        known = store.damping()
+        known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
-        missing=missing_data(plan, scenes, records, keys, environments),
+        missing=[
+            *filter(None, [set_aside_text(set_aside)]),
+            *missing_data(plan, scenes, records, keys, environments),
+        ],
         winners=winners_table(verdicts(ranking), ids),
         overall=overall(ranking),
         overview=[
@@ -175,7 +179,7 @@ def _cost_by_size(
             f"Cost of {kind} against its size (unknowns: coordinates, multipliers, controller "
             "states, outputs), of the run with the most steps. A flat line on the right is a cost "
             "that grows like the size.",
-            {f"sizes-{kind}": chart},
+            {f"sizes-{file_name(kind)}": chart},
         )
         for kind, chart in size_charts(records, scenes, styles).items()
     ]

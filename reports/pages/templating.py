@@ -2,35 +2,70 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import jinja2
+from markupsafe import Markup
 
+from bench.results.clean_text import clean
+from reports.charts.vega_lite import chart_json
 from reports.text.table import Table
+
+#: Stands in the head of a page for its content-security policy, until all scripts are known.
+POLICY = "content-security-policy"
 
 
 def html(name: str, **values: object) -> str:
-    """Fill in a template of HTML; all values are escaped."""
-    return _environment(autoescape=True).get_template(name).render(**values)
+    """Fill in a template of HTML; all values are escaped.
+
+    The page states a policy for browsers: no network, and no script but those that the template
+    sets with ``call script()``, named by their digests.
+    """
+    environment = _environment(autoescape=True)
+    digests: list[str] = []
+
+    def script(caller: Callable[[], str]) -> Markup:
+        text = clean(caller())
+        digest = hashlib.sha256(text.encode()).digest()
+        digests.append(f"'sha256-{base64.b64encode(digest).decode()}'")
+        return Markup(f"<script>{text}</script>")
+
+    environment.globals |= {"script": script, "policy": POLICY}
+    text = clean(environment.get_template(name).render(**values))
+    policy = {
+        "default-src": "'none'",
+        "script-src": " ".join(digests) or "'none'",
+        "style-src": "'unsafe-inline'",  # Vega sets styles of its own
+        "img-src": "data: blob:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    stated = "; ".join(f"{name} {allowed}" for name, allowed in policy.items())
+    # The head comes before every value: the first one is the page's own.
+    return text.replace(POLICY, stated, 1)
 
 
 def markdown(name: str, **values: object) -> str:
     """Fill in a template of Markdown; several blank lines become one."""
     environment = _environment(autoescape=False)
     environment.filters |= {"md": escape, "code": code, "table": markdown_table}
-    text = environment.get_template(name).render(**values)
+    text = clean(environment.get_template(name).render(**values))
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
 def _environment(autoescape: bool) -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports.pages"),
         autoescape=autoescape,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": {}}
+    return environment
 
 
 def escape(text: object) -> str:

@@ -1,0 +1,141 @@
+"""Values of the store as JSON: checked when they are read, and made storable when written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+import msgspec
+
+from bench.results.clean_text import clean, clean_json
+from bench.results.experiments import ExperimentResult
+from bench.results.records import Damping, Record, Rows, SceneRecord
+
+T = TypeVar("T")
+
+#: Most characters of a reason.
+_LONGEST = 200
+
+
+class Unreadable(ValueError):
+    """A value that is not what the store holds; the message says why."""
+
+
+def decoded(raw: object, kind: type[T]) -> T:
+    """Read a value, with clean text.
+
+    Raises
+    ------
+    Unreadable
+        If it is not of this kind.
+    """
+    if not isinstance(raw, bytes | str):
+        raise Unreadable(f"not text, but {type(raw).__name__}")
+    try:
+        text = clean_json(raw if isinstance(raw, bytes) else raw.encode())
+        value = msgspec.json.decode(text, type=kind)
+    except UnicodeError:
+        raise Unreadable("not UTF-8") from None
+    except RecursionError:
+        raise Unreadable("nested too deeply") from None
+    except msgspec.DecodeError as error:
+        raise Unreadable(clean(str(error))[:_LONGEST]) from None
+    if reason := _flaw(value):
+        raise Unreadable(reason)
+    return value
+
+
+def encoded(value: object) -> bytes:
+    """Write a value so that it can be read again.
+
+    Raises
+    ------
+    Unreadable
+        If it could not be read.
+    """
+    try:
+        raw = msgspec.json.encode(value)
+    except UnicodeEncodeError:  # half a surrogate pair somewhere
+        raw = clean(json.dumps(msgspec.to_builtins(value), ensure_ascii=False)).encode()
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise Unreadable(clean(str(error))[:_LONGEST]) from None
+    decoded(raw, type(value))
+    return raw
+
+
+def crashed(record: Record, reason: object) -> Record:
+    """The record of a cell whose result cannot be stored: how it was run, and the reason."""
+    return Record(
+        key=_text(record.key),
+        problem=_text(record.problem),
+        integrator=_text(record.integrator),
+        family=_text(record.family),
+        formulation=_text(record.formulation),
+        controls="step" if record.h is not None else "tolerance",
+        **{name: getattr(record, name) for name in ("h", "pattern", "rtol", "atol")},
+        **{name: getattr(record, name) for name in ("t0", "t_end", "environment", "budget_s")},
+        fingerprint=_text(record.fingerprint),
+        status="crashed",
+        message=f"The result cannot be stored: {reason}.",
+    )
+
+
+def undescribed(scene: SceneRecord, reason: object) -> SceneRecord:
+    """The record of a scene whose description cannot be stored: its key and the reason."""
+    return SceneRecord(
+        problem=_text(scene.problem),
+        t_end=scene.t_end,
+        title="",
+        description=f"The description of this scene cannot be stored: {reason}.",
+        source="",
+        parameters=[],
+        components={},
+        sizes={},
+        t0=scene.t0,
+        reference_method="",
+        reference_error={},
+        reference=Rows(t=[], values={}),
+        fingerprint=_text(scene.fingerprint),
+    )
+
+
+def _text(value: object) -> str:
+    return clean(value) if isinstance(value, str) else f"({type(value).__name__})"
+
+
+def _flaw(value: object) -> str:
+    """What is wrong with a value that the types do not tell; empty if nothing is."""
+    if isinstance(value, Record):
+        wanted = ("rtol", "atol") if value.controls == "tolerance" else ("h",)
+        lacking = [name for name in wanted if getattr(value, name) is None]
+        if lacking:
+            return f"it has no {lacking[0]}"
+        return "" if value.t0 < value.t_end else f"it ends at {value.t_end:g} s, before its start"
+    if isinstance(value, Rows):
+        return _ragged(value)
+    if isinstance(value, SceneRecord):
+        return _ragged(value.reference)
+    if isinstance(value, Damping):
+        known = {name: getattr(value, name) for name in ("radius", "ratio", "period_error")}
+        return _unequal({"omega_h": value.omega_h} | {n: v for n, v in known.items() if v})
+    if isinstance(value, ExperimentResult):
+        cases = [case for part in value.parts for case in part.cases]
+        pairs = [(case.x, case.y) for case in cases] + [c.history for c in cases if c.history]
+        return next(filter(None, (_unequal({"x": x, "y": y}) for x, y in pairs)), "")
+    return ""
+
+
+def _ragged(rows: Rows) -> str:
+    uneven = [n for n, values in rows.values.items() if len({len(row) for row in values}) > 1]
+    if uneven:
+        return f"rows of {clean(uneven[0])} have different lengths"
+    return _unequal({"t": rows.t, **rows.values, **rows.notes})
+
+
+def _unequal(lists: Mapping[str, Sequence[Any]]) -> str:
+    (first, wanted), *others = lists.items()
+    for name, values in others:
+        if len(values) != len(wanted):
+            return f"{len(values)} values of {clean(name)[:40]} at {len(wanted)} of {first}"
+    return ""
