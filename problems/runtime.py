@@ -90,8 +90,16 @@ def _loaded(name: str) -> ModuleType:
         _leave_out_refused_flags()
         _leave_out_unusable_cache()
     module = importlib.import_module(name)
-    sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
+    try:
+        sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
+    except AttributeError:
+        slower("Short programs take longer: JAX has no jax_cpu_enable_async_dispatch any more.")
     return module
+
+
+def runs_at_once() -> bool:
+    """Whether a program has run when its call returns."""
+    return not getattr(jax.config, "jax_cpu_enable_async_dispatch", True)
 
 
 @cache
@@ -103,8 +111,27 @@ def joins_loops() -> bool:
     # XLA marks such loops by this word in the compiled program.
     joined = "xla_cpu_small_call" in str(loop.lower(1.0).compile().as_text())
     if not joined:
-        _warn("Small scenes run slowly: this XLA does not join loops, whatever %s is.", _JOINED)
+        slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
     return joined
+
+
+@cache
+def known_options(**options: Any) -> dict[str, Any]:
+    """Return those options of a compiled program that XLA knows."""
+    known = {}
+    for name, value in options.items():
+        try:
+            jax.jit(lambda x: x, compiler_options={name: value})(0.0)
+            known[name] = value
+        except Exception:  # of whatever kind: programs compile without it, too
+            slower(f"Many runs side by side take longer: XLA no longer knows {name}.")
+    return known
+
+
+@cache
+def slower(sentence: str) -> None:
+    """Tell, once, what a library no longer offers, which costs time and nothing else."""
+    logging.getLogger(__name__).warning(sentence)
 
 
 class _LateModule:
@@ -173,7 +200,7 @@ def _leave_out_refused_flags() -> None:
     if not refused or set(refused) - set(_FLAGS):
         raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
     os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
-    _warn("Runs may take longer: this XLA refuses %s.", " ".join(refused))
+    slower(f"Runs may take longer: XLA no longer knows {' '.join(refused)}.")
 
 
 def _refusal(flags: str) -> str:
@@ -226,14 +253,10 @@ def _leave_out_unusable_cache() -> None:
     except (OSError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error)
     os.environ[name] = ""
-    _warn(
-        "Compiled programs are not kept, as %s=%s is no folder for them (%s); set it to one.",
-        *(name, folder, reason),
+    slower(
+        f"Compiled programs are not kept, as {name}={folder} is no folder for them ({reason}); set "
+        f"it to one."
     )
-
-
-def _warn(sentence: str, *arguments: str) -> None:
-    logging.getLogger(__name__).warning(sentence, *arguments)
 
 
 configure()
