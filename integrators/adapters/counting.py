@@ -154,7 +154,7 @@ def names_are_registered() -> bool:
         # XLA refuses by an exception only when it is up. Before, it would keep the function
         # and then fail to start.
         jax.local_devices()
-        check_layout(Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text())
+        check_layout(header())
         for name in _tally:
             jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(_handler(name)), platform="cpu")
         found = run_counted(_three_of_each(_count_by_name))[1]
@@ -243,6 +243,11 @@ _STRUCTURES = {
     "XLA_FFI_Api": _Api,
     "XLA_FFI_CallFrame": _CallFrame,
 }
+
+
+def header() -> str:
+    """The text of XLA's interface, as the installed release has it."""
+    return Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
 
 
 def check_layout(header: str) -> None:
