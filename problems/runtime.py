@@ -76,7 +76,7 @@ def one_thread() -> None:
 
 @cache
 def _loaded(name: str) -> ModuleType:
-    """Import JAX or a module of it, and run programs in the thread that calls them.
+    """Import JAX or a module of it, and have programs run in the thread that calls them.
 
     By default JAX hands each program over to a thread of its own, which takes longer than a short
     program.
@@ -90,16 +90,19 @@ def _loaded(name: str) -> ModuleType:
         _leave_out_refused_flags()
         _leave_out_unusable_cache()
     module = importlib.import_module(name)
-    try:
-        sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
-    except AttributeError:
-        slower("Short programs take longer: JAX has no jax_cpu_enable_async_dispatch any more.")
+    runs_at_once()
     return module
 
 
+@cache
 def runs_at_once() -> bool:
-    """Whether a program has run when its call returns."""
-    return not getattr(jax.config, "jax_cpu_enable_async_dispatch", True)
+    """Ask JAX to run a program before its call returns, and return whether it will."""
+    try:
+        importlib.import_module("jax").config.update("jax_cpu_enable_async_dispatch", False)
+        return True
+    except AttributeError:
+        slower("Short programs take longer: JAX has no jax_cpu_enable_async_dispatch any more.")
+        return False
 
 
 @cache

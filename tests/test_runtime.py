@@ -137,6 +137,22 @@ def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_
 
 
 # ---- what libraries may drop -----------------------------------------------------------
+def test_this_release_drops_nothing():
+    assert runtime.runs_at_once()
+    assert callbacks.memory_is_shared()
+    assert klu.works()
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_without_its_option_jax_may_run_programs_later(monkeypatch, caplog):
+    def update(name, value):
+        raise AttributeError(f"Unrecognized config option: {name}")
+
+    monkeypatch.setattr(jax.config, "update", update)
+    assert not runtime.runs_at_once()
+    assert "no jax_cpu_enable_async_dispatch any more" in caplog.text
+
+
 def solved(method: NativeMethod | BDF, resolution: Steps | Tolerances) -> PreparedRun:
     return method.prepare(Oscillator(), 1.0, resolution).measure()
 
@@ -145,9 +161,9 @@ def solved(method: NativeMethod | BDF, resolution: Steps | Tolerances) -> Prepar
 def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
     tried = (
-        *(runtime.joins_loops, runtime.known_options, runtime.slower, klu.works),
+        *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
         *(callbacks.memory_is_shared, counting.names_are_registered, counting._callbacks_count),
-        diffrax_adaptive._traced_once,
+        *(diffrax_adaptive._traced_once, klu.works),
     )
     for remembered in tried:
         remembered.cache_clear()
