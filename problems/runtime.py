@@ -16,6 +16,7 @@ import logging
 import os
 import subprocess
 import sys
+import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -89,6 +90,7 @@ def _loaded(name: str) -> ModuleType:
     if "jax" not in sys.modules:
         _leave_out_refused_flags()
         _leave_out_unusable_cache()
+        _tell_once_of_broken_programs()
     module = importlib.import_module(name)
     runs_at_once()
     return module
@@ -260,6 +262,22 @@ def _leave_out_unusable_cache() -> None:
         f"Compiled programs are not kept, as {name}={folder} is no folder for them ({reason}); set "
         f"it to one."
     )
+
+
+def _tell_once_of_broken_programs() -> None:
+    """Put one sentence in the place of JAX's warnings about each program in its cache."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, *rest: Any, **options: Any) -> None:
+        if "persistent compilation cache entry" not in str(message):
+            return shown(message, *rest, **options)
+        folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
+        return slower(
+            f"Runs start slowly: compiled programs in {folder} cannot be used or written; "
+            f"empty this folder, or set JAX_COMPILATION_CACHE_DIR to another one."
+        )
+
+    warnings.showwarning = show
 
 
 configure()
