@@ -181,11 +181,13 @@ def check_runtime() -> str:
 
 
 def _users_settings() -> str:
-    """Variables of JAX and XLA that the user has set, as "NAME=value, ..."."""
+    """Variables that decide how JAX starts and that the user has set, as "NAME=value, ..."."""
     return ", ".join(
         f"{name}={value}"
         for name, value in sorted(os.environ.items())
-        if name.startswith(("JAX_", "XLA_")) and value != _SETTINGS.get(name)
+        if name.startswith(("JAX_", "XLA_"))
+        and value != _SETTINGS.get(name)
+        and "CACHE" not in name
     )
 
 

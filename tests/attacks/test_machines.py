@@ -29,6 +29,13 @@ def profile(tmp_path) -> Path:
     return path
 
 
+@pytest.fixture
+def disk(tmp_path) -> Path:
+    """A folder for a disk of its own."""
+    (tmp_path / "disk").mkdir()
+    return tmp_path / "disk"
+
+
 def ask(
     *arguments: object, limits: Callable[[], None] | None = None, **variables: str | None
 ) -> tuple[int, str]:
@@ -62,10 +69,11 @@ def stored(out: Path) -> list[float]:
     return [record["error_q_max"] for record in json.loads(text)]
 
 
-def in_a_namespace(script: str, out: Path, profile: Path) -> list[tuple[int, str]]:
+def in_a_namespace(script: str, disk: Path, profile: Path) -> list[tuple[int, str]]:
     """Exit codes and outputs of the commands of a script that may mount what it wants: the mounts
     are its own, and end with it. A line that begins with ``ask`` is a command of stepbench."""
-    shell = f'S={STEPBENCH} T={profile} D={out}\nask() {{ $S "$@" 2>&1; echo "rc $?"; }}\nset -e\n'
+    shell = f"S={STEPBENCH} T={profile} D={disk}\nset -e\n"
+    shell += 'ask() { code=0; $S "$@" 2>&1 || code=$?; echo "rc $code"; }\n'
     if subprocess.run(["unshare", "-m", "true"], check=False, capture_output=True).returncode:
         pytest.skip("Only root may mount a small disk in a namespace of its own.")
     done = subprocess.run(
@@ -88,17 +96,17 @@ ROOM = "mount -o remount,size=50m $D\n"
 RUN = "ask run $T --out $D/out --jobs 1\n"
 
 
-def test_a_disk_too_small_for_a_store_is_named(tmp_path, profile):
+def test_a_disk_too_small_for_a_store_is_named(disk, profile):
     script = "mount -t tmpfs -o size=30k tmpfs $D\n" + RUN
-    (code, text), *_ = in_a_namespace(script, tmp_path, profile)
+    (code, text), *_ = in_a_namespace(script, disk, profile)
     assert code == 1
     assert "stepbench.sqlite cannot be opened" in text
 
 
 @attack
-def test_a_disk_that_is_full_while_measuring_costs_no_earlier_result(tmp_path, profile):
+def test_a_disk_that_is_full_while_measuring_costs_no_earlier_result(disk, profile):
     script = "mount -t tmpfs -o size=120k tmpfs $D\n" + 2 * RUN + ROOM + 2 * RUN
-    first, second, third, fourth = in_a_namespace(script, tmp_path, profile)
+    first, second, third, fourth = in_a_namespace(script, disk, profile)
     for code, text in (first, second):
         assert code == 1
         assert "free some space or choose another --out. Earlier results are intact." in text
@@ -108,9 +116,9 @@ def test_a_disk_that_is_full_while_measuring_costs_no_earlier_result(tmp_path, p
 
 
 @attack
-def test_a_disk_that_is_full_while_pages_are_written_costs_the_pages(tmp_path, profile):
+def test_a_disk_that_is_full_while_pages_are_written_costs_the_pages(disk, profile):
     script = "mount -t tmpfs -o size=700k tmpfs $D\n" + RUN + ROOM + RUN
-    full, again = in_a_namespace(script, tmp_path, profile)
+    full, again = in_a_namespace(script, disk, profile)
     assert full[0] == 1
     assert OK in full[1]
     assert "No space left on device" in full[1]
@@ -132,24 +140,24 @@ READ_ONLY = {
 
 
 @attack
-def test_a_folder_that_is_read_only_is_named_by_every_command(tmp_path, profile):
+def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
     script = RUN + "mount --bind $D $D\nmount -o remount,ro,bind $D\nask export $D/out\n"
     script += "".join(f"ask {command}\n" for command, _ in READ_ONLY.values())
-    made, read, *answers = in_a_namespace(script, tmp_path, profile)
+    made, read, *answers = in_a_namespace(script, disk, profile)
     assert (made[0], read[0]) == (0, 0)
     for (code, text), (command, sentence) in zip(answers, READ_ONLY.values(), strict=True):
         assert code == 1, (command, text)
         assert sentence in text, (command, text)
-    assert len(stored(tmp_path / "out")) == 2
+    assert len(stored(disk / "out")) == 2
 
 
 @attack
-def test_without_shared_memory_the_results_are_stored(tmp_path, profile):
+def test_without_shared_memory_the_results_are_stored(disk, profile):
     script = "mount -t tmpfs -o size=1m,ro tmpfs /dev/shm\n" + RUN
-    (code, text), *_ = in_a_namespace(script, tmp_path, profile)
+    (code, text), *_ = in_a_namespace(script, disk, profile)
     assert OK in text
     assert code == 0 or "Read-only file system" in text
-    assert len(stored(tmp_path / "out")) == 2
+    assert len(stored(disk / "out")) == 2
 
 
 @pytest.mark.parametrize(
@@ -172,7 +180,12 @@ def test_a_limit_of_the_size_of_files_is_like_a_full_disk(tmp_path, profile, mos
 
 
 @pytest.mark.parametrize(
-    "command", [["solve", "oscillator", "newmark", "--step", "0.1"], ["run"], ["list"]]
+    "command",
+    [
+        ["solve", "oscillator", "newmark", "--step", "0.1"],
+        pytest.param(["run"], marks=attack),
+        pytest.param(["list"], marks=attack),
+    ],
 )
 def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
     gone = tmp_path / "gone"
@@ -301,7 +314,7 @@ def test_variables_without_a_sane_value_cost_no_result(tmp_path, profile, variab
 
 REFUSED = {
     "unknown flag": ("XLA_FLAGS", "--xla_nonsense=1", "Unknown flag in XLA_FLAGS: --xla_nonsense"),
-    "no flags": ("XLA_FLAGS", "/not/there", "Unable to access XLA flags file"),
+    "no flags": ("XLA_FLAGS", "/not/there", 'Could not open file "/not/there"'),
     "no such platform": ("JAX_PLATFORMS", "nonsense", "unset JAX_PLATFORMS=nonsense"),
     "no CUDA": ("JAX_PLATFORMS", "cuda", "unset JAX_PLATFORMS=cuda"),
     "no number": ("JAX_ENABLE_X64", "maybe", "JAX_ENABLE_X64=maybe"),
@@ -351,10 +364,10 @@ def test_broken_programs_in_the_cache_are_compiled_again(tmp_path, profile, cont
 
 
 @attack
-def test_a_full_disk_for_compiled_programs_costs_time_alone(tmp_path, profile):
+def test_a_full_disk_for_compiled_programs_costs_time_alone(disk, profile):
     script = "mkdir $D/c\nmount -t tmpfs -o size=40k tmpfs $D/c\n"
     script += "export JAX_COMPILATION_CACHE_DIR=$D/c\n" + RUN
-    (code, text), *_ = in_a_namespace(script, tmp_path, profile)
+    (code, text), *_ = in_a_namespace(script, disk, profile)
     assert code == 0
     assert OK in text
     assert text.count("cannot be used or written; empty this folder") == 1
