@@ -16,6 +16,7 @@ import logging
 import os
 import subprocess
 import sys
+import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -76,7 +77,7 @@ def one_thread() -> None:
 
 @cache
 def _loaded(name: str) -> ModuleType:
-    """Import JAX or a module of it, and run programs in the thread that calls them.
+    """Import JAX or a module of it, and have programs run in the thread that calls them.
 
     By default JAX hands each program over to a thread of its own, which takes longer than a short
     program.
@@ -89,9 +90,21 @@ def _loaded(name: str) -> ModuleType:
     if "jax" not in sys.modules:
         _leave_out_refused_flags()
         _leave_out_unusable_cache()
+        _tell_once_of_broken_programs()
     module = importlib.import_module(name)
-    sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
+    runs_at_once()
     return module
+
+
+@cache
+def runs_at_once() -> bool:
+    """Ask JAX to run a program before its call returns, and return whether it will."""
+    try:
+        importlib.import_module("jax").config.update("jax_cpu_enable_async_dispatch", False)
+        return True
+    except AttributeError:
+        slower("Short programs take longer: JAX has no jax_cpu_enable_async_dispatch any more.")
+        return False
 
 
 @cache
@@ -103,8 +116,27 @@ def joins_loops() -> bool:
     # XLA marks such loops by this word in the compiled program.
     joined = "xla_cpu_small_call" in str(loop.lower(1.0).compile().as_text())
     if not joined:
-        _warn("Small scenes run slowly: this XLA does not join loops, whatever %s is.", _JOINED)
+        slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
     return joined
+
+
+@cache
+def known_options(**options: Any) -> dict[str, Any]:
+    """Return those options of a compiled program that XLA knows."""
+    known = {}
+    for name, value in options.items():
+        try:
+            jax.jit(lambda x: x, compiler_options={name: value})(0.0)
+            known[name] = value
+        except Exception:  # of whatever kind: programs compile without it, too
+            slower(f"Many runs side by side take longer: XLA no longer knows {name}.")
+    return known
+
+
+@cache
+def slower(sentence: str) -> None:
+    """Tell, once, what a library no longer offers, which costs time and nothing else."""
+    logging.getLogger(__name__).warning(sentence)
 
 
 class _LateModule:
@@ -149,11 +181,13 @@ def check_runtime() -> str:
 
 
 def _users_settings() -> str:
-    """Variables of JAX and XLA that the user has set, as "NAME=value, ..."."""
+    """Variables that decide how JAX starts and that the user has set, as "NAME=value, ..."."""
     return ", ".join(
         f"{name}={value}"
         for name, value in sorted(os.environ.items())
-        if name.startswith(("JAX_", "XLA_")) and value != _SETTINGS.get(name)
+        if name.startswith(("JAX_", "XLA_"))
+        and value != _SETTINGS.get(name)
+        and "CACHE" not in name
     )
 
 
@@ -173,7 +207,7 @@ def _leave_out_refused_flags() -> None:
     if not refused or set(refused) - set(_FLAGS):
         raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
     os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
-    _warn("Runs may take longer: this XLA refuses %s.", " ".join(refused))
+    slower(f"Runs may take longer: XLA no longer knows {' '.join(refused)}.")
 
 
 def _refusal(flags: str) -> str:
@@ -226,14 +260,26 @@ def _leave_out_unusable_cache() -> None:
     except (OSError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error)
     os.environ[name] = ""
-    _warn(
-        "Compiled programs are not kept, as %s=%s is no folder for them (%s); set it to one.",
-        *(name, folder, reason),
+    slower(
+        f"Compiled programs are not kept, as {name}={folder} is no folder for them ({reason}); set "
+        f"it to one."
     )
 
 
-def _warn(sentence: str, *arguments: str) -> None:
-    logging.getLogger(__name__).warning(sentence, *arguments)
+def _tell_once_of_broken_programs() -> None:
+    """Put one sentence in the place of JAX's warnings about each program in its cache."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, *rest: Any, **options: Any) -> None:
+        if "persistent compilation cache entry" not in str(message):
+            return shown(message, *rest, **options)
+        folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
+        return slower(
+            f"Runs start slowly: compiled programs in {folder} cannot be used or written; "
+            f"empty this folder, or set JAX_COMPILATION_CACHE_DIR to another one."
+        )
+
+    warnings.showwarning = show
 
 
 configure()

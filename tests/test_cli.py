@@ -195,7 +195,8 @@ def test_records_open_in_pandas(stepbench, tmp_path):
     )
     result = stepbench("run", profile, "--out", out, "--jobs", 2)
     assert result.exit_code == 0, result.output
-    frame = pd.read_csv(io.StringIO(stepbench("export", out).stdout))
+    text = stepbench("export", out).stdout
+    frame = pd.read_csv(io.StringIO(text), float_precision="round_trip")
     assert len(frame) == 4
     steps = frame[frame.integrator.str.startswith("newmark")]
     assert (steps.error_q_max.diff().dropna() < 0).all()

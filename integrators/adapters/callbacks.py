@@ -12,7 +12,7 @@ import numpy as np
 
 from integrators.contract import Work
 from integrators.operations import Operations, operations
-from problems.runtime import jax
+from problems.runtime import jax, runs_at_once, slower
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -96,15 +96,34 @@ class PackedFunction:
         for place, value in zip(self._places, first, strict=False):
             memory[place] = value
         places, program = self._places[len(first) :], self.program
-        numbers = jax.dlpack.from_dlpack(memory, copy=False)
+        shared = memory_is_shared()
+        numbers = jax.dlpack.from_dlpack(memory, copy=False) if shared else None
 
         def call(*arguments: Any) -> Any:
             # A strict zip would take as long as all the copying.
             for place, value in zip(places, arguments):  # noqa: B905
                 memory[place] = value
-            return program(numbers)
+            return program(numbers if shared else memory.copy())
 
         return call
+
+
+@cache
+def memory_is_shared() -> bool:
+    """Whether JAX reads the memory of a NumPy array anew in each call, found by trying it."""
+    memory, found = _aligned(1), []
+    read = jax.jit(lambda numbers: 2 * numbers[0])
+    try:
+        numbers = jax.dlpack.from_dlpack(memory, copy=False)
+        for value in (1.0, 2.0):
+            memory[0] = value
+            found.append(float(read(numbers)))
+    except Exception:  # of whatever kind: the memory can be copied
+        found.clear()
+    if found == [2.0, 4.0] and runs_at_once():
+        return True
+    slower("Solvers that call equations one by one take longer: JAX copies their arguments.")
+    return False
 
 
 def _aligned(n: int) -> np.ndarray:
@@ -175,8 +194,14 @@ class CountedEquations:
         return jax.block_until_ready(self._jacobian(t, *vectors))
 
     def count_linear_algebra(self, solver: Any) -> None:
-        """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change."""
-        factorise, solve = solver.lu, solver.solve_lu
+        """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change.
+
+        A solver that calls others, as later releases may, leaves them uncounted.
+        """
+        try:
+            factorise, solve = solver.lu, solver.solve_lu
+        except AttributeError:
+            return
 
         def counted_lu(matrix: np.ndarray) -> Any:
             self._factorisations += 1
@@ -191,13 +216,17 @@ class CountedEquations:
         solver.lu, solver.solve_lu = counted_lu, counted_solve
 
     def work(self, steps: int) -> Work:
-        """The counts of the run, with its number of accepted steps."""
+        """The counts of the run, with its number of accepted steps.
+
+        Factorisations and solves are unknown if there were steps and no solve was seen.
+        """
+        seen = self._solves or not steps
         return Work(
             steps,
             self._attempts - steps,
             self._newton,
             self._residuals,
             self._jacobians,
-            self._factorisations,
-            self._solves,
+            self._factorisations if seen else None,
+            self._solves if seen else None,
         )

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import re
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from problems.runtime import jax
@@ -41,9 +43,7 @@ def watch(rate: Callable) -> Callable:
     A linearisation in s counts once, however many directions follow: the calls that count take no
     arguments, so that they stand outside of its linear part.
     """
-    # Registered here, ahead of any program that calls the functions, compiled or out of a cache.
-    count = _count_by_name if names_are_registered() else _count_by_callback
-    return _watch(rate, count)
+    return _watch(rate, _way_to_count())
 
 
 def watch_block(block: Callable) -> Callable:
@@ -51,7 +51,7 @@ def watch_block(block: Callable) -> Callable:
 
     A linearisation counts once, too, in whatever arguments it is.
     """
-    count = _count_by_name if names_are_registered() else _count_by_callback
+    count = _way_to_count()
 
     @jax.custom_jvp
     def counted(*arguments: Any) -> Any:
@@ -123,6 +123,30 @@ def _count_by_callback(name: str) -> None:
     jax.debug.callback(partial(add_one, name))
 
 
+def _way_to_count() -> Callable[[str], None]:
+    """A way that counts rightly here.
+
+    Raises
+    ------
+    RuntimeError
+        If there is none: numbers of calls are right or there are none.
+    """
+    # Registered here, ahead of any program that calls the functions, compiled or out of a cache.
+    if names_are_registered():
+        return _count_by_name
+    if not _callbacks_count():
+        raise RuntimeError(
+            "this release of JAX has no way to count evaluations in compiled programs; install an "
+            "earlier release of jax"
+        )
+    return _count_by_callback
+
+
+@cache
+def _callbacks_count() -> bool:
+    return run_counted(_three_of_each(_count_by_callback))[1] == Counts(3, 3)
+
+
 @cache
 def names_are_registered() -> bool:
     """Make both functions known to XLA, once, and try them out."""
@@ -130,9 +154,10 @@ def names_are_registered() -> bool:
         # XLA refuses by an exception only when it is up. Before, it would keep the function
         # and then fail to start.
         jax.local_devices()
+        check_layout(header())
         for name in _tally:
             jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(_handler(name)), platform="cpu")
-        found = run_counted(_three_of_each())[1]
+        found = run_counted(_three_of_each(_count_by_name))[1]
         if found != Counts(3, 3):
             raise RuntimeError(f"3 evaluations and 3 linearisations were counted as {found}")
     except Exception as error:  # of whatever kind: there is another way to count
@@ -142,9 +167,9 @@ def names_are_registered() -> bool:
     return True
 
 
-def _three_of_each() -> Callable:
+def _three_of_each(count: Callable[[str], None]) -> Callable:
     """A program with the traps of the real ones: a loop, equal calls, unused results."""
-    square = _watch(lambda t, s, p: s * s, _count_by_name)
+    square = _watch(lambda t, s, p: s * s, count)
 
     def once(_: int, s: Any) -> Any:
         square(0.0, s, None)
@@ -155,9 +180,9 @@ def _three_of_each() -> Callable:
 
 
 # ---- the C interface of XLA's foreign functions ----------------------------------------
-# Field by field as in xla/ffi/api/c_api.h, which jaxlib installs under jax.ffi.include_dir().
-# XLA owns these structures, and its minor versions only add fields at their ends. Fields after the
-# last one used here are left out.
+# Field by field as in xla/ffi/api/c_api.h, which jaxlib installs under jax.ffi.include_dir(), with
+# its names. XLA owns these structures, and its minor versions only add fields at their ends. Fields
+# after the last one used here are left out.
 _METADATA_EXTENSION = 1  # XLA_FFI_Extension_Metadata
 _EXECUTE = 3  # XLA_FFI_ExecutionStage_EXECUTE
 
@@ -166,8 +191,8 @@ class _Version(ctypes.Structure):  # XLA_FFI_Api_Version
     _fields_ = (
         ("struct_size", ctypes.c_size_t),
         ("extension_start", ctypes.c_void_p),
-        ("major", ctypes.c_int),
-        ("minor", ctypes.c_int),
+        ("major_version", ctypes.c_int),
+        ("minor_version", ctypes.c_int),
     )
 
 
@@ -188,7 +213,7 @@ class _Extension(ctypes.Structure):  # XLA_FFI_Extension_Base
 
 
 class _MetadataExtension(ctypes.Structure):  # XLA_FFI_Metadata_Extension
-    _fields_ = (("base", _Extension), ("metadata", ctypes.POINTER(_Metadata)))
+    _fields_ = (("extension_base", _Extension), ("metadata", ctypes.POINTER(_Metadata)))
 
 
 class _Api(ctypes.Structure):  # XLA_FFI_Api
@@ -204,9 +229,43 @@ class _CallFrame(ctypes.Structure):  # XLA_FFI_CallFrame
         ("struct_size", ctypes.c_size_t),
         ("extension_start", ctypes.POINTER(_MetadataExtension)),
         ("api", ctypes.POINTER(_Api)),
-        ("context", ctypes.c_void_p),
+        ("ctx", ctypes.c_void_p),
         ("stage", ctypes.c_int),
     )
+
+
+#: The structures by their names in the header.
+_STRUCTURES = {
+    "XLA_FFI_Api_Version": _Version,
+    "XLA_FFI_Metadata": _Metadata,
+    "XLA_FFI_Extension_Base": _Extension,
+    "XLA_FFI_Metadata_Extension": _MetadataExtension,
+    "XLA_FFI_Api": _Api,
+    "XLA_FFI_CallFrame": _CallFrame,
+}
+
+
+def header() -> str:
+    """The text of XLA's interface, as the installed release has it."""
+    return Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
+
+
+def check_layout(header: str) -> None:
+    """Compare our structures with XLA's own text of them; another layout would be a crash.
+
+    Raises
+    ------
+    RuntimeError
+        If they differ.
+    """
+    code = re.sub(r"//.*", "", header)
+    if not re.search(r"#define XLA_FFI_API_MAJOR 0\s", code):
+        raise RuntimeError("XLA's interface has another major version than 0")
+    for name, ours in _STRUCTURES.items():
+        body = re.search(rf"struct {name} \{{(.*?)\}}", code, re.DOTALL)
+        theirs = re.findall(r"(\w+);", body[1]) if body else []
+        if theirs[: len(ours._fields_)] != [field for field, *_ in ours._fields_]:
+            raise RuntimeError(f"XLA's structure {name} has other fields")
 
 
 _Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_CallFrame))
@@ -220,12 +279,13 @@ def _handler(name: str) -> Any:
     def handle(pointer: Any) -> None:
         frame = pointer.contents
         extension = frame.extension_start
-        if extension and extension.contents.base.type == _METADATA_EXTENSION:
+        if extension and extension.contents.extension_base.type == _METADATA_EXTENSION:
             metadata = extension.contents.metadata.contents
             # The fields above are of major version 0; any minor version agrees. Older releases do
             # not tell theirs.
-            metadata.api_version.major = 0
-            metadata.api_version.minor = frame.api.contents.api_version.minor if frame.api else 1
+            api, version = frame.api, metadata.api_version
+            version.major_version = 0
+            version.minor_version = api.contents.api_version.minor_version if api else 1
             metadata.traits = 0
         elif frame.stage == _EXECUTE:
             add_one(name)

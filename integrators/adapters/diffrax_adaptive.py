@@ -16,7 +16,7 @@ from integrators.contract import PreparedRun, Tolerances, Trajectory
 from integrators.kept_rows import kept_rows
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
-from problems.runtime import jax, jnp
+from problems.runtime import jax, jnp, slower
 from problems.system import MechatronicSystem
 
 
@@ -35,7 +35,11 @@ def _traced_once(kind: type) -> type:
     def step(self: Any, *arguments: Any) -> Any:
         return compiled_step(self, *arguments)
 
-    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+    try:
+        return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+    except TypeError as error:
+        slower(f"diffrax's solvers take longer to compile: they take no step of ours ({error}).")
+        return kind
 
 
 class AdaptivePrograms(NamedTuple):

@@ -21,7 +21,7 @@ from integrators.adapters.ode import packed_rate_and_jacobian
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from integrators.kept_rows import kept_rows
-from integrators.operations import bill, dense
+from integrators.operations import NotCounted, bill, dense
 from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
@@ -141,6 +141,8 @@ class ScipyRun(PreparedRun):
 
     def bill(self, run: Trajectory) -> dict[str, float]:
         work, algebra = run.work, dense(self._unknowns)
+        if work.solves is None:
+            raise NotCounted(f"{self._solver.__name__} no longer calls its lu and solve_lu")
         function, jacobian = (packed.operations for packed in self._packed)
         # A complex operation is four real ones, and these systems are among those counted.
         factorisations, solves = (3 * n for n in self._complex)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from integrators.native import klu
-from problems.runtime import jax, jnp
+from problems.runtime import jax, jnp, known_options
 
 if TYPE_CHECKING:
     from jax import Array
@@ -36,9 +37,7 @@ class Kernel:
             return loop(*self.unpacked(packed), *wanted)
 
         self.compiled = jax.jit(run)
-        # Many runs do the same arithmetic side by side: use the widest registers.
-        wide = {"xla_cpu_prefer_vector_width": 512}
-        self._many = jax.jit(jax.vmap(run), compiler_options=wide)
+        self._run = run
 
     def pack(self, *arguments: Any) -> Float[Array, " n"]:
         """Pack parameters, numbers, start and time: floats, and integers below 2^53."""
@@ -72,6 +71,12 @@ class Kernel:
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)
+
+    @cached_property
+    def _many(self) -> Callable:
+        # Many runs do the same arithmetic side by side: use the widest registers.
+        wide = known_options(xla_cpu_prefer_vector_width=512)
+        return jax.jit(jax.vmap(self._run), compiler_options=wide)
 
     def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
         """Run many runs in one program: every argument has one more axis in front."""

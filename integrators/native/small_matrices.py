@@ -125,11 +125,20 @@ def _eliminated(k: int, w: Array) -> Array:
 
 
 def without_products(function: Callable) -> Callable:
-    """Rewrite products of small matrices in a function as sums, in loops and branches, too."""
+    """Rewrite products of small matrices in a function as sums, in loops and branches, too.
+
+    A program whose parts JAX names otherwise than today stays as it is.
+    """
 
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-        out = _evaluate(closed, jax.tree.leaves(args))
+        try:
+            out = _evaluate(closed, jax.tree.leaves(args))
+        except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
+            runtime.slower(
+                f"Small scenes run slowly: their programs cannot be rewritten ({error})."
+            )
+            return function(*args)
         return jax.tree.unflatten(jax.tree.structure(shape), out)
 
     return rewritten

@@ -15,7 +15,7 @@ from integrators.native.step_records import Errors, Reading, StepReport
 from integrators.native.step_work import EquationsFinder, StepWork
 from problems.formulations import Start
 from problems.runtime import jax, jnp
-from problems.sparsity import Pattern
+from problems.sparsity import NoPattern, Pattern
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Variables
 
@@ -150,7 +150,7 @@ def sparse_tangents(
     Raises
     ------
     problems.sparsity.NoPattern
-        If the program of a residual cannot be followed.
+        If the program of a residual cannot be followed, or KLU cannot be used.
     """
     leaves, tree = jax.tree.flatten(numbers)
     return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)
@@ -160,6 +160,8 @@ def sparse_tangents(
 def _sparse_tangents(
     functions: StepFunctions, tree: Any, kinds: tuple[type, ...], template: MechatronicSystem
 ) -> SparseTangents:
+    if not klu.works():
+        raise NoPattern("KLU cannot be used with this release of klujax; take linear_solver=dense.")
     import klujax
 
     # One pattern serves all numbers, so no number may be zero and hide an entry.

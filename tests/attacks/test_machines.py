@@ -1,0 +1,373 @@
+"""Machines that lack something: disk, permissions, memory, files, processes, or sane variables."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+STEPBENCH = str(Path(sys.executable).with_name("stepbench"))
+PROFILE = (
+    "samples = 1\n[[study]]\nproblems = ['oscillator']\nintegrators = ['newmark']\n"
+    "steps = [0.1, 0.05]\n"
+)
+OK = "2 cells: 2 ok, 0 failed"
+attack = pytest.mark.attack
+
+
+@pytest.fixture
+def profile(tmp_path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(PROFILE)
+    return path
+
+
+@pytest.fixture
+def disk(tmp_path) -> Path:
+    """A folder for a disk of its own."""
+    (tmp_path / "disk").mkdir()
+    return tmp_path / "disk"
+
+
+def ask(
+    *arguments: object, limits: Callable[[], None] | None = None, **variables: str | None
+) -> tuple[int, str]:
+    """Exit code and output of a command; a variable that is None is taken out."""
+    environment = {**os.environ, **{k: v for k, v in variables.items() if v is not None}}
+    for name in (k for k, v in variables.items() if v is None):
+        environment.pop(name, None)
+    done = subprocess.run(
+        [STEPBENCH, *map(str, arguments)],
+        env=environment,
+        preexec_fn=limits,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    output = done.stdout + done.stderr
+    assert "Traceback" not in output, output
+    return done.returncode, " ".join(output.split())
+
+
+def limit(which: int, most: int) -> Callable[[], None]:
+    return lambda: resource.setrlimit(which, (most, most))
+
+
+def stored(out: Path) -> list[float]:
+    """Errors of the stored runs, which every attack on a finished store has to leave."""
+    code, text = ask("export", out, "--json")
+    assert code == 0, text
+    return [record["error_q_max"] for record in json.loads(text)]
+
+
+def in_a_namespace(script: str, disk: Path, profile: Path) -> list[tuple[int, str]]:
+    """Exit codes and outputs of the commands of a script that may mount what it wants: the mounts
+    are its own, and end with it. A line that begins with ``ask`` is a command of stepbench."""
+    shell = f"S={STEPBENCH} T={profile} D={disk}\nset -e\n"
+    shell += 'ask() { code=0; $S "$@" 2>&1 || code=$?; echo "rc $code"; }\n'
+    if subprocess.run(["unshare", "-m", "true"], check=False, capture_output=True).returncode:
+        pytest.skip("Only root may mount a small disk in a namespace of its own.")
+    done = subprocess.run(
+        ["unshare", "-m", "bash", "-c", shell + script],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stdout, done.stdout
+    answers = done.stdout.split("rc ")
+    codes = [int(part.split()[0]) for part in answers[1:]]
+    return list(zip(codes, (" ".join(part.split()) for part in answers), strict=False))
+
+
+# ---- disks -----------------------------------------------------------------------------
+ROOM = "mount -o remount,size=50m $D\n"
+RUN = "ask run $T --out $D/out --jobs 1\n"
+
+
+def test_a_disk_too_small_for_a_store_is_named(disk, profile):
+    script = "mount -t tmpfs -o size=30k tmpfs $D\n" + RUN
+    (code, text), *_ = in_a_namespace(script, disk, profile)
+    assert code == 1
+    assert "stepbench.sqlite cannot be opened" in text
+
+
+@attack
+def test_a_disk_that_is_full_while_measuring_costs_no_earlier_result(disk, profile):
+    script = "mount -t tmpfs -o size=120k tmpfs $D\n" + 2 * RUN + ROOM + 2 * RUN
+    first, second, third, fourth = in_a_namespace(script, disk, profile)
+    for code, text in (first, second):
+        assert code == 1
+        assert "free some space or choose another --out. Earlier results are intact." in text
+    assert third[0] == fourth[0] == 0
+    assert OK in third[1]
+    assert f"{OK} with a reason; 0 measured now, 2 kept" in fourth[1]
+
+
+@attack
+def test_a_disk_that_is_full_while_pages_are_written_costs_the_pages(disk, profile):
+    script = "mount -t tmpfs -o size=700k tmpfs $D\n" + RUN + ROOM + RUN
+    full, again = in_a_namespace(script, disk, profile)
+    assert full[0] == 1
+    assert OK in full[1]
+    assert "No space left on device" in full[1]
+    assert "The results are stored." in full[1]
+    assert again[0] == 0
+    assert "0 measured now, 2 kept" in again[1]
+
+
+READ_ONLY = {
+    "run": ("run $T --out $D/out", "Read-only file system"),
+    "fresh": ("run $T --out $D/out --fresh", "Read-only file system"),
+    "new store": ("run $T --out $D/other", "Read-only file system"),
+    "report": ("report $D/out", "The results are stored."),
+    "export": ("export $D/out -o $D/x.csv", "Read-only file system"),
+    "figure": ("figure $D/out work_precision --scene oscillator -o $D/f.svg", "Read-only"),
+    "merge": ("merge $D/out $D/out --out $D/all", "Read-only"),
+    "show": ("show oscillator -o $D/scene.svg", "Read-only"),
+}
+
+
+@attack
+def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
+    script = RUN + "mount --bind $D $D\nmount -o remount,ro,bind $D\nask export $D/out\n"
+    script += "".join(f"ask {command}\n" for command, _ in READ_ONLY.values())
+    made, read, *answers = in_a_namespace(script, disk, profile)
+    assert (made[0], read[0]) == (0, 0)
+    for (code, text), (command, sentence) in zip(answers, READ_ONLY.values(), strict=True):
+        assert code == 1, (command, text)
+        assert sentence in text, (command, text)
+    assert len(stored(disk / "out")) == 2
+
+
+@attack
+def test_without_shared_memory_the_results_are_stored(disk, profile):
+    script = "mount -t tmpfs -o size=1m,ro tmpfs /dev/shm\n" + RUN
+    (code, text), *_ = in_a_namespace(script, disk, profile)
+    assert OK in text
+    assert code == 0 or "Read-only file system" in text
+    assert len(stored(disk / "out")) == 2
+
+
+@pytest.mark.parametrize(
+    ("most", "sentence"),
+    [
+        (0, "cannot be opened (disk I/O error)"),
+        pytest.param(100_000, "Earlier results are intact.", marks=attack),
+        pytest.param(250_000, "The results are stored.", marks=attack),
+    ],
+)
+def test_a_limit_of_the_size_of_files_is_like_a_full_disk(tmp_path, profile, most, sentence):
+    out = tmp_path / "out"
+    small = limit(resource.RLIMIT_FSIZE, most)
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=small)
+    assert code == 1, text
+    assert sentence in text
+    if most:
+        assert ask("run", profile, "--out", out, "--jobs", 1)[0] == 0
+        assert len(stored(out)) == 2
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["solve", "oscillator", "newmark", "--step", "0.1"],
+        pytest.param(["run"], marks=attack),
+        pytest.param(["list"], marks=attack),
+    ],
+)
+def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+
+    def leave() -> None:
+        os.chdir(gone)
+        shutil.rmtree(gone)
+
+    code, text = ask(*command, limits=leave)
+    assert code == 1 or command == ["list"], text
+    assert code == 0 or "No such file or directory" in text
+
+
+# ---- limits ----------------------------------------------------------------------------
+@pytest.mark.parametrize("most", [8, pytest.param(12, marks=attack)])
+def test_too_few_open_files_are_a_sentence(tmp_path, profile, most):
+    few = limit(resource.RLIMIT_NOFILE, most)
+    code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
+    assert code == 1
+    assert "Too many open files" in text
+
+
+@attack
+@pytest.mark.parametrize("most", [20, 30, 40, 64])
+def test_few_open_files_cost_no_result(tmp_path, profile, most):
+    few = limit(resource.RLIMIT_NOFILE, most)
+    code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
+    assert OK in text
+    assert code == 0 or "The results are stored." in text
+    assert len(stored(tmp_path / "out")) == 2
+
+
+@attack
+@pytest.mark.parametrize(
+    ("which", "most"),
+    [
+        (resource.RLIMIT_AS, 200 << 20),
+        pytest.param(
+            *(resource.RLIMIT_AS, 600 << 20),
+            marks=pytest.mark.xfail(strict=True, reason="0 cells ok is exit code 0"),
+        ),
+        (resource.RLIMIT_AS, 2000 << 20),
+        pytest.param(
+            *(resource.RLIMIT_CPU, 1),
+            marks=pytest.mark.xfail(strict=True, reason="0 cells ok is exit code 0"),
+        ),
+    ],
+)
+def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most):
+    out = tmp_path / "out"
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=limit(which, most))
+    assert code == 1, text
+    # The same command measures what was lost, once there is room.
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, "--fresh")
+    assert (code, OK in text) == (0, True), text
+
+
+@attack
+@pytest.mark.parametrize(
+    ("most", "codes"),
+    [
+        pytest.param(
+            *(3, {1}),
+            marks=pytest.mark.xfail(
+                strict=True, reason="processes that draw pictures end with a traceback"
+            ),
+        ),
+        (30, {0}),
+    ],
+)
+def test_few_processes(tmp_path, profile, most, codes):
+    # Root has no limit: the command runs as nobody, who may read everything.
+    rights = "+dac_read_search,+dac_override"
+    nobody = ["setpriv", "--reuid=65534", "--clear-groups", f"--inh-caps={rights}"]
+    nobody += [f"--ambient-caps={rights}", "bash", "-c"]
+    if not shutil.which("setpriv") or subprocess.run([*nobody, "true"], check=False).returncode:
+        pytest.skip("Only root may run a command as nobody.")
+    script = f"ulimit -u {most}; exec {STEPBENCH} run {profile} --out {tmp_path}/out --jobs 1"
+    done = subprocess.run(
+        [*nobody, script], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    assert done.returncode in codes, done.stderr
+
+
+@attack
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
+def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
+    out = tmp_path / "out"
+
+    def close() -> None:
+        for descriptor in closed:
+            os.close(descriptor)
+
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=close)
+    assert code in (0, 1), text
+    assert OK in text or 1 in closed
+    assert len(stored(out)) == 2
+    assert (out / "report.html").stat().st_size > 100_000
+
+
+# ---- variables -------------------------------------------------------------------------
+VARIABLES = {
+    "no HOME": {"HOME": None, "JAX_COMPILATION_CACHE_DIR": None},
+    "a HOME that is no folder": {"HOME": "/dev/null/x", "JAX_COMPILATION_CACHE_DIR": None},
+    "no TMPDIR": {"TMPDIR": "/not/there"},
+    "locale C in ASCII": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"},
+    "a cache that is a file": {"JAX_COMPILATION_CACHE_DIR": "/dev/null"},
+    "no terminal": {"TERM": "dumb", "COLUMNS": "1", "LINES": "0"},
+    "no PATH": {"PATH": ""},
+}
+
+
+@attack
+@pytest.mark.parametrize("variables", VARIABLES.values(), ids=VARIABLES)
+def test_variables_without_a_sane_value_cost_no_result(tmp_path, profile, variables):
+    out = tmp_path / "out"
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, **variables)
+    assert code == 0, text
+    assert OK in text
+    folder = variables.get("JAX_COMPILATION_CACHE_DIR", "")
+    if folder or variables.get("HOME"):
+        assert "Compiled programs are not kept, as JAX_COMPILATION_CACHE_DIR=" in text
+
+
+REFUSED = {
+    "unknown flag": ("XLA_FLAGS", "--xla_nonsense=1", "Unknown flag in XLA_FLAGS: --xla_nonsense"),
+    "no flags": ("XLA_FLAGS", "/not/there", 'Could not open file "/not/there"'),
+    "no such platform": ("JAX_PLATFORMS", "nonsense", "unset JAX_PLATFORMS=nonsense"),
+    "no CUDA": ("JAX_PLATFORMS", "cuda", "unset JAX_PLATFORMS=cuda"),
+    "no number": ("JAX_ENABLE_X64", "maybe", "JAX_ENABLE_X64=maybe"),
+    "32 bits": ("JAX_ENABLE_X64", "0", "unset JAX_ENABLE_X64"),
+}
+
+
+@attack
+@pytest.mark.parametrize(("name", "value", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_a_variable_that_keeps_jax_from_computing_is_named(name, value, sentence):
+    code = "from problems.runtime import check_runtime; print(check_runtime())"
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"} | {name: value}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sentence in done.stdout
+    assert f"{name}={value}" in done.stdout or value == "0"
+
+
+@attack
+@pytest.mark.parametrize(("name", "value", "sentence"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.xfail(strict=True, reason="workers do not call check_runtime yet")
+def test_a_run_under_such_a_variable_is_no_success(tmp_path, profile, name, value, sentence):
+    out = tmp_path / "out"
+    code, text = ask("run", profile, "--out", out, "--jobs", 1, **{"XLA_FLAGS": None, name: value})
+    assert code == 1, text
+    assert sentence in text
+
+
+# ---- compiled programs that are kept ---------------------------------------------------
+@attack
+@pytest.mark.parametrize("content", [b"", b"garbage", None], ids=["empty", "garbage", "cut"])
+def test_broken_programs_in_the_cache_are_compiled_again(tmp_path, profile, content):
+    cache = tmp_path / "cache"
+    variable = {"JAX_COMPILATION_CACHE_DIR": str(cache)}
+    assert ask("run", profile, "--out", tmp_path / "a", "--jobs", 1, **variable)[0] == 0
+    kept = [*cache.glob("*-cache")]
+    assert kept
+    for file in kept:
+        file.write_bytes(file.read_bytes()[:100] if content is None else content)
+    code, text = ask("run", profile, "--out", tmp_path / "b", "--jobs", 1, **variable)
+    assert code == 0, text
+    assert OK in text
+    assert text.count(f"empty this folder, or set {next(iter(variable))} to another one.") == 1
+    assert stored(tmp_path / "b") == stored(tmp_path / "a")
+
+
+@attack
+def test_a_full_disk_for_compiled_programs_costs_time_alone(disk, profile):
+    script = "mkdir $D/c\nmount -t tmpfs -o size=40k tmpfs $D/c\n"
+    script += "export JAX_COMPILATION_CACHE_DIR=$D/c\n" + RUN
+    (code, text), *_ = in_a_namespace(script, disk, profile)
+    assert code == 0
+    assert OK in text
+    assert text.count("cannot be used or written; empty this folder") == 1

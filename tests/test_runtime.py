@@ -1,0 +1,319 @@
+"""What this bench uses beyond the documentation of libraries, taken away: the numbers stay."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from integrators import Steps, Tolerances
+from integrators.adapters import callbacks, counting, diffrax_adaptive
+from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.scipy_ode import BDF
+from integrators.contract import PreparedRun
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.native import klu, small_matrices
+from integrators.native.kernel import Kernel
+from integrators.native.step_method import NativeMethod
+from problems import runtime
+from problems.canary import wrong_functions
+from problems.runtime import check_runtime
+from problems.scenes.oscillator import Oscillator
+from problems.scenes.pendulum import Pendulum
+
+
+# ---- the canary ------------------------------------------------------------------------
+def test_nothing_is_wrong_here():
+    assert check_runtime() == ""
+
+
+PATCHES = [
+    ("numpy.linalg", "norm"),
+    ("numpy", "sqrt"),
+    ("numpy", "abs"),
+    ("numpy", "max"),
+    ("numpy", "where"),
+    ("numpy", "isfinite"),
+    ("jax.numpy", "dot"),
+    ("jax.numpy", "where"),
+    ("jax.numpy", "abs"),
+    ("jax.numpy.linalg", "solve"),
+    ("jax", "jvp"),
+]
+
+
+@pytest.mark.parametrize(("module", "name"), PATCHES)
+def test_a_patched_function_is_named(monkeypatch, module, name):
+    original = getattr(importlib.import_module(module), name)
+
+    def patched(*arguments, **options):  # off by less than anybody would see
+        return jax.tree.map(lambda x: x * (1 + 1e-10), original(*arguments, **options))
+
+    monkeypatch.setattr(f"{module}.{name}", patched)
+    wrong = check_runtime()
+    monkeypatch.undo()
+    assert f"{module}.{name}" in wrong
+    assert wrong.endswith("no plugin may patch NumPy or JAX.")
+
+
+def test_a_patched_function_that_raises_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(jnp, "dot", lambda *given: 1 / 0)
+    assert "one raised ZeroDivisionError" in check_runtime()
+
+
+def test_floats_of_32_bits_are_noticed():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        assert "32-bit floats" in check_runtime()
+        assert "JAX_ENABLE_X64" in check_runtime()
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+def test_what_the_canary_tries_is_right_by_itself():
+    assert wrong_functions(jax, jnp) == []
+
+
+# ---- flags of XLA ----------------------------------------------------------------------
+@pytest.fixture
+def refusing(monkeypatch, tmp_path):
+    """An XLA that refuses flags with "dropped" in their names; returns the flags it was given."""
+    tried = []
+
+    def start(flags: str) -> str:
+        tried.append(flags)
+        return "Unknown flag in XLA_FLAGS: --xla_dropped" if "dropped" in flags else ""
+
+    monkeypatch.setattr(runtime, "_start_of_xla", start)
+    monkeypatch.setattr(runtime, "_CACHE", tmp_path)
+    runtime.slower.cache_clear()
+    return tried
+
+
+def test_a_flag_of_ours_that_xla_refuses_is_left_out_with_a_word(monkeypatch, caplog, refusing):
+    monkeypatch.setattr(runtime, "_FLAGS", ("--xla_kept=1", "--xla_dropped=2"))
+    for _ in range(2):
+        monkeypatch.setenv("XLA_FLAGS", "--xla_kept=1 --xla_dropped=2")
+        runtime._leave_out_refused_flags()
+        assert os.environ["XLA_FLAGS"] == "--xla_kept=1"
+    assert caplog.messages == ["Runs may take longer: XLA no longer knows --xla_dropped=2."]
+    # The verdicts are kept: the second time nothing was tried.
+    assert len(refusing) == len(set(refusing)) + 1
+    assert refusing.count("") == 2  # without flags XLA starts, so that they are the reason
+
+
+def test_a_flag_of_the_user_that_xla_refuses_is_named_with_the_remedy(monkeypatch, refusing):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_kept=1 --xla_dropped=2")
+    with pytest.raises(runtime.RuntimeFault, match=r"XLA_FLAGS=--xla_kept=1 --xla_dropped=2 is"):
+        runtime._leave_out_refused_flags()
+    assert os.environ["XLA_FLAGS"] == "--xla_kept=1 --xla_dropped=2"
+
+
+def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatch, tmp_path):
+    monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "out of memory")
+    monkeypatch.setattr(runtime, "_CACHE", tmp_path)
+    runtime._leave_out_refused_flags()
+    assert not list(tmp_path.iterdir())  # and no verdict is kept
+
+
+# ---- a folder for compiled programs ----------------------------------------------------
+@pytest.mark.parametrize("place", ["a file", "in a file", "a\0name", "read only"])
+def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_path, place):
+    runtime.slower.cache_clear()
+    (tmp_path / "a file").write_text("")
+    folder = tmp_path / ("a file/x" if place == "in a file" else place)
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(folder)}
+    monkeypatch.setattr(runtime.os, "environ", environment)
+    if place == "read only":  # root may write everywhere
+        monkeypatch.setattr(runtime.os, "access", lambda *given: False)
+    runtime._leave_out_unusable_cache()
+    assert environment["JAX_COMPILATION_CACHE_DIR"] == ""
+    assert f"JAX_COMPILATION_CACHE_DIR={folder} is no folder" in caplog.messages[0]
+
+
+# ---- what libraries may drop -----------------------------------------------------------
+def test_this_release_drops_nothing():
+    assert runtime.runs_at_once()
+    assert callbacks.memory_is_shared()
+    assert klu.works()
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_without_its_option_jax_may_run_programs_later(monkeypatch, caplog):
+    def update(name, value):
+        raise AttributeError(f"Unrecognized config option: {name}")
+
+    monkeypatch.setattr(jax.config, "update", update)
+    assert not runtime.runs_at_once()
+    assert "no jax_cpu_enable_async_dispatch any more" in caplog.text
+
+
+def solved(method: NativeMethod | BDF, resolution: Steps | Tolerances) -> PreparedRun:
+    return method.prepare(Oscillator(), 1.0, resolution).measure()
+
+
+@pytest.fixture
+def _forgotten():
+    """Nothing that was tried out is remembered, before and after."""
+    tried = (
+        *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
+        *(callbacks.memory_is_shared, counting.names_are_registered, counting._callbacks_count),
+        *(diffrax_adaptive._traced_once, klu.works),
+    )
+    for remembered in tried:
+        remembered.cache_clear()
+    yield
+    for remembered in tried:
+        remembered.cache_clear()
+
+
+@pytest.mark.usefixtures("_forgotten")
+@pytest.mark.parametrize("drop", ["no sharing", "an error", "programs that run later"])
+def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, drop):
+    if drop == "no sharing":
+        monkeypatch.setattr(jax.dlpack, "from_dlpack", lambda x, copy: jnp.array(x, copy=True))
+    elif drop == "an error":
+        monkeypatch.setattr(jax.dlpack, "from_dlpack", None)
+    else:
+        monkeypatch.setattr(callbacks, "runs_at_once", lambda: False)
+    call = PackedFunction(lambda t, s: t * s, None, 2).bind()
+    assert [np.asarray(call(t, np.ones(2))).tolist() for t in (2.0, 3.0)] == [[2.0] * 2, [3.0] * 2]
+    assert "JAX copies their arguments" in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_a_joined_loop_is_looked_for_in_the_program(monkeypatch, caplog):
+    if not runtime.joins_loops():
+        pytest.skip("XLA_FLAGS of your own keep XLA from joining small loops.")
+    runtime.joins_loops.cache_clear()
+    monkeypatch.setattr(runtime, "_JOINED", "xla_backend")  # XLA ignores options it does not know
+    monkeypatch.setattr(jax.stages.Compiled, "as_text", lambda self: "call")
+    assert not runtime.joins_loops()
+    assert "no longer joins loops" in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_an_option_of_the_compiler_that_is_unknown_is_left_out(caplog):
+    known = runtime.known_options(xla_cpu_prefer_vector_width=256, xla_cpu_dropped=3)
+    assert known == {"xla_cpu_prefer_vector_width": 256}
+    assert "no longer knows xla_cpu_dropped" in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+@pytest.mark.parametrize("name", ["xla_cpu_prefer_vector_width", "xla_cpu_dropped"])
+def test_many_runs_give_the_same_without_wide_registers(monkeypatch, name):
+    width = {name: 512}
+    monkeypatch.setattr("integrators.native.kernel.known_options", lambda **_: options(**width))
+    options = runtime.known_options
+    kernel = Kernel(lambda a, b: a * b)
+    packed = kernel.pack(2.0, np.array([1.0, 4.0]))
+    assert kernel.batched(np.stack([packed, packed])).tolist() == [[2.0, 8.0]] * 2
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_a_program_that_cannot_be_rewritten_stays_as_it_is(monkeypatch, caplog):
+    def product(a, b):
+        return a @ b
+
+    a, b = np.arange(4.0).reshape(2, 2), np.eye(2) * 3
+    before = jax.jit(small_matrices.without_products(product)).lower(a, b).as_text()
+    monkeypatch.delattr("jax.extend.core.Literal")
+    program = jax.jit(small_matrices.without_products(product))
+    assert program(a, b).tolist() == (a @ b).tolist()
+    assert "dot_general" in program.lower(a, b).as_text()
+    assert "dot_general" not in before
+    assert "cannot be rewritten" in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+@pytest.mark.parametrize(
+    ("of", "to", "reason"),
+    [
+        ("XLA_FFI_API_MAJOR 0", "XLA_FFI_API_MAJOR 1", "major version"),
+        ("XLA_FFI_ExecutionStage stage;", "", "XLA_FFI_CallFrame"),
+        ("struct XLA_FFI_CallFrame {", "struct Frame {", "XLA_FFI_CallFrame"),
+        ("size_t struct_size;", "size_t flags; size_t struct_size;", "XLA_FFI_Api_Version"),
+    ],
+)
+def test_another_layout_of_xlas_interface_is_refused(of, to, reason):
+    header = counting.header()
+    counting.check_layout(header)
+    assert of in header
+    with pytest.raises(RuntimeError, match=reason):
+        counting.check_layout(header.replace(of, to))
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_where_neither_way_counts_there_are_no_counts(monkeypatch):
+    monkeypatch.setattr(counting, "header", lambda: "")
+    monkeypatch.setattr(counting, "_count_by_callback", lambda name: None)
+    with pytest.raises(RuntimeError, match="no way to count evaluations"):
+        counting.watch(lambda t, s, p: s)
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_callbacks_count_where_xlas_interface_has_another_layout(monkeypatch, caplog):
+    monkeypatch.setattr(counting, "header", lambda: "")
+    watched = counting.watch(lambda t, s, p: 2 * s)
+    program = jax.jit(lambda s: jax.lax.fori_loop(0, 4, lambda k, s: watched(0.0, s, None), s))
+    assert counting.run_counted(program, 1.0) == (16.0, counting.Counts(4, 0))
+    assert "has another major version" in caplog.text
+
+
+@pytest.mark.parametrize("drop", ["names", "calls"])
+def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, drop):
+    from scipy.integrate import BDF as Library  # noqa: N811
+
+    before = solved(BDF(), Tolerances(1e-4))
+    original = Library.__init__
+
+    def changed(self, *arguments, **options):
+        original(self, *arguments, **options)
+        self._lu, self._solve_lu = self.lu, self.solve_lu
+        if drop == "names":
+            del self.lu, self.solve_lu
+
+    def step(self):
+        self.lu, self.solve_lu = self._lu, self._solve_lu
+        return original_step(self)
+
+    original_step = Library.step
+    monkeypatch.setattr(Library, "__init__", changed)
+    monkeypatch.setattr(Library, "step", step)
+    run = BDF().prepare(Oscillator(), 1.0, Tolerances(1e-4))
+    after = run.measure()
+    assert after.q.tolist() == before.q.tolist()
+    assert (after.work.residuals, after.work.jacobians) == (
+        before.work.residuals,
+        before.work.jacobians,
+    )
+    assert before.work.solves
+    assert after.work.solves is after.work.factorisations is None
+    with pytest.raises(Exception, match="no longer calls its lu and solve_lu"):
+        run.bill(after)
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_without_klus_own_functions_large_scenes_are_dense(monkeypatch, caplog):
+    klujax = pytest.importorskip("klujax")
+    monkeypatch.delattr(klujax, "analyze")
+    method = GeneralizedAlpha(rho_inf=0.8, linear_solver="sparse")
+    with pytest.raises(Exception, match="take linear_solver=dense"):
+        method.prepare(Pendulum(), 0.1, Steps(0.05))
+    assert "klujax gives no sparse factorisation" in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_a_solver_of_diffrax_that_takes_no_step_of_ours_keeps_its_own(monkeypatch, caplog):
+    class Sealed:
+        def __init_subclass__(cls) -> None:
+            raise TypeError("sealed")
+
+    assert diffrax_adaptive._traced_once(Sealed) is Sealed
+    assert "sealed" in caplog.text
+    assert logging.getLogger("problems.runtime").isEnabledFor(logging.WARNING)
