@@ -276,6 +276,9 @@ MENDED = {
     "nan_rows_of_a_failure": lambda run: replace(
         run, status="diverged", message="Late.", q=np.where(run.t[:, None] > 1, NAN, run.q)
     ),
+    "times_of_a_failure_repeated": lambda run: replace(
+        run, status="step_too_small", message="Late.", t=run.t[[0, 1, 2, 3, 4, 4]]
+    ),
     "nan_rows": lambda run: replace(run, q=np.full((ROWS, 1), NAN)),
     "infinite_rows": lambda run: replace(run, q=np.full((ROWS, 1), np.longdouble("1e400"))),
 }
@@ -434,7 +437,7 @@ SCENES = {
     "Numbered": (
         {"coordinates": (1,)},
         "description",
-        "coordinates[0] is 1, expected text",
+        "names of q[0] is 1, expected text",
     ),
     "Unsized": (
         {"coordinates": ("q [m] ~ big",)},
@@ -468,6 +471,7 @@ SCENES = {
 #: The same for faults that leave no run possible.
 STARTS = {
     "StartNone": (begun(None), "start", "initial_state() is None, expected State(q, v), or State("),
+    "StartExploding": (begun(Explosive()), "start", "initial_state() is <Explosive instance>, exp"),
     "StartPair": (begun(([1.0], [0.0])), "start", "expected State(q, v), or State(q, v, x)"),
     "StartNan": (
         begun(State(np.array([NAN]), np.zeros(1))),
