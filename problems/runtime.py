@@ -3,13 +3,20 @@
 JAX reads these settings from the environment when it is first imported, so they are set here,
 and the names ``jax`` and ``jnp`` below import it at the first use of an attribute: a list of
 plugins or a help page must not wait for a compiler.
+
+A flag of ours that a newer XLA refuses is left out, an option that it no longer heeds is noticed:
+both cost speed alone. `problems.canary` checks that JAX and NumPy compute what they should.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import logging
 import os
+import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -17,25 +24,36 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
+from problems.canary import wrong_functions
+
+_CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
 _JOINED = "xla_cpu_small_while_loop_byte_threshold"
-
+#: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
+#: little data that call no library become one function each: for small scenes the calls from one
+#: compiled piece to the next would cost more than their work.
+_FLAGS = (
+    "--xla_cpu_multi_thread_eigen=false",
+    f"--xla_backend_extra_options={_JOINED}=1000000",
+)
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
-    "JAX_COMPILATION_CACHE_DIR": str(Path(platformdirs.user_cache_dir("stepbench")) / "jax"),
+    "JAX_COMPILATION_CACHE_DIR": str(_CACHE / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    # Every operation has one thread, so that methods are compared and not the use of cores. Loops
-    # over little data that call no library become one function each: for small scenes the calls
-    # from one compiled piece to the next would cost more than their work.
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"
-    f" --xla_backend_extra_options={_JOINED}=1000000",
+    "XLA_FLAGS": " ".join(_FLAGS),
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
+#: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
+_START_XLA = "import jax; jax.local_devices(backend='cpu')"
+
+
+class RuntimeFault(RuntimeError):
+    """The environment keeps JAX from computing; the message names the variable and the remedy."""
 
 
 def configure() -> None:
@@ -62,15 +80,31 @@ def _loaded(name: str) -> ModuleType:
 
     By default JAX hands each program over to a thread of its own, which takes longer than a short
     program.
+
+    Raises
+    ------
+    RuntimeFault
+        If XLA refuses the user's flags, which would end the process.
     """
+    if "jax" not in sys.modules:
+        _leave_out_refused_flags()
+        _leave_out_unusable_cache()
     module = importlib.import_module(name)
     sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
     return module
 
 
+@cache
 def joins_loops() -> bool:
-    """Whether XLA has the option to compile loops over little data to one function each."""
-    return _JOINED in os.environ["XLA_FLAGS"]
+    """Whether XLA compiles loops over little data to one function each, found by trying it."""
+    if _JOINED not in os.environ["XLA_FLAGS"]:
+        return False
+    loop = jax.jit(lambda x: jax.lax.fori_loop(0, 9, lambda k, y: k + jnp.sin(y), x))
+    # XLA marks such loops by this word in the compiled program.
+    joined = "xla_cpu_small_call" in str(loop.lower(1.0).compile().as_text())
+    if not joined:
+        _warn("Small scenes run slowly: this XLA does not join loops, whatever %s is.", _JOINED)
+    return joined
 
 
 class _LateModule:
@@ -81,6 +115,125 @@ class _LateModule:
 
     def __getattr__(self, attribute: str) -> Any:
         return getattr(_loaded(self._name), attribute)
+
+
+# ---- the user's environment, and newer libraries ---------------------------------------
+def check_runtime() -> str:
+    """Return the sentence on what makes the numbers of this process wrong, or nothing.
+
+    To be called before anything is measured, and after plugins are loaded: JAX starts, on this
+    computer's processor, with 64-bit floats, and nobody patched the functions that measure.
+    """
+    try:
+        platform = jax.local_devices()[0].platform
+    except RuntimeFault as fault:
+        return str(fault)
+    except Exception as error:  # of whatever kind: JAX has none for a platform that is missing
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        return f"JAX does not start ({reason}); unset {_users_settings() or 'its variables'}."
+    if platform != "cpu":
+        return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
+    try:
+        if jnp.zeros(1).dtype.itemsize != 8:
+            return (
+                "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
+                "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
+            )
+        wrong = wrong_functions(jax, jnp)
+    except Exception as error:  # a patched function may do anything
+        wrong = [f"one raised {type(error).__name__}"]
+    if not wrong:
+        return ""
+    names = ", ".join(wrong[:5])
+    return f"Functions give wrong results here ({names}); no plugin may patch NumPy or JAX."
+
+
+def _users_settings() -> str:
+    """Variables of JAX and XLA that the user has set, as "NAME=value, ..."."""
+    return ", ".join(
+        f"{name}={value}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith(("JAX_", "XLA_")) and value != _SETTINGS.get(name)
+    )
+
+
+def _leave_out_refused_flags() -> None:
+    """Take out of XLA_FLAGS those of ours that this XLA refuses.
+
+    Raises
+    ------
+    RuntimeFault
+        If it refuses one of the user's.
+    """
+    value = os.environ["XLA_FLAGS"]
+    words = _refusal(value)
+    if not words:
+        return
+    refused = [flag for flag in value.split() if _refusal(flag)]
+    if not refused or set(refused) - set(_FLAGS):
+        raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
+    os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
+    _warn("Runs may take longer: this XLA refuses %s.", " ".join(refused))
+
+
+def _refusal(flags: str) -> str:
+    """XLA's last words with these flags, nothing if it takes them.
+
+    They are tried in another process, once for each release of jaxlib.
+    """
+    import jaxlib
+
+    key = hashlib.sha256(f"{jaxlib.__version__} {flags}".encode()).hexdigest()[:16]
+    file = _CACHE / "flags" / key
+    with suppress(OSError, UnicodeDecodeError):
+        return file.read_text()
+    words = _start_of_xla(flags)
+    if words and _start_of_xla(""):  # the flags are not the reason
+        return ""
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        new = file.with_suffix(f".{os.getpid()}")
+        new.write_text(words)
+        new.replace(file)
+    return words
+
+
+def _start_of_xla(flags: str) -> str:
+    """The last line that XLA writes if it does not start with these flags, else nothing."""
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", _START_XLA]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, stdin=subprocess.DEVNULL, check=False
+    )
+    if done.returncode == 0:
+        return ""
+    lines = done.stderr.decode(errors="replace").strip().splitlines()
+    last = lines[-1] if lines else f"exit code {done.returncode}"
+    return last.rpartition("] ")[2]  # XLA's lines begin with [a date and a place]
+
+
+def _leave_out_unusable_cache() -> None:
+    """Keep no compiled programs if there is no folder for them; JAX would warn at each one."""
+    name = "JAX_COMPILATION_CACHE_DIR"
+    folder = os.environ[name]
+    if not folder or "://" in folder:
+        return
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return
+        reason = "it cannot be written"
+    except (OSError, ValueError) as error:
+        reason = str(getattr(error, "strerror", None) or error)
+    os.environ[name] = ""
+    _warn(
+        "Compiled programs are not kept, as %s=%s is no folder for them (%s); set it to one.",
+        *(name, folder, reason),
+    )
+
+
+def _warn(sentence: str, *arguments: str) -> None:
+    logging.getLogger(__name__).warning(sentence, *arguments)
 
 
 configure()

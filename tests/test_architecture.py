@@ -26,7 +26,9 @@ LAYERS = [
     {"integrators"},  # its front door, which names what plugins need
     {"bench"},
     {"bench.results"},
+    {"bench.guard.interrupts", "bench.guard.keeper"},
     {"bench.plugins"},
+    {"bench.guard"},
     {"bench.running"},
     {"bench.sweeps", "bench.stability", "bench.conformance"},
     {"bench.atlas"},

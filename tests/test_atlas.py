@@ -20,9 +20,9 @@ from bench.atlas.experiments import (
 )
 from bench.atlas.measures import number_of
 from bench.atlas.runs import run_experiments
-from bench.plugins.registry import Registry
 from bench.results.experiments import bounds
 from bench.results.store import Store
+from bench.running.inventory import Inventory
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
@@ -62,7 +62,7 @@ class Quiet:
 
 
 def run(experiments, *added, plugins=()):
-    found = run_experiments(experiments, added, Registry(plugins), 2, 60.0, Quiet())
+    found = run_experiments(experiments, added, Inventory(plugins), 2, 60.0, Quiet())
     return {result.name: result for result in found}
 
 

@@ -209,11 +209,11 @@ def test_records_open_in_pandas(stepbench, tmp_path):
 
 
 def test_select_and_add_on_the_command_line(tmp_path):
-    from bench.plugins.registry import Registry
+    from bench.running.inventory import Inventory
     from bench.running.plan import make_suite
     from bench.running.profiles import read_profile
 
-    registry = Registry()
+    registry = Inventory()
     name, profile = read_profile("quick")
     everything = make_suite(name, profile, registry)
     one = make_suite(name, profile, registry, ["pendulum"], ["generalized_alpha"])
@@ -228,11 +228,11 @@ def test_select_and_add_on_the_command_line(tmp_path):
 
 
 def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
-    from bench.plugins.registry import Registry
+    from bench.running.inventory import Inventory
     from bench.running.plan import make_suite
     from bench.running.profiles import read_profile
 
-    suite = make_suite(*read_profile("quick"), Registry(), ["pendulum"], ["newmark", "ida"])
+    suite = make_suite(*read_profile("quick"), Inventory(), ["pendulum"], ["newmark", "ida"])
     first, second = suite.plan.studies
     assert sum("newmark" in key for key in first.cells) == 6
     assert not any("newmark" in key for key in second.cells)

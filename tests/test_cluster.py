@@ -9,10 +9,12 @@ import time
 
 import pytest
 
+from bench.guard.limits import Limits
+from bench.guard.process import NoAnswer
+from bench.plugins.facts import Sources
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell
-from bench.running.processes import NoAnswer
 from bench.running.runner import Runner, measure_task
 from integrators.contract import Steps
 from problems.spec import SpecError
@@ -20,7 +22,7 @@ from problems.spec import SpecError
 distributed = pytest.importorskip("distributed")
 
 PLUGIN = """
-import os, time
+import os, psutil, time
 from dataclasses import dataclass
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 
@@ -29,7 +31,7 @@ class Slow(GeneralizedAlpha):
     'Takes its time, and says who it is.'
     def prepare(self, scene, t_end, resolution):
         with open(FILE, 'a') as file:
-            file.write(f'{os.getppid()}\\n')
+            file.write(f'{psutil.Process(os.getppid()).ppid()}\\n')
         time.sleep(2.0)
         return super().prepare(scene, t_end, resolution)
 """
@@ -58,10 +60,10 @@ def cells(integrator, *steps):
 
 @pytest.mark.long
 def test_a_cluster_gives_the_answers_of_this_machine(cluster):
-    tasks = [measure_task(cell) for cell in cells("newmark", 0.1, 0.05)]
-    with Runner([], 1, 60.0, 4.0) as here:
+    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 0.1, 0.05)]
+    with Runner(1, Limits(60.0, 4.0)) as here:
         expected = dict(here.run([tasks]))
-    with ClusterRunner([], cluster.scheduler_address, 60.0, 4.0) as there:
+    with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as there:
         answers = dict(there.run([[tasks[0]], [tasks[1]]]))
     for task in tasks:
         assert answers[task].record.errors == expected[task].record.errors
@@ -83,8 +85,9 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    tasks = [measure_task(cell) for cell in cells("slow", 0.1, 0.05)]
-    with ClusterRunner([str(plugin)], cluster.scheduler_address, 60.0, 4.0) as runner:
+    needed = Sources(frozenset({str(plugin)}))
+    tasks = [measure_task(cell, needed) for cell in cells("slow", 0.1, 0.05)]
+    with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as runner:
         answers = dict(runner.run([tasks]))
     killer.join()
     assert [answers[task].record.status for task in tasks] == ["ok", "ok"]
@@ -94,23 +97,21 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
     assert len(ran) >= 3
 
 
-def test_budgets_hold_on_a_cluster(cluster, tmp_path):
-    plugin = tmp_path / "slow.py"
-    plugin.write_text(PLUGIN.replace("FILE", repr(os.devnull)))
-    tasks = [measure_task(cell) for cell in cells("slow", 0.1)]
-    with ClusterRunner([str(plugin)], cluster.scheduler_address, 0.5, 4.0) as runner:
+def test_budgets_hold_on_a_cluster(cluster):
+    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 1e-7)]
+    with ClusterRunner(cluster.scheduler_address, Limits(0.5, 4.0)) as runner:
         ((_, answer),) = runner.run([tasks])
     assert isinstance(answer, NoAnswer)
     assert answer.status == "budget_exceeded"
 
 
 def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
-    tasks = [measure_task(cell) for cell in cells("newmark", 0.1)]
-    with ClusterRunner(
-        [str(tmp_path / "missing.py")], cluster.scheduler_address, 30.0, 4.0
-    ) as runner:
+    missing = Sources(frozenset({str(tmp_path / "missing.py")}))
+    tasks = [measure_task(cell, missing) for cell in cells("newmark", 0.1)]
+    with ClusterRunner(cluster.scheduler_address, Limits(30.0, 4.0)) as runner:
         ((_, answer),) = runner.run([tasks])
-    assert (type(answer), answer.status) == (NoAnswer, "crashed")
+    # It says nothing of the method: the run is made when the cluster has the plugin.
+    assert (type(answer), answer.status) == (NoAnswer, "interrupted")
     assert "missing.py" in answer.message
 
 
@@ -141,4 +142,4 @@ def test_a_cluster_that_does_not_answer_costs_one_sentence(
 def test_without_the_library_the_cluster_is_refused(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(SpecError, match=r"stepbench\[cluster\]"):
-        ClusterRunner([], "tcp://127.0.0.1:1", 1.0, 1.0)
+        ClusterRunner("tcp://127.0.0.1:1", Limits(1.0, 1.0))

@@ -11,6 +11,7 @@ from helpers import long
 from bench.conformance.checker import CHECKS, Checker, examine
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"
 
@@ -150,11 +151,11 @@ def test_a_check_without_an_object_says_why(registry):
     [("hangs", 2.0, "It did not end within 2 s"), ("exits", 60.0, "The process died")],
 )
 def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
-    registry, monkeypatch, how, budget, sentence
+    monkeypatch, how, budget, sentence
 ):
     few = {name: CHECKS["integrators"][name] for name in ("repeats", "options")}
     monkeypatch.setitem(CHECKS, "integrators", few)
-    with Checker(registry, budget) as checker:
+    with Checker(Inventory([PLUGINS]), budget) as checker:
         repeats, options = checker.check("integrators", f"wrong[how={how}]")
     assert repeats.verdict == FAILED
     assert sentence in repeats.text

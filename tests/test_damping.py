@@ -10,9 +10,10 @@ import sys
 import pytest
 from planted import Document, everything, plant
 
-from bench.plugins.registry import Registry
+from bench.guard.limits import Limits
 from bench.results.records import Damping, Rows, SceneRecord
 from bench.results.store import Store
+from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
@@ -94,7 +95,7 @@ def test_the_page_shows_what_the_run_found(folder):
 
 
 def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
-    registry = Registry([])
+    registry = Inventory()
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
     with Store(folder / "out") as store:
         scenes, records = store.scenes(), store.records()
@@ -121,11 +122,11 @@ class Silent:
 
 def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path):
     shutil.copytree(folder / "out", tmp_path / "out")
-    registry, name = Registry([]), "newmark[beta=0.25,gamma=0.5]"
+    registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
 
     def complete(store, budget_s):
-        with Runner([], 1, budget_s, 4.0) as runner:
+        with Runner(1, Limits(budget_s, 4.0)) as runner:
             analysis.complete(suite, store, registry, runner, Silent())
         return store.damping()
 
@@ -137,7 +138,10 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
         store.save_damping(name, None)
         lost = complete(store, 1e-9)[name]
         assert lost.omega_h == known[name].omega_h
-        assert "Stopped while running because it took longer" in lost.message
+        assert (
+            "Stopped while running because it took more than 1e-09 s of processor time"
+            in lost.message
+        )
         assert complete(store, 60.0)[name] == lost
 
 

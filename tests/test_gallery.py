@@ -42,7 +42,7 @@ def test_drawings_follow_the_motion():
     for d in made:
         rod = np.array(d["lines"][0])
         np.testing.assert_allclose(rod[1], scene.exact(np.array([d["t"]]))["q"][0], atol=1e-12)
-    record = scene_record(scene, Reference(scene, 1.35))
+    record = scene_record(scene, 1.35, lambda: Reference(scene, 1.35))
     assert record.tags == list(scene.tags)
     assert record.difficulties
     assert record.title == "A point mass on a massless rod: a small index-3 system with an " \

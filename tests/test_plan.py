@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile
 from problems.spec import SpecError
@@ -22,7 +22,7 @@ steps = [0.02, 0.01]
 def suite_of(tmp_path, text):
     file = tmp_path / "mine.toml"
     file.write_text(text)
-    return make_suite(*read_profile(str(file)), Registry())
+    return make_suite(*read_profile(str(file)), Inventory())
 
 
 def test_varied_options_are_combined_with_every_integrator(tmp_path):
@@ -57,7 +57,7 @@ def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):
 
 @pytest.mark.parametrize("name", built_in_profiles())
 def test_built_in_profiles_name_only_what_there_is(name):
-    registry = Registry()
+    registry = Inventory()
     suite = make_suite(*read_profile(name), registry)
     for text in {cell.integrator for cell in suite.cells.values()}:
         assert registry.integrator(text).spec == text

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 
-import click
 import pytest
-from click.testing import CliRunner
-
-from bench.commands.options import ShortErrors
 
 HEAD = """
 from dataclasses import dataclass
@@ -115,15 +111,3 @@ def test_a_parameter_in_the_name_and_again_by_itself_is_refused(stepbench):
     result = stepbench("solve", "pendulum[m=2]", "hht", "--set", "m=1")
     assert isinstance(result.exception, SystemExit)
     assert "'m' is given in 'pendulum[m=2]' and again by itself" in result.output
-
-
-@pytest.mark.parametrize(("command", "stored"), [("run", True), ("solve", False)])
-def test_ctrl_c_promises_to_go_on_only_where_results_are_stored(command, stored):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    group = ShortErrors(commands=[click.Command(command, callback=interrupted)])
-    result = CliRunner().invoke(group, [command])
-    assert result.exit_code == 130
-    assert result.stderr.startswith("Interrupted.")
-    assert ("are stored" in result.stderr) == stored

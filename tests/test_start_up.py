@@ -12,6 +12,7 @@ import pytest
 from helpers import long
 
 from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner, measure_task
@@ -28,7 +29,7 @@ def test_help_lists_and_plans_are_made_without_a_compiler():
     code = (
         "import sys; from bench.commands import main; from bench.running.plan import make_suite; "
         "from bench.running.profiles import read_profile; "
-        "from bench.plugins.registry import Registry; registry = Registry(); "
+        "from bench.running.inventory import Inventory; registry = Inventory(); "
         "assert len(make_suite(*read_profile('quick'), registry).cells) > 100; "
         "print(*sys.modules.keys() & {'jax', 'scipy', 'diffrax', 'vl_convert'})"
     )
@@ -136,7 +137,7 @@ def test_an_adaptive_program_traces_its_step_once(kind, monkeypatch):
 
 
 def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
-    suite = make_suite(*read_profile("quick"), Registry())
+    suite = make_suite(*read_profile("quick"), Inventory())
     scenes = {cell.problem for cell in suite.cells.values()}
     controls = {Registry().integrator(c.integrator).controls for c in suite.cells.values()}
     assert (len(suite.cells), scenes) == (115, {"spring_mass", "pendulum"})

@@ -16,10 +16,11 @@ from typing import Any
 
 import msgspec
 
-from bench.plugins.registry import Registry
+from bench.plugins.facts import MethodFacts
 from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell, check_end
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
 
@@ -188,7 +189,7 @@ def _one_of(value: str | None, known: Sequence[str], what: str) -> None:
         raise SpecError(f"{what}={value!r} is not known; {spec.suggest(str(value), known)}.")
 
 
-def sweep_of(s: Settings, integrator: Integrator | None, registry: Registry) -> Sweep:
+def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -> Sweep:
     """Return the runs of an integrator (None for the measure "condition") with these settings.
 
     Raises

@@ -21,16 +21,17 @@ from bench.atlas.measures import (
     value_of,
     within,
 )
-from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import Registry
+from bench.guard.limits import Limits
+from bench.guard.process import NoAnswer
+from bench.plugins.facts import MethodFacts
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
+from bench.results.records import INTERRUPTED
 from bench.results.store import Store
-from bench.running.processes import NoAnswer
+from bench.running.inventory import Inventory
 from bench.running.runner import Runner, Task, measure_task
-from bench.running.session import Progress, result_of
+from bench.running.session import Progress, result_of, teller
 from bench.running.worker import Worker
 from bench.stability.damping import linear_response
-from integrators.contract import Integrator
 from problems.spec import SpecError
 
 
@@ -39,24 +40,28 @@ class _Trial:
     """A case to be run; nothing is predicted for a method that was added."""
 
     case: Case
-    integrator: Integrator | None
+    integrator: MethodFacts | None
     sweep: Sweep
     predicted: bool
     message: str = ""
 
-    def tasks(self) -> list[Task]:
+    def tasks(self, registry: Inventory) -> list[Task]:
         s, x = self.sweep.settings, self.sweep.x
         if s.measure == "condition":
             return [Task(conditions, (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
-            return [Task(linear_response, (self.integrator.spec, x, s.pattern or (1.0,)))]
-        return [measure_task(cell, s.measure == "error") for cell in self.sweep.cells]
+            name, pattern = self.integrator.spec, s.pattern or (1.0,)
+            return [Task(linear_response, (name, x, pattern), sources=self.integrator.sources)]
+        return [
+            measure_task(cell, cell.sources(registry), s.measure == "error")
+            for cell in self.sweep.cells
+        ]
 
 
 def run_experiments(
     experiments: Sequence[Experiment],
     added: Sequence[str],
-    registry: Registry,
+    registry: Inventory,
     jobs: int,
     budget_s: float,
     progress: Progress,
@@ -86,7 +91,7 @@ def run_experiments(
         If a name or an option is not known, or a case does not fit its integrator.
     """
     progress.phase("failure atlas", len(experiments))
-    with Runner(registry.paths, jobs, budget_s, memory_gib) as runner:
+    with Runner(jobs, Limits(budget_s, memory_gib), teller(progress)) as runner:
         for experiment in experiments:
             progress.working(experiment.title)
             yield _run(experiment, added, registry, runner)
@@ -97,7 +102,7 @@ def complete(
     experiments: Sequence[Experiment],
     added: Sequence[str],
     store: Store,
-    registry: Registry,
+    registry: Inventory,
     jobs: int,
     progress: Progress,
     budget_s: float = 60.0,
@@ -111,7 +116,9 @@ def complete(
     missing = [
         e
         for e in experiments
-        if e.name not in stored or stored[e.name].digest != digest(e, added, registry)
+        if e.name not in stored
+        or not stored[e.name].measured
+        or stored[e.name].digest != digest(e, added, registry)
     ]
     if missing:
         for found in run_experiments(missing, added, registry, jobs, budget_s, progress):
@@ -120,30 +127,30 @@ def complete(
     return [stored[e.name] for e in experiments]
 
 
-def digest(experiment: Experiment, added: Sequence[str], registry: Registry) -> str:
+def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) -> str:
     """Return a digest of the experiment and the source of all scenes and integrators in it."""
     parts = [msgspec.json.encode((experiment, list(added)))]
     for part in experiment.part:
         for case in part.case:
             s = merged(part, case)
             if case.integrator:
-                parts.append(fingerprint(type(registry.integrator(case.integrator))).encode())
+                parts.append(registry.integrator(case.integrator).fingerprint.encode())
             if s.problem:
-                parts.append(fingerprint(type(registry.problem(s.problem))).encode())
-    parts += [fingerprint(type(registry.integrator(name))).encode() for name in added]
+                parts.append(registry.problem(s.problem).fingerprint.encode())
+    parts += [registry.integrator(name).fingerprint.encode() for name in added]
     return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
 
 
 def _run(
-    experiment: Experiment, added: Sequence[str], registry: Registry, runner: Runner
+    experiment: Experiment, added: Sequence[str], registry: Inventory, runner: Runner
 ) -> ExperimentResult:
     plans = [(part, _trials(part, added, registry)) for part in experiment.part]
     groups = defaultdict(list)
     for _, trials in plans:
         for trial in trials:
-            for task in trial.tasks():
+            for task in trial.tasks(registry):
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[trial.sweep.settings.problem, shared]
+                group = groups[trial.sweep.settings.problem, shared, task.sources]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -155,7 +162,7 @@ def _run(
     )
 
 
-def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial]:
+def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Trial]:
     trials = []
     for case in part.case:
         method = registry.integrator(case.integrator) if case.integrator else None
@@ -177,7 +184,7 @@ def _trials(part: Part, added: Sequence[str], registry: Registry) -> list[_Trial
 
 
 def _part(
-    part: Part, trials: Sequence[_Trial], answers: dict[Task, Any], registry: Registry
+    part: Part, trials: Sequence[_Trial], answers: dict[Task, Any], registry: Inventory
 ) -> PartResult:
     take = part.take or "last"
     return PartResult(
@@ -191,15 +198,16 @@ def _part(
 
 
 def _case(
-    part: Part, trial: _Trial, take: str, answers: dict[Task, Any], registry: Registry
+    part: Part, trial: _Trial, take: str, answers: dict[Task, Any], registry: Inventory
 ) -> CaseResult:
     method, sweep, case = trial.integrator, trial.sweep, trial.case
     y: list[float | None] = []
-    messages, shown, rounding = [trial.message], None, 0.0
-    for task in trial.tasks():
+    messages, shown, rounding, stopped = [trial.message], None, 0.0, False
+    for task in trial.tasks(registry):
         answer = answers[task]
         if task.job is Worker.measure:
             record, rows = result_of(task.arguments[0], answer, registry)
+            stopped = stopped or bool(record.stopped) or record.status == INTERRUPTED
             y.append(value_of(sweep.settings, record, rows))
             rounding = max(rounding, rounding_of(sweep.settings, record))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
@@ -207,25 +215,28 @@ def _case(
             shown = shown or history(sweep.settings.show or "", rows)
         elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
+            stopped = stopped or answer.status in ("budget_exceeded", INTERRUPTED)
         else:
             y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
     x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    number = number_of(sweep.settings.take or take, x, y, rounding)
-    if number is None:
+    number = None if stopped else number_of(sweep.settings.take or take, x, y, rounding)
+    if number is None and not stopped:
         lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
         messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")
+    judged = trial.predicted and not stopped
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
-        family=(method.family or method.name) if method else "",
+        family=method.family if method else "",
         axis=sweep.axis,
         x=x,
         y=y,
         number=number,
         predicted=_bounds(case.predicted) if trial.predicted else None,
-        as_predicted=bool(within(number, case.predicted)) if trial.predicted else None,
-        healthy=within(number, case.healthy or part.healthy),
+        as_predicted=bool(within(number, case.predicted)) if judged else None,
+        healthy=None if stopped else within(number, case.healthy or part.healthy),
+        stopped=stopped,
         message=next(filter(None, messages), ""),
         history=shown,
     )

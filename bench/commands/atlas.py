@@ -9,6 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
+from bench.guard.interrupts import remark
 
 
 @click.command()
@@ -18,6 +19,7 @@ from bench.commands.pages import view
 @options.with_folder("stepbench-atlas", "Folder of the results and the page.")
 @options.with_fresh
 @options.with_jobs("Worker processes.")
+@options.with_given_budget("Processor time of a run in s, after which it is stopped; 60.")
 @options.with_plugins
 @options.with_as_json
 def atlas(
@@ -27,6 +29,7 @@ def atlas(
     out: Path,
     fresh: bool,
     jobs: int,
+    budget: float | None,
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -56,12 +59,13 @@ def atlas(
     registry = options.usable_registry(plugins)
     added = [registry.integrator(name).spec for name in integrators]
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
-        results = complete(experiments, added, store, registry, jobs, progress)
+        remark("Finished experiments are stored; the same command goes on.")
+        results = complete(experiments, added, store, registry, jobs, progress, budget or 60.0)
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(results), indent=2))
     else:
         show(atlas_tables(results))
         click.echo(f"Page: {view('atlas')(results, out)}")
-    differ = [result.name for result in results if not result.as_predicted]
+    differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
     if differ:
-        raise click.ClickException(f"Not as predicted: {', '.join(differ)}.")
+        raise click.ClickException(f"Not all is as predicted: {', '.join(differ)}.")

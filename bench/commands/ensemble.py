@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from bench.commands import options
 from bench.results.csv_text import csv_text
-from integrators.contract import Integrator
 from problems.spec import SpecError
-from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from bench.plugins.facts import Sources
+    from bench.sweeps.jobs import SweepRequest
 
 _MOST_MEMBERS = 1_000_000
 
@@ -52,38 +54,23 @@ def refuse_alone(vary: tuple[str, ...], seed: int | None, out: Path | None) -> N
 
 
 def solve_ensemble(
-    scene: MechatronicSystem,
-    method: Integrator,
-    given: dict[str, Any],
-    t_end: float | None,
+    sources: Sources,
+    request: SweepRequest,
     count: int,
     vary: tuple[str, ...],
     seed: int | None,
-    budget: float,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Draw the members, run them, and show or write the results.
+    """Draw the members, run them, and show or write the results."""
+    from bench.sweeps.jobs import ensemble_job
 
-    ``given`` holds the values of --step, --pattern, --rtol and --atol.
-    """
-    import numpy as np
-
-    from bench.sweeps.batch import refuse
-    from bench.sweeps.ensemble import ensemble
-    from bench.sweeps.variation import find_range, read_ranges
-
-    refuse(method, scene)
     if not vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
     if out and out.suffix not in (".csv", ".json"):
         raise SpecError(f"{out.name} is no table; give a name that ends in .csv or .json.")
-    spans = read_ranges(vary, "--vary")
-    ranges = {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
-    resolution = options.unvaried_resolution(scene, method, given, t_end, ranges.values())
-    generator = np.random.default_rng(seed or 0)
-    values = {name: drawn.random(count, generator) for name, drawn in ranges.items()}
-    result = ensemble(scene, method, values, resolution, t_end, budget)
+    task = request, count, vary, seed or 0
+    result = options.guarded(ensemble_job, sources, request.budget, task, threads=True)
     rows, statuses = result.rows(), result.statuses()
     if as_json:
         answer = {

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from bench.plugins.registry import Registry
+from bench.plugins.facts import SceneFacts, Sources
 from bench.results.store import StoreError
+from bench.running.inventory import Inventory
 from bench.running.plan import check_end
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Tolerances
 from problems.spec import SpecError, suggest
-from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from bench.sweeps.variation import Range
-
-#: Exit code of a command that Ctrl-C ended.
-_INTERRUPTED = 130
 
 
 class ShortErrors(click.Group):
@@ -39,13 +34,6 @@ class ShortErrors(click.Group):
             return super().invoke(ctx)
         except (SpecError, StoreError) as error:
             raise click.ClickException(str(error)) from error
-        except KeyboardInterrupt:
-            # Only a run stores as it goes.
-            stored = " Finished runs are stored; the same command goes on."
-            click.echo(
-                "Interrupted." + (stored if ctx.invoked_subcommand == "run" else ""), err=True
-            )
-            sys.exit(_INTERRUPTED)
         except BrokenPipeError:
             sys.exit(1)
         except OSError as error:
@@ -84,21 +72,23 @@ def name_values(
     return pairs
 
 
-def not_nan(context: click.Context, parameter: click.Parameter, value: float) -> float:
+def not_nan(
+    context: click.Context, parameter: click.Parameter, value: float | None
+) -> float | None:
     """Refuse NaN, which every comparison with a limit lets through."""
-    if math.isnan(value):
+    if value is not None and math.isnan(value):
         raise click.BadParameter("nan is not a number of seconds.")
     return value
 
 
-def usable_registry(plugins: Sequence[str]) -> Registry:
-    """Load all plugins; raise PluginError if a file named with --plugins cannot be used."""
-    registry = Registry(plugins)
+def usable_registry(plugins: Sequence[str]) -> Inventory:
+    """List all plugins; raise PluginError if a file named with --plugins cannot be used."""
+    registry = Inventory(plugins)
     registry.require_files()
     return registry
 
 
-def end_time(scene: MechatronicSystem, t_end: float | None) -> float:
+def end_time(scene: SceneFacts, t_end: float | None) -> float:
     """Return the end time in s: the given one or the scene's own.
 
     Raises
@@ -109,61 +99,38 @@ def end_time(scene: MechatronicSystem, t_end: float | None) -> float:
     return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
 
 
-def resolution(
-    scene: MechatronicSystem,
-    method: Integrator,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
-    rtol: float | None,
-    atol: float | None,
-) -> Steps | Tolerances:
-    """Return the steps or tolerances of a run.
+def say_printed(label: str, text: str) -> None:
+    """Show on the standard error what a run printed."""
+    click.echo(f"{label} printed: {text}", err=True)
+
+
+def guarded(
+    job: Callable[..., Any],
+    sources: Sources,
+    budget_s: float,
+    arguments: tuple,
+    threads: bool = False,
+) -> Any:
+    """Do a job of a worker in a process of its own, with plugins and within a budget in s.
+
+    A job that watches the budget itself, as sweeps do, is given half as much again to end by it.
 
     Raises
     ------
     SpecError
-        If options of the other kind are given: steps to a method that chooses its own, or
-        tolerances to a method with fixed steps.
+        If the job refuses its arguments, or has no answer.
     """
+    from bench.guard.limits import Limits
+    from bench.guard.process import ask_once
+    from bench.running.worker import start_worker
 
-    def refuse(takes: str, **given: Any) -> None:
-        for option, value in given.items():
-            if value is not None:
-                raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
-
-    if method.controls == "step":
-        refuse("fixed steps; give --step", rtol=rtol, atol=atol)
-        return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
-    refuse("steps of its own; give --rtol", step=step, pattern=pattern)
-    return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)
-
-
-def unvaried_resolution(
-    scene: MechatronicSystem,
-    method: Integrator,
-    given: dict[str, Any],
-    t_end: float | None,
-    ranges: Iterable[Range],
-) -> Steps | Tolerances:
-    """Return the step, pattern or tolerances that are the same in all runs of a sweep.
-
-    ``given`` holds the values of --step, --pattern, --rtol and --atol; ``ranges`` vary.
-
-    Raises
-    ------
-    SpecError
-        If an option is given whose quantity varies, or a step in the ranges does not fit.
-    """
-    end = end_time(scene, t_end)
-    for varied in ranges:
-        _, owner, field = varied.quantity
-        option = {"step": "step", "tolerance": field}.get(owner, "")
-        if given.get(option) is not None:
-            raise SpecError(f"The {owner} varies itself; leave --{option} out.")
-        if owner == "step":
-            for h in (varied.low, varied.high):
-                Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
-    return resolution(scene, method, **given)
+    processors = (os.cpu_count() or 1) if threads else 1
+    limits = Limits(
+        1.5 * budget_s if threads else budget_s,
+        processors=processors,
+        advice="give it less to do, or a larger --budget",
+    )
+    return ask_once(start_worker, (sources, threads), limits, job, *arguments)
 
 
 # ---- options -----------------------------------------------------------------------------
@@ -240,8 +207,17 @@ with_budget = click.option(
     callback=not_nan,
     default=300.0,
     show_default=True,
-    help="Seconds after which a run is stopped.",
+    help="Processor time in s after which a run is stopped.",
 )
+
+
+def with_given_budget(words: str) -> Callable:
+    """Add --budget without a default: a file may state one."""
+    return click.option(
+        "--budget", type=click.FloatRange(min=0, min_open=True), callback=not_nan, help=words
+    )
+
+
 with_as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
 )

@@ -12,8 +12,6 @@ from bench.commands import options
 from bench.commands.pages import view
 from problems.spec import SpecError
 
-#: Points of a range; fewer along a parameter each value of which needs a reference of its own.
-_POINTS, _POINTS_INTEGRATED = 100, 25
 _MOST_POINTS = 1_000_000
 
 
@@ -39,7 +37,7 @@ _MOST_POINTS = 1_000_000
 @click.option(
     "--grid",
     metavar="NXxNY",
-    help=f"Points along both; {_POINTS}x{_POINTS} if not given, {_POINTS_INTEGRATED} along a "
+    help="Points along both; 100x100 if not given, 25 along a "
     "parameter of a scene without a closed form.",
 )
 @click.option("--step", type=float, help="Step size h in s, if h does not vary.")
@@ -98,51 +96,33 @@ def map_(
       stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
       stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
     """
-    from bench.sweeps.batch import refuse
-    from bench.sweeps.outcome_map import outcome_map
-    from bench.sweeps.variation import find_range, read_ranges
-
-    registry = options.usable_registry(plugins)
-    scene = registry.problem(problem, **settings)
-    method = registry.integrator(integrator)
-    refuse(method, scene)
-    names = [name.strip() for name in over.split(",")]
+    names = tuple(name.strip() for name in over.split(","))
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
-    spans = read_ranges(ranges, "--range")
-    stray = next((name for name in spans if name not in names), None)
-    if stray:
-        raise SpecError(f"--range {stray} is of no axis; the axes are {names[0]} and {names[1]}.")
-    x, y = (find_range(name, scene, method, spans.get(name)) for name in names)
+    counts = _read_grid(grid) if grid else None
+    registry = options.usable_registry(plugins)
     given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-    resolution = options.unvaried_resolution(scene, method, given, t_end, (x, y))
-    points = [
-        _POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has("exact") else _POINTS
-        for r in (x, y)
-    ]
-    result = outcome_map(
-        scene,
-        method,
-        (x, y),
-        _read_grid(grid) if grid else (points[0], points[1]),
-        resolution,
-        t_end,
-        error,
-        threshold,
-        budget,
+    sources = (
+        registry.problem(problem, **settings).sources | registry.integrator(integrator).sources
     )
-    plain = result.as_dict()
+
+    from bench.sweeps.jobs import SweepRequest, map_job
+
+    request = SweepRequest(problem, settings, integrator, given, t_end, budget)
+    plain = options.guarded(
+        map_job, sources, budget, (request, names, ranges, counts, error, threshold), threads=True
+    )
     if as_json:
         click.echo(json.dumps(plain, allow_nan=False))
         return
-    total = result.outcome.size
+    total = sum(plain["counts"].values())
     click.echo(
-        f"{result.integrator} on {result.problem} over {names[0]} and {names[1]}: {total} runs"
+        f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}: {total} runs"
     )
-    for name, count in result.counts().items():
-        reason = f"  {result.reasons[name]}" if name in result.reasons else ""
+    for name, count in plain["counts"].items():
+        reason = f"  {plain['reasons'][name]}" if name in plain["reasons"] else ""
         click.echo(f"  {name:13} {count:7d}  {100 * count / total:5.1f} %{reason}")
-    click.echo(f"Prepared in {result.compile_s:.2g} s, run in {result.run_s:.2g} s.")
+    click.echo(f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.")
     click.echo(f"Page: {view('map')(plain, out)}")
 
 

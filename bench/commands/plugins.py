@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from bench.commands import options
-from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
 from problems.spec import SpecError, snake_case
 
 _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
@@ -30,7 +30,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
       stepbench list
       stepbench list integrators --json
     """
-    registry = Registry(plugins)
+    registry = Inventory(plugins)
     kinds = list(_WORDS) if kind == "all" else [kind]
     listed = {k: list(getattr(registry, k).values()) for k in kinds}
     if as_json:
@@ -40,7 +40,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
                     "name": p.name,
                     "summary": p.summary,
                     "origin": p.origin,
-                    "available": p.cls is not None,
+                    "available": not p.reason,
                     "reason": p.reason,
                     "options": p.options,
                 }
@@ -85,7 +85,7 @@ def check(
     from bench.commands.terminal_tables import check_line
     from bench.conformance.checker import FAILED, Checker, chosen, is_file
 
-    registry = Registry([*plugins, *(name for name in names if is_file(name))])
+    registry = Inventory([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)
     answers, count, failed = [], 0, 0
     with Checker(registry, budget) as checker:
@@ -147,7 +147,7 @@ def _require_free(name: str) -> None:
         if not re.match("[a-z]", word) or keyword.iskeyword(word):
             word = f"my_{word}".strip("_")
         raise SpecError(f"{name!r} is not a name in small letters, digits and '_'; try {word!r}.")
-    registry = Registry()
+    registry = Inventory()
     for kind in _WORDS:
         plugins = getattr(registry, kind)
         if name in plugins:

@@ -8,7 +8,6 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
-from bench.plugins.registry import explain
 from problems.spec import SpecError
 
 #: Number of pictures in an animation: enough for 12 s of smooth motion.
@@ -21,6 +20,7 @@ _FRAMES = 240
 @click.option("--animate", is_flag=True, help="Write a page that plays the motion, offline.")
 @options.with_t_end
 @options.with_set
+@options.with_budget
 @options.with_plugins
 def show(
     problem: str,
@@ -28,6 +28,7 @@ def show(
     animate: bool,
     t_end: float | None,
     settings: dict[str, str],
+    budget: float,
     plugins: tuple[str, ...],
 ) -> None:
     """Write a picture (SVG or PNG) of a scene at several times, or an animation (HTML).
@@ -38,20 +39,18 @@ def show(
       stepbench show pendulum --set th0=3.0 -o pendulum.png
       stepbench show slider_crank --animate
     """
-    from bench.running.scene_records import GHOSTS, drawings
-    from problems.reference import Reference
+    from bench.running.scene_records import GHOSTS
+    from bench.running.worker import Worker
 
     scene = options.usable_registry(plugins).problem(problem, **settings)
     end = options.end_time(scene, t_end)
     path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
+    task = scene.spec, end, _FRAMES if animate else GHOSTS
     try:
-        pictures = drawings(scene, Reference(scene, end), _FRAMES if animate else GHOSTS)
-        written = view("animation" if animate else "still")(scene.spec, pictures, path)
-    except OSError:
-        raise
-    except Exception as error:  # the scene may be a plugin, which may do anything
-        said = str(error) if isinstance(error, SpecError) else explain(error)
-        raise SpecError(f"{scene.spec} cannot be shown: {said}") from error
+        pictures = options.guarded(Worker.pictures, scene.sources, budget, task)
+    except SpecError as error:
+        raise SpecError(f"{scene.spec} cannot be shown: {error}") from error
+    written = view("animation" if animate else "still")(scene.spec, pictures, path)
     click.echo(f"Picture: {written}")
 
 
@@ -74,10 +73,10 @@ def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[s
     from bench.running.session import describe_scenes
 
     registry = options.usable_registry(plugins)
-    usable = [name for name, plugin in registry.problems.items() if plugin.cls]
+    usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
     scenes = [registry.problem(name) for name in names or usable]
     with RunProgress() as progress:
-        records = describe_scenes(scenes, registry, budget, progress)
+        records = describe_scenes(scenes, budget, progress)
     if not records:
         raise SpecError("No scene could be described.")
     for page in view("catalogue")(records, out):

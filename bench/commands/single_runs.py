@@ -11,9 +11,9 @@ from bench.commands import ensemble as ensembles
 from bench.commands import options
 from bench.results import summary
 from bench.running.plan import DEFAULT_HALVINGS, Cell
+from bench.running.plan import resolution as resolution_of
 from integrators.contract import Steps
 from problems.spec import SpecError
-from problems.system import GROUPS
 
 
 @click.command()
@@ -59,14 +59,16 @@ def solve(
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
     if ensemble is not None:
+        from bench.sweeps.jobs import SweepRequest
+
         given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-        ensembles.solve_ensemble(
-            scene, method, given, t_end, ensemble, vary, seed, budget, out, as_json
-        )
+        request = SweepRequest(scene.spec, {}, method.spec, given, t_end, budget)
+        sources = scene.sources | method.sources
+        ensembles.solve_ensemble(sources, request, ensemble, vary, seed, out, as_json)
         return
     ensembles.refuse_alone(vary, seed, out)
     end = options.end_time(scene, t_end)
-    resolution = options.resolution(scene, method, step, pattern, rtol, atol)
+    resolution = resolution_of(scene, method, step, pattern, rtol, atol)
     if isinstance(resolution, Steps):
         count = resolution.count(scene.interval[0], end)
         used = (end - scene.interval[0]) / count
@@ -79,15 +81,15 @@ def solve(
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    ((record, rows),) = solve_cells([cell], registry, samples=7, budget_s=budget)
+    ((record, rows),), names = solve_cells(
+        [cell], registry, samples=7, budget_s=budget, printed=options.say_printed
+    )
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import solution_table
 
-        names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
-        names["xdot"] = [c.rate().text for c in scene.components("x")]
         show(solution_table(record, rows, names))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
@@ -142,7 +144,10 @@ def order(
         cells.append(Cell(scene.spec, method.spec, end, resolution))
     from bench.running.session import solve_cells
 
-    records = [record for record, _ in solve_cells(cells, registry, samples=0, budget_s=budget)]
+    results, _ = solve_cells(
+        cells, registry, samples=0, budget_s=budget, printed=options.say_printed
+    )
+    records = [record for record, _ in results]
     orders = summary.orders(records)
     if as_json:
         click.echo(json.dumps(orders, indent=2))

@@ -9,8 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.pages import view
-from bench.plugins.registry import explain
-from problems.spec import SpecError, build
+from problems.spec import SpecError
 
 _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 
@@ -37,6 +36,7 @@ _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
     help="Patterns in which the largest safe step ratio is sought: two steps in turns, which takes "
     "seconds, or any of up to six, which takes a minute.",
 )
+@options.with_budget
 @options.with_folder("stepbench-stability", "Folder of the page.")
 @options.with_plugins
 @options.with_as_json
@@ -47,6 +47,7 @@ def stability(
     zeta: float | None,
     system: str,
     ratios: str,
+    budget: float,
     out: Path,
     plugins: tuple[str, ...],
     as_json: bool,
@@ -80,17 +81,17 @@ def stability(
 
     from bench.commands.terminal import show
     from bench.commands.terminal_tables import stability_tables
-    from bench.stability.analysis import SYSTEMS, analyse
+    from bench.stability.analysis import analysis_job
 
-    scene = build(SYSTEMS[system], {} if zeta is None else {"zeta": zeta}, system)
-    results = []
-    for method in methods:
-        try:
-            results.append(analyse(method, scene, pattern or (1.0,), at or (), ratios))
-        except SpecError:
-            raise
-        except Exception as error:  # the method may be a plugin, which may do anything
-            raise SpecError(f"{method.spec} cannot be analysed: {explain(error)}") from error
+    results = [
+        options.guarded(
+            analysis_job,
+            method.sources,
+            budget,
+            (method.spec, system, zeta, pattern or (1.0,), at or (), ratios),
+        )
+        for method in methods
+    ]
     if as_json:
         click.echo(json.dumps(results, indent=2, allow_nan=False))
         return

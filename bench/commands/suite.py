@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from bench.commands import options
 from bench.commands.pages import write_reports
+from bench.guard.interrupts import remark
+from bench.results.records import INTERRUPTED, Record
 from bench.results.store import Store
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
@@ -27,6 +31,10 @@ from bench.running.profiles import read_profile
     metavar="ADDRESS",
     help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
 )
+@options.with_given_budget(
+    "Processor time of a run in s, after which it is stopped; the profile's if not given. Runs "
+    "that a smaller budget stopped are run again.",
+)
 @options.with_plugins
 def run(
     profile: str,
@@ -36,6 +44,7 @@ def run(
     fresh: bool,
     jobs: int,
     cluster: str | None,
+    budget: float | None,
     plugins: tuple[str, ...],
 ) -> None:
     """Run a suite and write its report.
@@ -57,26 +66,43 @@ def run(
     from bench.stability import damping
 
     registry = options.usable_registry(plugins)
-    suite = make_suite(*read_profile(profile), registry, problems, integrators)
+    suite = make_suite(*read_profile(profile), registry, problems, integrators, budget)
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
-        with runner_for(suite, registry, jobs, cluster) as runner:
+        remark("Finished runs are stored; the same command goes on.")
+        for sentence in suite.lost:
+            progress.note(sentence)
+        with runner_for(suite, jobs, progress, cluster) as runner:
             measured = measure_suite(suite, store, registry, runner, progress)
             damping.complete(suite, store, registry, runner, progress)
-            time_suite(suite, store, runner, progress)
+            time_suite(suite, store, registry, runner, progress)
         stored = store.records()
         results = complete(experiments, [], store, registry, jobs, progress)
     records = [stored[key] for key in suite.cells]
     good = sum(record.status == "ok" for record in records)
+    cut = sum(record.status == INTERRUPTED for record in records)
+    interrupted = f"{cut} interrupted, which the same command runs again; " if cut else ""
     click.echo(
-        f"{len(records)} cells: {good} ok, {len(records) - good} failed with a reason; "
-        f"{measured} measured now, {len(records) - measured} kept from before."
+        f"{len(records)} cells: {good} ok, {len(records) - good - cut} failed with a reason; "
+        f"{interrupted}{measured} measured now, {len(records) - measured} kept from before."
     )
     if results:
         held = sum(result.as_predicted for result in results)
         click.echo(f"{len(results)} experiments of the failure atlas: {held} as predicted.")
     write_reports(out)
+    if not good:
+        raise click.ClickException(f"No cell succeeded. {in_common(records)}")
+    if suite.lost:
+        raise click.ClickException(" ".join(suite.lost))
+
+
+def in_common(records: Sequence[Record]) -> str:
+    """Return a sentence on what failed cells have in common: their most frequent reason."""
+    reasons = Counter(f"{record.status}: {record.message}" for record in records)
+    ((reason, count),) = reasons.most_common(1)
+    share = "All end with" if count == len(records) else f"{count} of {len(records)} end with"
+    return f"{share} {reason}"
 
 
 @click.command()

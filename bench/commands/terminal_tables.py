@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.commands.terminal import new_table
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
-from bench.plugins.registry import Plugin
+from bench.plugins.facts import PluginFacts
 from bench.results.experiments import CaseResult, ExperimentResult, bounds
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows, median
@@ -32,14 +32,14 @@ def _add_numbers(table: Table, heads: Iterable[str]) -> None:
 
 
 # ---- plugins and their checks --------------------------------------------------------------
-def plugin_table(kind: str, plugins: list[Plugin]) -> Table:
+def plugin_table(kind: str, plugins: list[PluginFacts]) -> Table:
     """Names, descriptions and options; for an unavailable plugin the reason."""
     table = new_table(kind)
     table.add_column("name", style="cyan", no_wrap=True)
     table.add_column("description")
     for plugin in plugins:
         text = escape(plugin.summary)
-        if plugin.cls is None:
+        if plugin.reason:
             text = f"[red]unavailable:[/red] {escape(plugin.reason)}"
         options = ", ".join(f"{o['name']}={_allowed(o)}" for o in plugin.options)
         if options:
@@ -233,7 +233,7 @@ def atlas_tables(results: Sequence[ExperimentResult]) -> Group:
     """Every number that was measured, beside what was predicted."""
     made: list[RenderableType] = []
     for f in results:
-        verdict = "as predicted" if f.as_predicted else "[red]not as predicted[/red]"
+        verdict = f.verdict if f.as_predicted else f"[red]{f.verdict}[/red]"
         made.append(f"[bold]{f.number}. {escape(f.title)}: {verdict}[/bold]")
         for part in f.parts:
             table = new_table()
@@ -252,6 +252,6 @@ def _case_columns(case: CaseResult) -> tuple[str, str, str, str]:
     return (
         number,
         "" if case.predicted is None else bounds(case.predicted),
-        mark[case.as_predicted],
+        "[red]not measured[/red]" if case.stopped else mark[case.as_predicted],
         case.verdict + (f" ({escape(case.message)})" if case.message else ""),
     )

@@ -22,8 +22,11 @@ from bench.conformance.verdicts import (
     Failed,
     shortly,
 )
-from bench.plugins.registry import Plugin, Registry
-from bench.running.processes import GuardedProcess, NoAnswer, Notify
+from bench.guard.limits import Limits
+from bench.guard.process import GuardedProcess, NoAnswer
+from bench.plugins.facts import PluginFacts, Sources
+from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory, load_registry
 from problems import spec
 from problems.answers import words_of
 from problems.spec import SpecError
@@ -48,7 +51,7 @@ def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult
         return CheckResult(check, FAILED, f"It raised {shortly(error)}")
 
 
-def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:
+def chosen(registry: Inventory, names: tuple[str, ...], everything: bool) -> list[tuple[str, str]]:
     """The plugins to check as (kind, name with options), for names, files, or all.
 
     Raises
@@ -68,7 +71,7 @@ def chosen(registry: Registry, names: tuple[str, ...], everything: bool) -> list
         name, _ = spec.split_spec(text)
         kinds = [kind for kind in CHECKS if name in getattr(registry, kind)]
         if not kinds:
-            hint = spec.suggest(name, [p.name for _, p in plugins if p.cls])
+            hint = spec.suggest(name, [p.name for _, p in plugins if not p.reason])
             raise SpecError(f"There is no scene or integrator {name!r}; {hint}.")
         found += [(kind, text) for kind in kinds]
     if not found:
@@ -92,9 +95,10 @@ class Checker:
         Seconds that one check may take.
     """
 
-    def __init__(self, registry: Registry, budget_s: float) -> None:
+    def __init__(self, registry: Inventory, budget_s: float) -> None:
         self._registry, self._budget_s = registry, budget_s
         self._process: GuardedProcess | None = None
+        self._sources = Sources()
 
     def __enter__(self) -> Checker:
         return self
@@ -106,13 +110,16 @@ class Checker:
     def check(self, kind: str, text: str) -> Iterator[CheckResult]:
         """Yield the result of each check of this kind on the plugin written as ``text``."""
         plugin = self._plugin(kind, text)
-        if plugin.cls is None:
+        if plugin.reason:
             yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
         for name in CHECKS[kind]:
+            if self._process and self._sources != plugin.sources:
+                self._process.end()
             if self._process is None or not self._process.alive:
-                paths = (self._registry.paths,)
-                self._process = GuardedProcess(_make_registry, paths, self._budget_s)
+                limits = Limits(self._budget_s)
+                self._process = GuardedProcess(load_registry, (plugin.sources,), limits)
+                self._sources = plugin.sources
             answer = self._process.ask(examine, kind, text, name)
             if isinstance(answer, NoAnswer):
                 fault = "The process died; look for a crash in compiled code or for an exit."
@@ -124,12 +131,7 @@ class Checker:
                 answer = CheckResult(name, FAILED, fault)
             yield answer
 
-    def _plugin(self, kind: str, text: str) -> Plugin:
+    def _plugin(self, kind: str, text: str) -> PluginFacts:
         plugins = getattr(self._registry, kind)
         # A name that cannot be used is listed with its origin, which is no name with options.
         return plugins.get(text) or plugins[spec.split_spec(text)[0]]
-
-
-def _make_registry(notify: Notify, paths: list[str]) -> Registry:
-    """Make the state of the process of the checks."""
-    return Registry(paths)

@@ -13,7 +13,7 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +27,8 @@ from problems.answers import said, tidy, words_of
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Name of the package of this project.
+PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
 FILE_PREFIX = "stepbench_plugin_"
 #: The kinds of plugins, with their base classes.
@@ -39,12 +41,17 @@ class PluginError(SpecError):
 
 @dataclass
 class Plugin:
-    """A name with its class, or the reason why there is none."""
+    """A name with its class, or the reason why there is none.
+
+    ``file`` or ``package`` is its source, unless it is a part of this project.
+    """
 
     name: str
     origin: str
     cls: type | None
     reason: str = ""
+    file: str = ""
+    package: str = ""
 
     @property
     def summary(self) -> str:
@@ -72,6 +79,12 @@ class Registry:
     ----------
     paths
         Python files, or folders of them, that define scenes or integrators.
+    packages
+        Installed packages of others whose entry points are loaded, too; all if None.
+    loading
+        Told the file or the package that is loaded next.
+    without
+        Files and packages that are not loaded, with the reason.
 
     Raises
     ------
@@ -79,21 +92,27 @@ class Registry:
         If a path is empty or not there.
     """
 
-    def __init__(self, paths: Sequence[str | Path] = ()) -> None:
-        # An empty path, as from an unset shell variable, would mean the current folder.
-        if any(not str(path).strip() for path in paths):
-            raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
-        self.paths = [str(Path(path).resolve()) for path in paths]
-        self._files: set[str] = set()
+    def __init__(
+        self,
+        paths: Sequence[str | Path] = (),
+        packages: Collection[str] | None = None,
+        loading: Callable[[str], None] = lambda source: None,
+        without: Mapping[str, str] | None = None,
+    ) -> None:
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}
+        self._without = without or {}
         for kind in KINDS:
             for entry in sorted(entry_points(group=f"stepbench.{kind}"), key=lambda e: e.name):
-                self._add(kind, _from_entry_point(kind, entry))
-        for path in self.paths:
-            for file in _files(Path(path)):
-                self._files.add(str(file))
-                self._add_file(file)
+                package = entry.dist.name if entry.dist else entry.value
+                own = package == PROJECT
+                if own or packages is None or package in packages:
+                    if not own:
+                        loading(package)
+                    self._add(kind, self._from_entry_point(kind, entry, "" if own else package))
+        for file in plugin_files(paths):
+            loading(file)
+            self._add_file(Path(file))
 
     def problem(self, text: str, **parameters: Any) -> MechatronicSystem:
         """Make the scene ``name[parameter=value,...]``.
@@ -114,19 +133,6 @@ class Registry:
             If the name, an option or a value is not known or not allowed.
         """
         return self._make("integrators", "integrator", text, {})
-
-    def require_files(self) -> None:
-        """Check that all files that were named can be used.
-
-        Raises
-        ------
-        PluginError
-            If one cannot be used.
-        """
-        for plugins in (self.problems, self.integrators):
-            for plugin in plugins.values():
-                if plugin.cls is None and plugin.origin in self._files:
-                    raise PluginError(f"Plugin {plugin.origin} cannot be used: {plugin.reason}")
 
     def _make(self, kind: str, word: str, text: str, more: dict[str, Any]) -> Any:
         name, options = spec.split_spec(text)
@@ -151,18 +157,21 @@ class Registry:
                 plugin.origin,
                 None,
                 f"the name {plugin.name!r} is taken by {taken.origin}; give it another name.",
+                plugin.file,
+                plugin.package,
             )
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
+        module, reason = None, self._without.get(str(file), "")
         try:
-            module = _import_file(file)
+            module = None if reason else _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
-            if isinstance(error, KeyboardInterrupt):
-                raise
+            reason = explain(error)
+        if module is None:
             # Its kind is not known: it is listed under both.
             for kind in KINDS:
-                self._add(kind, Plugin(file.stem, str(file), None, explain(error)))
+                self._add(kind, _broken(file, reason))
             return
         found = 0
         for cls in vars(module).values():
@@ -171,11 +180,40 @@ class Registry:
                 found += 1
                 # A class whose name is of no use is listed, with the reason, under its own.
                 name = cls.name if spec.is_name(cls.name) else cls.__name__
-                self._add(kind, checked_plugin(kind, name, str(file), lambda cls=cls: cls))
+                plugin = checked_plugin(kind, name, str(file), lambda cls=cls: cls)
+                plugin.file = str(file)
+                self._add(kind, plugin)
         if not found:
             reason = "it defines no MechatronicSystem and no Integrator."
             for kind in KINDS:
-                self._add(kind, Plugin(file.stem, str(file), None, reason))
+                self._add(kind, _broken(file, reason))
+
+    def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
+        origin = _package(entry.dist) if entry.dist else entry.value
+        if reason := self._without.get(package):
+            return Plugin(entry.name, origin, None, reason, package=package)
+        plugin = checked_plugin(kind, entry.name, origin, entry.load)
+        plugin.package = package
+        return plugin
+
+
+def _broken(file: Path, reason: str) -> Plugin:
+    return Plugin(file.stem, str(file), None, reason, file=str(file))
+
+
+def plugin_files(paths: Sequence[str | Path]) -> list[str]:
+    """List the Python files that are named, and those in folders that are named.
+
+    Raises
+    ------
+    PluginError
+        If a path is empty or not there.
+    """
+    # An empty path, as from an unset shell variable, would mean the current folder.
+    if any(not str(path).strip() for path in paths):
+        raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
+    files = [str(file) for path in paths for file in _files(Path(path).resolve())]
+    return list(dict.fromkeys(files))
 
 
 def explain(error: BaseException) -> str:
@@ -222,11 +260,6 @@ def _kind_of(cls: Any, module: str) -> str | None:
     return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
 
-def _from_entry_point(kind: str, entry: Any) -> Plugin:
-    origin = _package(entry.dist) if entry.dist else entry.value
-    return checked_plugin(kind, entry.name, origin, entry.load)
-
-
 @cache  # a package reads its metadata anew each time, and has many entry points
 def _package(dist: Any) -> str:
     return f"{dist.name} {dist.version}"
@@ -239,8 +272,6 @@ def checked_plugin(kind: str, name: str, origin: str, load: Callable[[], Any]) -
             cls = load()
         reason = _fault(kind, name, cls)
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            raise
         cls, reason = None, explain(error)
     return Plugin(name, origin, None if reason else cls, reason)
 

@@ -11,6 +11,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
 
     ``healthy`` is None where there is no number; ``message`` says why, or how the first run failed.
     ``predicted`` bounds that are open are None. ``history`` holds t and the shown component.
+    ``stopped`` says that a run was stopped by its budget or from outside: nothing was measured.
     """
 
     label: str
@@ -24,6 +25,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
     as_predicted: bool | None
     healthy: bool | None
     message: str = ""
+    stopped: bool = False
     history: tuple[list[float], list[float]] | None = None
 
     @property
@@ -58,7 +60,23 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
     @property
     def as_predicted(self) -> bool:
         """Whether every predicted number was found."""
-        return all(case.as_predicted is not False for part in self.parts for case in part.cases)
+        return self.measured and not self._differs
+
+    @property
+    def measured(self) -> bool:
+        """Whether no run was stopped by its budget or from outside."""
+        return not any(case.stopped for part in self.parts for case in part.cases)
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on the prediction: "as predicted", "not as predicted" or "not measured"."""
+        if self._differs:
+            return "not as predicted"
+        return "as predicted" if self.measured else "not measured"
+
+    @property
+    def _differs(self) -> bool:
+        return any(case.as_predicted is False for part in self.parts for case in part.cases)
 
 
 def bounds(interval: tuple[float | None, float | None]) -> str:

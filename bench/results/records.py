@@ -13,6 +13,9 @@ from bench.results.quantities import GROUPS, LEVELS, NORMS, PARTS, whole
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
 
+#: Status of a cell whose run somebody or something ended from outside; it is run again.
+INTERRUPTED = "interrupted"
+
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.
 TIMING_SECONDS = 1.0
@@ -42,6 +45,7 @@ class Record(msgspec.Struct, kw_only=True):
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
     the bill of the run: floating-point operations by part, empty where a part is not known.
     ``calls`` is the integrator's statement of how its steps call the equations.
+    ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too.
     ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
     that measured.
     """
@@ -74,6 +78,7 @@ class Record(msgspec.Struct, kw_only=True):
     environment: int = 0
     fingerprint: str = ""
     budget_s: float | None = None
+    stopped: str = ""
     schema: int = SCHEMA
 
     @property
@@ -97,6 +102,7 @@ class Rows(msgspec.Struct, kw_only=True):
 class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
+    ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s``.
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
@@ -114,6 +120,8 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     reference: Rows
     drawings: list[dict[str, Any]] = []
     fingerprint: str = ""
+    stopped: str = ""
+    budget_s: float | None = None
     tags: list[str] = []
     difficulties: list[str] = []
     equations: list[str] = []

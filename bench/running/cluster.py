@@ -6,12 +6,13 @@ one worker process, so that times of different machines are never compared.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from bench.plugins.registry import Registry
-from bench.running.processes import NoAnswer
+from bench.guard import wire
+from bench.guard.limits import Limits
+from bench.guard.process import NoAnswer
+from bench.plugins.registry import plugin_files
 from bench.running.runner import Runner, Task
 from problems.spec import SpecError
 
@@ -26,12 +27,11 @@ class ClusterRunner(Runner):
 
     Parameters
     ----------
-    plugin_paths
-        Plugin files and folders; the cluster's workers must find them under the same names.
     address
-        Of the scheduler, such as tcp://host:8786.
-    budget_s, memory_gib
-        The most that one task may take, as in Runner.
+        Of the scheduler, such as tcp://host:8786. Its workers must find plugin files under the
+        same names.
+    limits, printed
+        As in Runner.
 
     Raises
     ------
@@ -40,7 +40,10 @@ class ClusterRunner(Runner):
     """
 
     def __init__(
-        self, plugin_paths: list[str], address: str, budget_s: float, memory_gib: float
+        self,
+        address: str,
+        limits: Limits,
+        printed: Callable[[str, str], None] = lambda label, text: None,
     ) -> None:
         try:
             from distributed import Client
@@ -55,8 +58,7 @@ class ClusterRunner(Runner):
                 f"No dask scheduler answers at {address!r} ({error or 'no answer'}); start one by "
                 f"'dask scheduler' and give its address, such as tcp://host:8786."
             ) from None
-        self._arguments = list(map(str, plugin_paths)), 1, budget_s, memory_gib
-        super().__init__(*self._arguments)
+        super().__init__(1, limits, printed)
 
     def __enter__(self) -> ClusterRunner:
         return self
@@ -65,7 +67,7 @@ class ClusterRunner(Runner):
         self._client.close()
         super().__exit__(*details)
 
-    def expect(self, groups: int) -> None:
+    def expect(self, groups: list[list[Task]]) -> None:
         """Do nothing: the workers of a cluster are there."""
 
     def run(
@@ -80,26 +82,40 @@ class ClusterRunner(Runner):
                 on_start(group[0])
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
-                sent[self._client.submit(_run_group, group, self._arguments, pure=False)] = group
+                sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group
         for future in as_completed(sent, loop=self._client.loop):
             yield from self._collect(future, sent[future])
 
-    @staticmethod
-    def _collect(future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
+    def _collect(self, future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:
-            return list(zip(group, future.result(), strict=True))
+            answers = []
+            for task, (label, printed, done, content) in zip(group, future.result(), strict=True):
+                if printed:
+                    self._printed(label, printed)
+                kind = wire.answer_type(task.job) if done else NoAnswer
+                answers.append((task, wire.decode(content, kind)))
+            return answers
         except Exception as error:
             lost = NoAnswer(
-                "crashed", f"The cluster could not run it: {type(error).__name__}: {error}"
+                status="interrupted",
+                message=f"The cluster could not run it: {type(error).__name__}: {error}",
             )
             return [(task, lost) for task in group]
 
 
-def _run_group(group: list[Task], arguments: tuple[list[str], int, float, float]) -> list[Any]:
-    """Answer a group of tasks, in order, in a worker of the cluster."""
-    # A worker that has a nanny may not have children by default; ours end with it.
-    multiprocessing.current_process().daemon = False
-    Registry(arguments[0]).require_files()  # says what is missing; a child would only die of it
-    with Runner(*arguments) as runner:
+def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, bytes]]:
+    """Answer a group of tasks, in order, in a worker of the cluster: answers are msgspec data."""
+    for task in group:
+        plugin_files(sorted(task.sources.files))  # says what is missing; a child would die of it
+    printed: dict[str, str] = {}
+    with Runner(1, limits, printed.__setitem__) as runner:
         answers = dict(runner.run([group]))
-    return [answers[task] for task in group]
+    return [
+        (
+            task.label,
+            printed.get(task.label, ""),
+            not isinstance(answers[task], NoAnswer),
+            wire.encode(answers[task]),
+        )
+        for task in group
+    ]

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import Registry
+from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
+from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
-from integrators import answers
 from integrators.contract import Integrator, Steps, Tolerances
 from problems import spec
 from problems.answers import tidy
@@ -50,13 +49,13 @@ class Cell:
             refined = f"rtol={r.rtol!r} atol={r.atol!r}"
         return f"{self.problem} | {self.integrator} | {refined} | t_end={self.t_end!r}"
 
-    def record(self, registry: Registry, status: str, message: str = "") -> Record:
+    def record(
+        self, scene: SceneFacts, method: MethodFacts, status: str, message: str = ""
+    ) -> Record:
         """Make the record of this cell with all that is known without a run."""
-        scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
-        facts, fault = answers.stated(integrator)
-        if fault:
-            status, message = "crashed", fault
-        form, t0, r = facts.formulation, scene.interval[0], self.resolution
+        if method.fault:
+            status, message = "crashed", method.fault
+        form, t0, r = method.formulation, scene.interval[0], self.resolution
         known: dict[str, Any] = {}
         if isinstance(r, Steps):
             h = (self.t_end - t0) / r.count(t0, self.t_end)
@@ -67,22 +66,30 @@ class Cell:
             key=self.key,
             problem=self.problem,
             integrator=self.integrator,
-            family=facts.family or integrator.name,
-            formulation=form if scene.has("constraint") or form == "ode" else "unconstrained",
+            family=method.family,
+            formulation=form if scene.constrained or form == "ode" else "unconstrained",
             controls="step" if isinstance(r, Steps) else "tolerance",
-            calls=facts.calls,
+            calls=method.calls,
             t0=t0,
             t_end=self.t_end,
             status=status,
             message=tidy(message),
-            fingerprint=self.fingerprint(registry),
+            fingerprint=f"{scene.fingerprint}-{method.fingerprint}",
             **known,
         )
 
-    def fingerprint(self, registry: Registry) -> str:
+    def facts(self, inventory: Inventory) -> tuple[SceneFacts, MethodFacts]:
+        """Return the facts of the cell's scene and integrator."""
+        return inventory.problem(self.problem), inventory.integrator(self.integrator)
+
+    def fingerprint(self, inventory: Inventory) -> str:
         """Return the fingerprints of the cell's scene and integrator."""
-        scene, integrator = registry.problem(self.problem), registry.integrator(self.integrator)
-        return f"{fingerprint(type(scene))}-{fingerprint(type(integrator))}"
+        return "-".join(facts.fingerprint for facts in self.facts(inventory))
+
+    def sources(self, inventory: Inventory) -> Sources:
+        """Return the plugins from outside that a run needs."""
+        scene, method = self.facts(inventory)
+        return scene.sources | method.sources
 
 
 @dataclass(frozen=True)
@@ -99,20 +106,24 @@ class Suite:
         The most memory that a cell may take.
     atlas
         Experiments of the failure atlas that belong to it (True: all, False: none).
+    lost
+        Sentences on plugins that have no cells, as they gave no facts.
     """
 
     plan: Plan
     cells: dict[str, Cell]
     memory_gib: float
     atlas: bool | list[str] = False
+    lost: tuple[str, ...] = ()
 
 
 def make_suite(
     name: str,
     profile: ProfileFile,
-    registry: Registry,
+    registry: Inventory,
     problems: Sequence[str] = (),
     integrators: Sequence[str] = (),
+    budget_s: float | None = None,
 ) -> Suite:
     """Make the suite of a profile, restricted or extended by the command line.
 
@@ -125,6 +136,9 @@ def make_suite(
     SpecError
         If a name, option or number is not known or not allowed, or nothing is left to do.
     """
+    lost: list[str] = []
+    problems = _usable(problems, registry.problem, lost)
+    integrators = _usable(integrators, registry.integrator, lost)
     files = _select_problems(profile.study, registry, problems)
     if not 0 <= profile.samples <= 1000:
         raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
@@ -150,12 +164,14 @@ def make_suite(
                 studies.append(study)
                 cells.update(more)
     if not cells:
-        raise SpecError("Nothing is left to run; check the names given with -p and -i.")
+        raise SpecError(
+            " ".join(["Nothing is left to run; check the names given with -p and -i.", *lost])
+        )
     plan = Plan(
         name=name,
         title=profile.title or name,
         samples=profile.samples,
-        budget_s=profile.budget_s,
+        budget_s=budget_s or profile.budget_s,
         studies=studies,
         integrators={
             text: _facts(registry, text)
@@ -164,22 +180,33 @@ def make_suite(
     )
     # A part of the profile goes without the atlas.
     atlas = False if problems or integrators else profile.atlas
-    return Suite(plan, cells, profile.memory_gib, atlas)
+    return Suite(plan, cells, profile.memory_gib, atlas, tuple(lost))
 
 
-def _facts(registry: Registry, text: str) -> IntegratorFacts:
-    integrator = registry.integrator(text)
-    facts, _ = answers.stated(integrator)  # a fault is told by the rows of its cells
+def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:
+    """Return the names that have facts; sentences on the others go to ``lost``."""
+    usable = []
+    for text in names:
+        try:
+            facts_of(text)
+            usable.append(text)
+        except PluginFailed as error:
+            lost.append(str(error))
+    return usable
+
+
+def _facts(registry: Inventory, text: str) -> IntegratorFacts:
+    method = registry.integrator(text)
     return IntegratorFacts(
-        title=tidy(registry.integrators[integrator.name].summary),
-        orders=dict(facts.orders),
-        formulation=facts.formulation,
-        source=facts.source,
+        title=method.title,
+        orders=method.orders,
+        formulation=method.formulation,
+        source=method.source,
     )
 
 
 def _select_problems(
-    files: list[StudyFile], registry: Registry, wanted: Sequence[str]
+    files: list[StudyFile], registry: Inventory, wanted: Sequence[str]
 ) -> list[StudyFile]:
     if not wanted:
         return files
@@ -198,9 +225,9 @@ def _select_problems(
 
 
 def _select_integrators(
-    mine: list[Integrator], registry: Registry, wanted: Sequence[str]
-) -> list[Integrator]:
-    chosen: dict[str, Integrator] = {}
+    mine: list[MethodFacts], registry: Inventory, wanted: Sequence[str]
+) -> list[MethodFacts]:
+    chosen: dict[str, MethodFacts] = {}
     for text in wanted:
         asked = registry.integrator(text)
         bare = "[" not in text
@@ -210,7 +237,7 @@ def _select_integrators(
     return list(chosen.values())
 
 
-def _own_specs(files: list[StudyFile], problem: str, registry: Registry) -> set[str]:
+def _own_specs(files: list[StudyFile], problem: str, registry: Inventory) -> set[str]:
     """Return the integrators that the studies of a scene name themselves."""
     return {
         registry.integrator(text).spec
@@ -221,7 +248,7 @@ def _own_specs(files: list[StudyFile], problem: str, registry: Registry) -> set[
 
 
 def _expand(
-    file: StudyFile, problem: str, integrators: list[Integrator], registry: Registry
+    file: StudyFile, problem: str, integrators: list[MethodFacts], registry: Inventory
 ) -> tuple[Study, dict[str, Cell]]:
     scene = registry.problem(problem)
     t0, default_end = scene.interval
@@ -237,7 +264,7 @@ def _expand(
     cells = {
         cell.key: cell
         for integrator in integrators
-        for resolution in resolutions[answers.stated(integrator)[0].controls]
+        for resolution in resolutions[integrator.controls]
         if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
     }
     study = Study(
@@ -247,21 +274,20 @@ def _expand(
         t_end=t_end,
         figures=list(file.figures),
         norm=file.norm,
-        components=_components(file, scene),
+        components=_components(file, scene, registry),
         cells=list(cells),
     )
     return study, cells
 
 
-def _components(file: StudyFile, scene: MechatronicSystem) -> list[str]:
+def _components(file: StudyFile, scene: SceneFacts, registry: Inventory) -> list[str]:
     if not file.components:
         return []
-    sizes = scene.sizes  # needs JAX, which takes a while to load
-    count = {**dict.fromkeys("qva", sizes.nq), "lam": sizes.nl, "x": sizes.nx, "y": sizes.ny}
+    names = registry.components(scene.spec)  # needs JAX, which takes a while to load
     for text in file.components:
         for part in text.split(":", 1):  # "q2:q1" is the second over the first
             match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d*)", part)
-            if not match or int(match[2]) > count[match[1]]:
+            if not match or int(match[2]) > len(names[match[1]]):
                 raise SpecError(
                     f"{scene.spec} has no component {part!r}; give a group and a number such as "
                     f"q1, or two as q2:q1 for one over the other."
@@ -280,3 +306,32 @@ def check_end(t0: float, t_end: float) -> float:
     if not t0 < t_end < float("inf"):
         raise SpecError(f"The end time {t_end:g} s does not lie after the start at {t0:g} s.")
     return float(t_end)
+
+
+def resolution(
+    scene: SceneFacts | MechatronicSystem,
+    method: MethodFacts | Integrator,
+    step: float | None,
+    pattern: tuple[float, ...] | None,
+    rtol: float | None,
+    atol: float | None,
+) -> Steps | Tolerances:
+    """Return the steps or tolerances of a run.
+
+    Raises
+    ------
+    SpecError
+        If options of the other kind are given: steps to a method that chooses its own, or
+        tolerances to a method with fixed steps.
+    """
+
+    def refuse(takes: str, **given: Any) -> None:
+        for option, value in given.items():
+            if value is not None:
+                raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
+
+    if method.controls == "step":
+        refuse("fixed steps; give --step", rtol=rtol, atol=atol)
+        return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
+    refuse("steps of its own; give --rtol", step=step, pattern=pattern)
+    return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from bench.guard.limits import REFERENCE, Limits
+from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
+from bench.plugins.facts import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
-from bench.running.processes import GuardedProcess, NoAnswer, wait_for_any
 from bench.running.worker import Worker, start_worker
+
+#: Help for whoever has a run that was stopped.
+_ADVICE = "take larger steps or tolerances, a shorter interval, or a larger --budget"
+#: Workers without a task that are kept, as they have prepared runs, beside those in work.
+_MOST_IDLE = 8
 
 
 @dataclass(frozen=True)
@@ -26,37 +33,48 @@ class Task:
     label
         Names the task to the person who waits.
     scene
-        The scene whose reference it needs, if any.
+        The scene whose reference it needs, if any. Then the job takes a keyword ``lacking``, the
+        reason why there is no reference.
+    sources
+        Plugins from outside that it needs. Workers load nothing else, so that no plugin can
+        change the numbers of others.
     """
 
     job: Callable[..., Any]
     arguments: tuple
     label: str = ""
     scene: str | None = None
+    sources: Sources = Sources()  # noqa: RUF009 - it is frozen
 
 
-def measure_task(cell: Cell, errors: bool = True) -> Task:
+def measure_task(cell: Cell, sources: Sources, errors: bool = True) -> Task:
     """Make the task that measures a cell; its answer is a `CellResult`."""
-    return Task(Worker.measure, (cell, errors), label=cell.key, scene=cell.problem)
+    return Task(Worker.measure, (cell, errors), cell.key, cell.problem, sources)
 
 
-def scene_task(problem: str, t_end: float) -> Task:
+def time_task(cell: Cell, sources: Sources) -> Task:
+    """Make the task that times a cell once; its answer is in s."""
+    return Task(Worker.time, (cell,), cell.key, cell.problem, sources)
+
+
+def scene_task(problem: str, t_end: float, sources: Sources) -> Task:
     """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
-    return Task(Worker.scene, (problem, t_end), label=f"reference of {problem}", scene=problem)
+    return Task(Worker.scene, (problem, t_end), f"reference of {problem}", problem, sources)
 
 
 class _WorkerProcess(GuardedProcess):
     """A worker process with the task in work, the rest of its group, and the scenes it has had."""
 
-    def __init__(self, plugin_paths: list[str], budget_s: float, memory_gib: float) -> None:
-        super().__init__(start_worker, (plugin_paths,), budget_s, memory_gib)
+    def __init__(self, sources: Sources, limits: Limits) -> None:
+        super().__init__(start_worker, (sources,), limits)
+        self.sources = sources
         self.group: deque[Task] = deque()
         self.task: Task | None = None
         self.scenes: set[str | None] = set()
 
-    def begin(self, task: Task) -> None:
-        self.task = task
-        self.start(task.job, *task.arguments)
+    @property
+    def busy(self) -> bool:
+        return bool(self.task or self.group)
 
 
 class Runner:
@@ -64,20 +82,25 @@ class Runner:
 
     Parameters
     ----------
-    plugin_paths
-        Plugin files and folders, loaded in every worker process.
     jobs
-        Most processes at a time. Timing is always done by one alone.
-    budget_s, memory_gib
-        The most that one task may take; more ends it with status "budget_exceeded".
+        Most processes in work at a time. Timing is always done by one alone.
+    limits
+        The most that one task may take.
+    printed
+        Told what a task printed: its label, and the text.
     """
 
     def __init__(
-        self, plugin_paths: list[str], jobs: int, budget_s: float, memory_gib: float
+        self,
+        jobs: int,
+        limits: Limits,
+        printed: Callable[[str, str], None] = lambda label, text: None,
     ) -> None:
-        self._jobs, self._guards = jobs, (plugin_paths, budget_s, memory_gib)
+        self._jobs, self._limits = jobs, replace(limits, advice=_ADVICE)
+        self._printed = printed
         self.workers: list[_WorkerProcess] = []
         self._owner: dict[str, _WorkerProcess] = {}
+        self._lacking: dict[str, str] = {}
 
     def __enter__(self) -> Runner:
         return self
@@ -87,10 +110,10 @@ class Runner:
             worker.end()
         self.workers.clear()
 
-    def expect(self, groups: int) -> None:
-        """Start the workers that so many groups will need: they load what they need meanwhile."""
-        while len(self.workers) < min(self._jobs, groups):
-            self._spawn()
+    def expect(self, groups: list[list[Task]]) -> None:
+        """Start workers that groups will need: they load what they need meanwhile."""
+        for group in groups[: self._jobs - len(self.workers)]:
+            self._spawn(group[0].sources)
 
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
@@ -106,81 +129,99 @@ class Runner:
                     yield task, answer
 
     def time(
-        self, cells: list[Cell], samples: int, have: Mapping[str, Sequence[float]]
-    ) -> Iterator[tuple[Cell, int, float]]:
-        """Yield (cell, round, seconds): a sample of each cell in every round, one at a time.
+        self, tasks: list[Task], samples: int, have: Mapping[str, Sequence[float]]
+    ) -> Iterator[tuple[Task, int, float]]:
+        """Yield (task, round, seconds): a sample of each task in every round, one at a time.
 
-        The cells of a scene follow one another, so that samples of one round are neighbours in
+        The tasks of a scene follow one another, so that samples of one round are neighbours in
         time and can be compared by their quotient.
 
-        ``have`` are the samples, in s, that were taken before.
+        ``have`` are the samples, in s, that were taken before, by the labels of the tasks.
         """
-        spent = {cell.key: sum(have.get(cell.key, ())) for cell in cells}
-        scenes = list(dict.fromkeys(cell.problem for cell in cells))
-        cells = sorted(cells, key=lambda cell: scenes.index(cell.problem))
+        spent = {task.label: sum(have.get(task.label, ())) for task in tasks}
+        scenes = list(dict.fromkeys(task.scene for task in tasks))
+        tasks = sorted(tasks, key=lambda task: scenes.index(task.scene))
         for number in range(samples):
-            for cell in cells:
-                if number < len(have.get(cell.key, ())) or spent[cell.key] > TIMING_SECONDS:
+            for task in tasks:
+                key = task.label
+                if number < len(have.get(key, ())) or spent[key] > TIMING_SECONDS:
                     continue
-                worker = self._timekeeper(cell)
-                answer = worker.ask(Worker.time, cell)
+                worker = self._timekeeper(task)
+                answer = worker.ask(task.job, *task.arguments)
                 if isinstance(answer, NoAnswer):
-                    spent[cell.key] = float("inf")
+                    if answer.status != "interrupted":
+                        spent[key] = float("inf")
                     self._replace_dead(worker)
                     continue
-                self._owner[cell.key] = worker
-                spent[cell.key] += answer
-                yield cell, number, answer
+                self._owner[key] = worker
+                spent[key] += answer
+                yield task, number, answer
 
     # ---- parts -------------------------------------------------------------------------
-    def _spawn(self) -> _WorkerProcess:
-        worker = _WorkerProcess(*self._guards)
+    def _spawn(self, sources: Sources) -> _WorkerProcess:
+        idle = [worker for worker in self.workers if not worker.busy]
+        for worker in idle[: max(0, len(idle) - _MOST_IDLE + 1)]:
+            worker.end()
+            self.workers.remove(worker)
+        worker = _WorkerProcess(sources, self._limits)
         self.workers.append(worker)
         return worker
 
-    def _timekeeper(self, cell: Cell) -> _WorkerProcess:
-        """The worker that has prepared a cell, if it lives, or any."""
-        worker = self._owner.get(cell.key)
+    def _timekeeper(self, task: Task) -> _WorkerProcess:
+        """The worker that has prepared a task's run, if it lives, or any that may."""
+        worker = self._owner.get(task.label)
         if worker and worker.alive:
             return worker
-        return self.workers[0] if self.workers else self._spawn()
+        fit = (w for w in self.workers if w.sources == task.sources)
+        return next(fit, None) or self._spawn(task.sources)
 
     def _feed(self, queue: deque[deque[Task]], on_start: Callable[[Task], None]) -> None:
-        while queue and len(self.workers) < min(self._jobs, len(queue) + self._busy()):
-            self._spawn()
         for worker in self.workers:
-            if worker.task:
-                continue
-            if not worker.group and queue:
+            if not worker.busy and self._busy() < self._jobs:
                 worker.group = self._next(queue, worker)
-            if worker.group:
-                task = worker.group.popleft()
+        while queue and self._busy() < self._jobs:
+            worker = self._spawn(queue[0][0].sources)
+            worker.group = self._next(queue, worker)
+        for worker in self.workers:
+            if worker.group and not worker.task:
+                worker.task = task = worker.group.popleft()
                 on_start(task)
-                worker.begin(task)
+                lacking = self._lacking.get(task.scene or "")
+                named = {"lacking": lacking} if lacking else {}
+                worker.start(task.job, *task.arguments, **named)
 
     def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
         """The first group of a scene that the worker has had, else of one that no other has: each
         worker makes its own references, which can take longer than the runs."""
         others = set().union(*(w.scenes for w in self.workers if w is not worker))
+        fit = [k for k, group in enumerate(queue) if group[0].sources == worker.sources]
+        if not fit:
+            return deque()
         scenes = [group[0].scene for group in queue]
-        ranks = [(scene not in worker.scenes, scene in others) for scene in scenes]
-        best = ranks.index(min(ranks))
+        best = min(fit, key=lambda k: (scenes[k] not in worker.scenes, scenes[k] in others))
         group = queue[best]
         del queue[best]
         worker.scenes.add(scenes[best])
         return group
 
     def _busy(self) -> int:
-        return sum(1 for w in self.workers if w.task or w.group)
+        return sum(1 for worker in self.workers if worker.busy)
 
     def _take(self, worker: _WorkerProcess) -> Any:
-        """The answer of a worker's task, NoAnswer, or None while it is in work."""
-        answer = worker.take()
-        if answer is None:
+        """The answer of a worker's task, NoAnswer, or None while it is in work or done again."""
+        answer, task = worker.take(), worker.task
+        if answer is None or task is None:
             return None
-        task, worker.task = worker.task, None
-        if not isinstance(answer, NoAnswer) and task and task.job is Worker.measure:
-            self._owner[task.arguments[0].key] = worker
+        if text := worker.printed():
+            self._printed(task.label, text)
+        worker.task = None
+        if isinstance(answer, NoAnswer):
+            if answer.phase == REFERENCE and answer.status != "interrupted" and task.scene:
+                self._lacking[task.scene] = answer.message
+                worker.group.appendleft(task)
+                answer = None
+        elif task.job is Worker.measure:
+            self._owner[task.label] = worker
         self._replace_dead(worker)
         return answer
 
@@ -189,4 +230,4 @@ class Runner:
         if not worker.alive:
             self.workers.remove(worker)
             if worker.group:
-                self._spawn().group = worker.group
+                self._spawn(worker.sources).group = worker.group

@@ -33,10 +33,19 @@ _BLOCKS = {
 }
 
 
-def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
-    """Make the record of a scene; one too large for a reference has no values and pictures.
+def scene_record(
+    scene: MechatronicSystem, t_end: float, reference: Callable[[], Reference], lacking: str = ""
+) -> SceneRecord:
+    """Make the record of a scene; one without a reference has the reason, and no pictures.
 
     A part of which the scene gives a false answer is left out, and the record says so.
+
+    Parameters
+    ----------
+    scene, t_end
+        The scene, up to t_end in s.
+    reference
+        Gives its reference; not called if ``lacking`` says why there is none.
     """
     faults: list[str] = []
 
@@ -47,16 +56,17 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
             faults.append(f"Its {name} is left out: {why(error)}")
             return otherwise
 
-    none = {
-        "reference_method": "No reference is known.",
+    known: dict[str, Any] = {
+        "reference_method": lacking or "No reference is known.",
         "reference_error": {},
         "reference": Rows(t=[], values={}),
     }
-    known = part("reference", lambda: _motion(scene, reference), none)
+    if not lacking:
+        known |= part("reference", lambda: _motion(scene, reference()), {})
     if known["reference"].t:
         known |= {
-            "drawings": part("picture", lambda: drawings(scene, reference, GHOSTS), []),
-            "rates": part("spectrum", lambda: rates(scene, reference), None),
+            "drawings": part("picture", lambda: drawings(scene, reference(), GHOSTS), []),
+            "rates": part("spectrum", lambda: rates(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
     known |= part("description", lambda: answers.description(scene.describe()), nameless)
@@ -68,7 +78,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
     )
     return SceneRecord(
         problem=scene.spec,
-        t_end=reference.t_end,
+        t_end=t_end,
         source=part("source", lambda: answers.text(scene.source, "source"), ""),
         components=part("list of components", lambda: _components(scene), {}),
         sizes=scene.sizes._asdict(),
@@ -86,8 +96,7 @@ def scene_record(scene: MechatronicSystem, reference: Reference) -> SceneRecord:
 def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
     """What the record says of the reference."""
     if reference.missing:
-        empty = Rows(t=[], values={})
-        return {"reference_method": reference.missing, "reference_error": {}, "reference": empty}
+        return {"reference_method": reference.missing}
     t = np.linspace(scene.interval[0], reference.t_end, 301)
     return {
         "reference_method": reference.method,

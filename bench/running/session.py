@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
-import numpy as np
-
-from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import Registry
+from bench.guard.limits import Limits
+from bench.guard.process import NoAnswer
+from bench.plugins.facts import SceneFacts
 from bench.results.environment import environment
-from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
+from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
-from bench.running.processes import NoAnswer
-from bench.running.runner import Runner, Task, measure_task, scene_task
+from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.worker import CellResult, Worker
-from problems.system import MechatronicSystem
 
 
 class Progress(Protocol):
@@ -36,16 +34,21 @@ class Progress(Protocol):
         """Say that something went wrong that costs no cell."""
 
 
-def runner_for(suite: Suite, registry: Registry, jobs: int, cluster: str | None = None) -> Runner:
+def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
     """Make the runner of a suite, on this machine or by the address of a cluster."""
-    limits = suite.plan.budget_s, suite.memory_gib
-    if cluster:
-        return ClusterRunner(registry.paths, cluster, *limits)
-    return Runner(registry.paths, jobs, *limits)
+    limits = Limits(suite.plan.budget_s, suite.memory_gib)
+    printed = teller(progress)
+    return ClusterRunner(cluster, limits, printed) if cluster else Runner(jobs, limits, printed)
 
 
-def missing_cells(suite: Suite, store: Store, registry: Registry) -> list[Cell]:
-    """List the cells that have no record of this source, or ran out of a smaller budget."""
+def teller(progress: Progress) -> Callable[[str, str], None]:
+    """Return a function that tells what a task printed."""
+    return lambda label, text: progress.note(f"{label} printed: {text}")
+
+
+def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
+    """List the cells to be run: those that have no record of this source, were interrupted, or
+    ran out of a smaller budget."""
     stored = store.records()
 
     def is_missing(cell: Cell) -> bool:
@@ -53,26 +56,30 @@ def missing_cells(suite: Suite, store: Store, registry: Registry) -> list[Cell]:
         return (
             record is None
             or record.fingerprint != cell.fingerprint(registry)
-            or (record.status == "budget_exceeded" and _raised(suite.plan.budget_s, record))
+            or record.status == INTERRUPTED
+            or (record.stopped != "" and _raised(suite.plan.budget_s, record.budget_s))
         )
 
     return list(filter(is_missing, suite.cells.values()))
 
 
-def missing_scenes(suite: Suite, store: Store, registry: Registry) -> list[tuple[str, float]]:
-    """List the scenes, by name and end time in s, that have no record of this source."""
+def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tuple[str, float]]:
+    """List the scenes, by name and end time in s, that have no record of this source, or whose
+    reference ran out of a smaller budget."""
     stored = store.scenes()
-    wanted = sorted({(study.problem, study.t_end) for study in suite.plan.studies})
-    return [
-        (problem, t_end)
-        for problem, t_end in wanted
-        if (problem, t_end) not in stored
-        or stored[problem, t_end].fingerprint != fingerprint(type(registry.problem(problem)))
-    ]
+
+    def is_missing(scene: tuple[str, float]) -> bool:
+        return bool(
+            scene not in stored
+            or stored[scene].fingerprint != registry.problem(scene[0]).fingerprint
+            or (stored[scene].stopped and _raised(suite.plan.budget_s, stored[scene].budget_s))
+        )
+
+    return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
 
 
 def measure_suite(
-    suite: Suite, store: Store, registry: Registry, runner: Runner, progress: Progress
+    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
 ) -> int:
     """Measure every cell and describe every scene that the store lacks.
 
@@ -88,26 +95,42 @@ def measure_suite(
     number = 0
     if cells or _samples_due(suite, store.records()):
         number = store.save_environment(environment())
+
+    def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
+        record, rows = result_of(cell, answer, registry)
+        record.environment, record.budget_s = number, suite.plan.budget_s
+        store.save(record, rows)
+
+    sound, count = [], len(cells)
+    for cell in cells:
+        if fault := registry.prospect(cell.problem).fault:  # each run would hang or die, too
+            keep(cell, NoAnswer(status="crashed", message=fault))
+        else:
+            sound.append(cell)
+    cells = sound
+    scenes = [scene for scene in scenes if not registry.prospect(scene[0]).fault]
     if cells or scenes:
         groups = _groups(cells, scenes, registry)
-        runner.expect(len(groups))
-        groups = _longest_first(groups, registry)
+        # So that no worker is left alone with the longest group in the end.
+        groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
+        runner.expect(groups)
         progress.phase("measuring", sum(len(group) for group in groups))
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
             if task.job is Worker.scene:
                 if isinstance(answer, NoAnswer):
                     progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
                 else:
+                    answer.budget_s = suite.plan.budget_s
                     store.save_scene(answer)
             else:
-                record, rows = result_of(task.arguments[0], answer, registry)
-                record.environment, record.budget_s = number, suite.plan.budget_s
-                store.save(record, rows)
+                keep(task.arguments[0], answer)
             progress.advance()
-    return len(cells)
+    return count
 
 
-def time_suite(suite: Suite, store: Store, runner: Runner, progress: Progress) -> None:
+def time_suite(
+    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
+) -> None:
     """Take the timing samples that the store lacks, of the cells that reached the end."""
     records = store.records()
     due = _samples_due(suite, records)
@@ -115,40 +138,57 @@ def time_suite(suite: Suite, store: Store, runner: Runner, progress: Progress) -
         return
     cells = [cell for key, cell in suite.cells.items() if records[key].status == "ok"]
     have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
+    tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
     progress.phase("timing, one run at a time", due)
-    for cell, sample, seconds in runner.time(cells, suite.plan.samples, have):
-        progress.working(cell.key)
-        store.add_sample(cell.key, sample, seconds)
+    for task, sample, seconds in runner.time(tasks, suite.plan.samples, have):
+        progress.working(task.label)
+        store.add_sample(task.label, sample, seconds)
         progress.advance()
 
 
 def solve_cells(
-    cells: list[Cell], registry: Registry, samples: int, budget_s: float, memory_gib: float = 4.0
-) -> list[CellResult]:
-    """Measure a few cells of one integrator without a store, timed ``samples`` times."""
-    results = {}
-    with Runner(registry.paths, 1, budget_s, memory_gib) as runner:
-        for task, answer in runner.run([list(map(measure_task, cells))]):
-            cell = task.arguments[0]
-            results[cell.key] = result_of(cell, answer, registry)
+    cells: list[Cell],
+    registry: Inventory,
+    samples: int,
+    budget_s: float,
+    memory_gib: float = 4.0,
+    printed: Callable[[str, str], None] = lambda label, text: None,
+) -> tuple[list[CellResult], dict[str, list[str]]]:
+    """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
+
+    Returns
+    -------
+    tuple
+        The results, and the names of the components of each group of the scene, if they are known.
+    """
+    results, names = {}, {}
+    sources = cells[0].sources(registry)
+    tasks = [measure_task(cell, sources) for cell in cells]
+    tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
+    with Runner(1, Limits(budget_s, memory_gib), printed) as runner:
+        for task, answer in runner.run([tasks]):
+            if task.job is Worker.measure:
+                results[task.label] = result_of(task.arguments[0], answer, registry)
+            elif not isinstance(answer, NoAnswer):
+                names = answer
         good = [cell for cell in cells if results[cell.key].record.status == "ok"]
-        for cell, _, seconds in runner.time(good, samples, {}):
-            results[cell.key].record.run_s.append(seconds)
-    return [results[cell.key] for cell in cells]
+        due = [time_task(cell, sources) for cell in good]
+        for task, _, seconds in runner.time(due, samples, {}):
+            results[task.label].record.run_s.append(seconds)
+    return [results[cell.key] for cell in cells], names
 
 
 def describe_scenes(
-    scenes: list[MechatronicSystem],
-    registry: Registry,
+    scenes: list[SceneFacts],
     budget_s: float,
     progress: Progress,
     memory_gib: float = 4.0,
 ) -> list[SceneRecord]:
     """Make records of scenes over their own intervals; one that fails is noted and left out."""
     records = {}
-    groups = [[scene_task(scene.spec, scene.interval[1])] for scene in scenes]
+    groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
     progress.phase("references", len(groups))
-    with Runner(registry.paths, 2, budget_s, memory_gib) as runner:
+    with Runner(2, Limits(budget_s, memory_gib), teller(progress)) as runner:
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
             if isinstance(answer, NoAnswer):
                 progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
@@ -158,10 +198,11 @@ def describe_scenes(
     return [records[scene.spec] for scene in scenes if scene.spec in records]
 
 
-def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Registry) -> CellResult:
+def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
     if isinstance(answer, NoAnswer):
-        record = cell.record(registry, answer.status, answer.message)
+        record = cell.record(*cell.facts(registry), answer.status, answer.message)
+        record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
         return CellResult(record, Rows(t=[], values={}))
     return answer
 
@@ -177,37 +218,19 @@ def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
     )
 
 
-def _raised(budget_s: float, record: Record) -> bool:
-    return record.budget_s is not None and budget_s > record.budget_s
+def _raised(budget_s: float, before: float | None) -> bool:
+    return before is not None and budget_s > before
 
 
 def _groups(
-    cells: list[Cell], scenes: list[tuple[str, float]], registry: Registry
+    cells: list[Cell], scenes: list[tuple[str, float]], registry: Inventory
 ) -> list[list[Task]]:
     """Group cells that share compiled code; the record of a scene comes before its cells."""
     groups: dict[tuple, list[Task]] = {}
     for problem, t_end in scenes:
-        groups[problem, t_end] = [scene_task(problem, t_end)]
+        groups[problem, t_end] = [scene_task(problem, t_end, registry.problem(problem).sources)]
     for cell in cells:
-        key = (cell.problem, registry.integrator(cell.integrator).affinity)
-        groups.setdefault(key, []).append(measure_task(cell))
+        sources = cell.sources(registry)
+        key = cell.problem, registry.integrator(cell.integrator).affinity, sources
+        groups.setdefault(key, []).append(measure_task(cell, sources))
     return list(groups.values())
-
-
-def _longest_first(groups: list[list[Task]], registry: Registry) -> list[list[Task]]:
-    """Sort groups so that no worker is left alone with the longest one in the end."""
-
-    def weight(group: list[Task]) -> float:
-        scene = group[0].scene
-        return _weight(registry.problem(scene)) if scene else 0.0
-
-    return sorted(groups, key=weight, reverse=True)
-
-
-def _weight(scene: MechatronicSystem) -> float:
-    """Estimate how long runs of a scene take: steps times the square of its states."""
-    try:
-        states = sum(np.size(part) for part in scene.initial_state())
-    except Exception:  # it may be a plugin, and its runs will say what is wrong
-        return 0.0
-    return (scene.interval[1] - scene.interval[0]) / scene.nominal_step * states**2

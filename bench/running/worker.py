@@ -1,6 +1,6 @@
 """The worker: prepares, measures and times cells in a process of its own, one at a time.
 
-Its methods are jobs of a `bench.running.processes.GuardedProcess`. It never writes to the store.
+Its methods are jobs of a `bench.guard.process.GuardedProcess`. It never writes to the store.
 """
 
 from __future__ import annotations
@@ -9,25 +9,27 @@ import gc
 import os
 import time
 import traceback
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from bench.guard.limits import PREPARING, REFERENCE, RUNNING
+from bench.guard.serve import Notify
+from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
 from bench.plugins.registry import Registry, why
 from bench.results.quantities import PARTS
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
+from bench.running.inventory import load_registry
 from bench.running.plan import Cell
-from bench.running.processes import Notify
-from bench.running.scene_records import scene_record
+from bench.running.scene_records import drawings, scene_record
 from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
 from problems.answers import words_of
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
-from problems.runtime import jax, one_thread
+from problems.runtime import check_runtime, jax, one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -61,14 +63,20 @@ class Worker:
         The scenes and integrators.
     notify
         Told when a job goes on to another phase.
+    watched
+        Whether code from outside may change what this process computes: then that is checked
+        around each run, else at the first one.
     """
 
-    def __init__(self, registry: Registry, notify: Notify = lambda phase: None) -> None:
-        self.registry, self.notify = registry, notify
+    def __init__(
+        self, registry: Registry, notify: Notify = lambda phase, words: None, watched: bool = False
+    ) -> None:
+        self.registry, self.notify, self._watched = registry, notify, watched
         self.prepared: dict[str, PreparedRun] = {}
         self._seconds: dict[str, float] = {}
         self._references: dict[tuple[str, float], Reference] = {}
         self._scenes: dict[str, MechatronicSystem] = {}
+        self._checked = False
 
     def problem(self, text: str) -> MechatronicSystem:
         """Return a scene; it is made once, as it finds its dimensions by tracing."""
@@ -79,22 +87,33 @@ class Worker:
     def _reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
         key = (scene.spec, t_end)
         if key not in self._references:
-            self.notify(f"making the reference of {scene.spec}")
+            self.notify(REFERENCE, f"making the reference of {scene.spec}")
             reference = Reference(scene, t_end)
             if not reference.missing:
                 reference.error  # noqa: B018 - made now, where the runner knows what takes so long
             self._references[key] = reference
+            self.notify(RUNNING, "measuring")
         return self._references[key]
 
-    def measure(self, cell: Cell, errors: bool = True) -> CellResult:
-        """Run a cell once and measure it; without ``errors`` no reference is made."""
+    def measure(self, cell: Cell, errors: bool = True, lacking: str = "") -> CellResult:
+        """Run a cell once and measure it.
+
+        No reference is made without ``errors``, or if ``lacking`` says why there is none.
+        """
         scene = self.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
-        record = cell.record(self.registry, trajectory.status, trajectory.message)
+        facts = (
+            scene_facts(self.registry, cell.problem, {}),
+            method_facts(self.registry, cell.integrator),
+        )
+        record = cell.record(*facts, trajectory.status, trajectory.message)
         record.work, record.rows = asdict(trajectory.work), max(0, len(trajectory.t) - 1)
         record.compile_s = compile_s
         if trajectory.status == "ok":
-            self._compare(record, trajectory, scene, errors)
+            self._compare(record, trajectory, scene, errors and not lacking)
+            if lacking:
+                _add(record, f"No errors are known. {lacking}")
+                record.stopped = REFERENCE
             self._bill(record, trajectory)
         return CellResult(record, measure.rows_of(trajectory))
 
@@ -141,6 +160,9 @@ class Worker:
         if len(self.prepared) % COUNTED_EVERY == 0 and memory_mappings() > MOST_MAPPINGS:
             self.prepared.clear()
             jax.clear_caches()
+        if wrong := self._wrong():
+            return Trajectory.failed("crashed", wrong), None
+        self.notify(PREPARING, "tracing and compiling")
         try:
             answers.facts(integrator)
             if reason := answers.refusal(integrator, scene):
@@ -148,6 +170,7 @@ class Worker:
             started = time.perf_counter()
             run = answers.prepared(integrator.prepare(scene, cell.t_end, cell.resolution))
             compile_s = time.perf_counter() - started
+            self.notify(RUNNING, "running")
             measuring = time.perf_counter()
             measured = run.measure()
             seconds = time.perf_counter() - measuring
@@ -158,10 +181,22 @@ class Worker:
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
             return Trajectory.failed("crashed", f"The integrator failed: {why(error)}"), None
+        if wrong := self._wrong():
+            return Trajectory.failed("crashed", wrong), None
         self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
         return measure.checked(trajectory, cell.t_end), compile_s
+
+    def _wrong(self) -> str:
+        """Return the sentence on a library or flag that makes computed numbers wrong, or nothing.
+
+        Known numbers are computed for that.
+        """
+        if self._checked and not self._watched:
+            return ""
+        self._checked = True
+        return check_runtime()
 
     def time(self, cell: Cell) -> float:
         """Return seconds per bare run, averaged over as many runs as fit a sample."""
@@ -179,13 +214,21 @@ class Worker:
                 self._seconds[cell.key] = elapsed / repeats
                 return elapsed / repeats
 
-    def scene(self, problem: str, t_end: float) -> SceneRecord:
-        """Make the record of a scene, everything that a report shows of it."""
+    def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
+        """Make the record of a scene; without a reference if ``lacking`` says why."""
         scene = self.problem(problem)
-        with suppress(BaseException):  # the record says why there is no reference
-            self._reference(scene, t_end)
-        known = self._references.get((scene.spec, t_end))
-        return scene_record(scene, known or Reference(scene, t_end))
+        record = scene_record(scene, t_end, lambda: self._reference(scene, t_end), lacking)
+        record.stopped = REFERENCE if lacking else ""
+        return record
+
+    def pictures(self, problem: str, t_end: float, count: int) -> list[dict[str, Any]]:
+        """Draw a scene at ``count`` times of its reference up to t_end in s."""
+        scene = self.problem(problem)
+        return drawings(scene, self._reference(scene, t_end), count)
+
+    def components(self, problem: str) -> dict[str, list[str]]:
+        """Return the names of the components of each group of a scene."""
+        return component_texts(self.registry, problem)
 
 
 def _add(record: Record, sentence: str) -> None:
@@ -200,8 +243,9 @@ def memory_mappings() -> int:
         return 0
 
 
-def start_worker(notify: Notify, plugin_paths: list[str]) -> Worker:
-    """Make the state of a worker process, and set up garbage collection and threads."""
+def start_worker(notify: Notify, sources: Sources, threads: bool = False) -> Worker:
+    """Make the state of a worker process, of one thread unless it runs many runs side by side."""
     gc.set_threshold(_GARBAGE)
-    one_thread()
-    return Worker(Registry(plugin_paths), notify)
+    if not threads:
+        one_thread()
+    return Worker(load_registry(notify, sources), notify, watched=bool(sources))

@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from bench.plugins.registry import explain
+from bench.running.worker import Worker
 from bench.stability import patterns
 from bench.stability.matrices import matrices, steppable
 from bench.stability.spectra import FIRST_STEPS, eigenvalues, nearest, radii, spectrum, summary
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
-from problems.spec import SpecError
+from problems.spec import SpecError, build
 
 SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
 #: omega h at which numbers are reported if none are asked for.
@@ -148,3 +150,22 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
     }
     ratios = {name: getattr(form, name) for name in ("smallest_ratio", "smallest_ratio_x")}
     return {"formulas": formulas} | ratios
+
+
+def analysis_job(
+    worker: Worker,
+    integrator: str,
+    system: str,
+    zeta: float | None,
+    pattern: tuple[float, ...],
+    at: tuple[float, ...],
+    ratios: str,
+) -> dict[str, Any]:
+    """Do a job of a worker: analyse an integrator on a system of `SYSTEMS`."""
+    made = build(SYSTEMS[system], {} if zeta is None else {"zeta": zeta}, system)
+    try:
+        return analyse(worker.registry.integrator(integrator), made, pattern, at, ratios)
+    except SpecError:
+        raise
+    except Exception as error:  # the method may be a plugin, which may do anything
+        raise SpecError(f"{integrator} cannot be analysed: {explain(error)}") from error

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import Registry
-from bench.results.records import Damping, Record, SceneRecord
+from bench.guard.process import NoAnswer
+from bench.plugins.facts import Sources
+from bench.results.records import INTERRUPTED, Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.errors import finite
+from bench.running.inventory import Inventory
 from bench.running.plan import Suite
-from bench.running.processes import NoAnswer
 from bench.running.runner import Runner, Task
 from bench.running.session import Progress
 from bench.running.worker import Worker
@@ -24,23 +24,28 @@ from problems.spec import SpecError
 
 
 def complete(
-    suite: Suite, store: Store, registry: Registry, runner: Runner, progress: Progress
+    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
 ) -> None:
     """Find the damping that the store lacks; that of a method with other source is forgotten."""
     known = store.damping()
     for name in suite.plan.integrators:
-        if name in known and known[name].fingerprint != _fingerprint(registry, name):
+        if name in known and known[name].fingerprint != registry.integrator(name).fingerprint:
             store.save_damping(name, None)
             del known[name]
     due = missing(suite, known, store.scenes(), store.records(), registry)
     if not due:
         return
     progress.phase("damping of methods at constant steps", len(due))
-    for task, answer in runner.run([due], lambda task: progress.working(task.label)):
+    groups: dict[Sources, list[Task]] = {}
+    for task in due:
+        groups.setdefault(task.sources, []).append(task)
+    for task, answer in runner.run(groups.values(), lambda task: progress.working(task.label)):
         name, omega_h = task.arguments
         if isinstance(answer, NoAnswer):
+            if answer.status == INTERRUPTED:
+                continue
             answer = Damping(omega_h=list(omega_h), message=answer.message)
-        source = _fingerprint(registry, name)
+        source = registry.integrator(name).fingerprint
         store.save_damping(name, msgspec.structs.replace(answer, fingerprint=source))
         progress.advance()
 
@@ -50,7 +55,7 @@ def missing(
     known: Mapping[str, Damping],
     scenes: Mapping[tuple[str, float], SceneRecord],
     records: Mapping[str, Record],
-    registry: Registry,
+    registry: Inventory,
 ) -> list[Task]:
     """List the analyses of all methods that reached the end of a scene, for all their scenes.
 
@@ -66,7 +71,12 @@ def missing(
             if records[key].status == "ok" and registry.integrator(name).controls == "step":
                 wanted.setdefault(name, set()).add(scene.omega_h)
     return [
-        Task(method_damping, (name, tuple(sorted(omega_h))), label=f"damping of {name}")
+        Task(
+            method_damping,
+            (name, tuple(sorted(omega_h))),
+            label=f"damping of {name}",
+            sources=registry.integrator(name).sources,
+        )
         for name, omega_h in wanted.items()
         if name not in known or not omega_h <= set(known[name].omega_h)
     ]
@@ -100,7 +110,3 @@ def linear_response(
     columns = (radii(roots), *oscillation(roots, at), *overshoot(found, Oscillator()))
     names = ("radius", "damping", "period_error", "overshoot_q", "overshoot_v")
     return {n: list(map(finite, c)) for n, c in zip(names, columns, strict=True)}
-
-
-def _fingerprint(registry: Registry, name: str) -> str:
-    return fingerprint(type(registry.integrator(name)))

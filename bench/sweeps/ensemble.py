@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from bench.sweeps.variation import default_resolution, find_quantity, runs_with,
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 _OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
 
@@ -34,15 +31,15 @@ class Ensemble:
     t_end
         End time in s.
     vary
-        The values of each quantity that varies, by name.
+        The values of each quantity that varies, by name, one per member.
     status, message
         As of a single run.
     t
         The time that was reached, in s.
     ends
-        Values of q, v, a, lam, x, xdot and y at t_end; NaN where a run failed.
+        Values ``(members, n)`` of q, v, a, lam, x, xdot and y at t_end; NaN where a run failed.
     work
-        Counts of steps, residuals and so on.
+        Counts of steps, residuals and so on, one per member.
     compile_s, run_s
         Seconds for preparing and for running.
     """
@@ -50,12 +47,13 @@ class Ensemble:
     problem: str
     integrator: str
     t_end: float
-    vary: dict[str, Float[np.ndarray, " members"]]
+    # Types without shapes, as they are read where an ensemble comes from another process.
+    vary: dict[str, np.ndarray]
     status: list[str]
     message: list[str]
-    t: Float[np.ndarray, " members"]
-    ends: dict[str, Float[np.ndarray, "members n"]]
-    work: dict[str, Int[np.ndarray, " members"]]
+    t: np.ndarray
+    ends: dict[str, np.ndarray]
+    work: dict[str, np.ndarray]
     compile_s: float
     run_s: float
 
@@ -117,6 +115,7 @@ def ensemble(
     t_end: float | None = None,
     budget: float = float("inf"),
     jobs: int | None = None,
+    begun: Callable[[], None] = lambda: None,
 ) -> Ensemble:
     """Run the members of an ensemble.
 
@@ -138,6 +137,8 @@ def ensemble(
         Seconds after which no further members are begun; compiling is not counted.
     jobs
         Threads; one per processor if not given.
+    begun
+        Called when everything is compiled.
 
     Returns
     -------
@@ -163,6 +164,7 @@ def ensemble(
     fixed = resolution or default_resolution(scene, method)
     batch = Batch(runs_with(scene, method, fixed, quantities), end)
     batch.warm()
+    begun()
     compiled = time.perf_counter()
     count = shape[0]
     status, message = ["budget_exceeded"] * count, [_OUT_OF_TIME] * count

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,7 @@ def outcome_map(
     threshold: float = 0.1,
     budget: float = float("inf"),
     jobs: int | None = None,
+    begun: Callable[[], None] = lambda: None,
 ) -> OutcomeMap:
     """Run a method on a scene at every point of a grid over two quantities.
 
@@ -144,6 +146,8 @@ def outcome_map(
         Seconds after which no further points are begun; compiling is not counted.
     jobs
         Threads; one per processor if not given.
+    begun
+        Called when everything is compiled.
 
     Raises
     ------
@@ -163,6 +167,7 @@ def outcome_map(
     runs = runs_with(scene, method, resolution or default_resolution(scene, method), grid)
     batch = Batch(runs, end, every_row=norm != "end")
     batch.warm()
+    begun()
     compiled = time.perf_counter()
     outcome = np.full(len(runs), OUTCOMES.index("not_run"))
     errors = np.full(len(runs), np.nan)

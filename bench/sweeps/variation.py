@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bench.running.plan import check_end, resolution
 from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
@@ -241,3 +242,31 @@ def _default_range(
         raise SpecError(f"{name} has no range of its own around {value}; give --range {name}:A..B.")
     ends = sorted((value / 10, value * 10))
     return max(low, ends[0]), min(high, ends[1])
+
+
+def unvaried_resolution(
+    scene: MechatronicSystem,
+    method: Integrator,
+    given: dict[str, Any],
+    t_end: float | None,
+    ranges: Iterable[Range],
+) -> Steps | Tolerances:
+    """Return the step, pattern or tolerances that are the same in all runs of a sweep.
+
+    ``given`` holds the values of --step, --pattern, --rtol and --atol; ``ranges`` vary.
+
+    Raises
+    ------
+    SpecError
+        If an option is given whose quantity varies, or a step in the ranges does not fit.
+    """
+    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+    for varied in ranges:
+        _, owner, field = varied.quantity
+        option = {"step": "step", "tolerance": field}.get(owner, "")
+        if given.get(option) is not None:
+            raise SpecError(f"The {owner} varies itself; leave --{option} out.")
+        if owner == "step":
+            for h in (varied.low, varied.high):
+                Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
+    return resolution(scene, method, **given)

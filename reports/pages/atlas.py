@@ -61,7 +61,7 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
 
 
 def _section(f: ExperimentResult) -> ExperimentSection:
-    verdict = "As predicted" if f.as_predicted else "Not as predicted"
+    verdict = f.verdict.capitalize()
     parts = []
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"

@@ -18,7 +18,7 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     )
     rows = []
     for f in found:
-        verdict = "as predicted" if f.as_predicted else "DIFFERS"
+        verdict = "DIFFERS" if f.verdict == "not as predicted" else f.verdict
         spared = [_spared(f, label) for label in added]
         rows.append([f"{f.number}. {f.title}", f"{verdict}, {predicted_counts(f)}", *spared])
     note = "Numbers that lie in the interval predicted for them, of all that were predicted."
@@ -49,6 +49,7 @@ def part_table(part: PartResult) -> Table:
     rows, best = [], set()
     for case in part.cases:
         verdict = {True: "as predicted", False: "DIFFERS", None: "-"}[case.as_predicted]
+        verdict = "not measured" if case.stopped else verdict
         predicted = "-" if case.predicted is None else bounds(case.predicted)
         found = "none" if case.number is None else number(case.number)
         rows.append([case.label, found, predicted, verdict, case.verdict])

@@ -14,6 +14,7 @@ from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import scene_records
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.worker import Worker
@@ -34,6 +35,11 @@ METHODS = {
 @pytest.fixture(scope="module")
 def registry():
     return Registry([PLUGINS])
+
+
+@pytest.fixture(scope="module")
+def inventory():
+    return Inventory([PLUGINS])
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +127,9 @@ def test_rows_are_not_those_of_the_plugin(worker):
 
 
 @pytest.mark.parametrize("how", false.FACTS)
-def test_false_facts_cost_their_owners_cells(registry, worker, how):
+def test_false_facts_cost_their_owners_cells(inventory, worker, how):
     study = StudyFile(problems=["oscillator"], integrators=[f"lying[how={how}]"], steps=[0.1])
-    suite = make_suite("facts", ProfileFile(study=[study]), registry)
+    suite = make_suite("facts", ProfileFile(study=[study]), inventory)
     (facts,) = suite.plan.integrators.values()
     assert facts.orders == {}
     stored(type(suite.plan), suite.plan)
@@ -135,7 +141,9 @@ def test_false_facts_cost_their_owners_cells(registry, worker, how):
 def test_a_false_part_of_a_scene_costs_the_part(registry, monkeypatch, name):
     monkeypatch.setattr(scene_records, "rates", lambda *_: None)  # they are compiled
     scene = registry.problem(snake_case(name))
-    record = stored(SceneRecord, scene_records.scene_record(scene, Reference(scene, 20.0)))
+    record = stored(
+        SceneRecord, scene_records.scene_record(scene, 20.0, lambda: Reference(scene, 20.0))
+    )
     words = false.SCENES[name][-1]
     assert any(words in fault for fault in record.faults)
     assert all(fault.isprintable() for fault in record.faults)
@@ -185,13 +193,16 @@ def test_a_closed_form_with_nan_costs_the_errors(worker):
     assert "the reference failed: exact()['q'][0, 0] is nan, expected finite" in record.message
 
 
-def test_scenes_are_turned_into_own_types(registry, monkeypatch):
+def test_scenes_are_turned_into_own_types(registry, inventory, monkeypatch):
     monkeypatch.setattr(scene_records, "rates", lambda *_: None)
     scene = registry.problem("numpy_step")
-    record = stored(SceneRecord, scene_records.scene_record(scene, Reference(scene, 20.0)))
+    record = stored(
+        SceneRecord, scene_records.scene_record(scene, 20.0, lambda: Reference(scene, 20.0))
+    )
     assert type(record.nominal_step) is float
     assert (record.tags, record.faults) == (["smooth"], [])
-    stored(Record, Cell("numpy_step", "lying", 20.0, Steps(np.float64(0.1))).record(registry, "ok"))
+    facts = inventory.problem("numpy_step"), inventory.integrator("lying")
+    stored(Record, Cell("numpy_step", "lying", 20.0, Steps(np.float64(0.1))).record(*facts, "ok"))
     long = registry.problem("long_story")
     record = stored(SceneRecord, scene_records.scene_record(long, Reference(long, 20.0)))
     assert (len(record.title), record.faults) == (len(record.title), [])

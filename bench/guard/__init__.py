@@ -1,0 +1,1 @@
+"""Guarded processes: foreign code runs in them, within budgets, and ends with this process."""

@@ -1,0 +1,114 @@
+"""Budgets of jobs: processor time, idle time, memory, and what they mean for the result."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bench.guard.usage import Usage, usage
+
+#: Phases of a job; each has a budget of its own.
+LOADING, PREPARING, REFERENCE, RUNNING = "loading", "preparing", "reference", "running"
+#: Processor time in s for loading plugins, at least for tracing and compiling, and for a reference.
+LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
+#: Tracing, compiling and references may take so many budgets of a run.
+_MORE = 5
+#: A process may be idle for so many budgets of a run, or at least so long, in s.
+_IDLE, _LEAST_IDLE = 2, 10.0
+#: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
+#: without having computed or been idle: the machine did not let it run.
+_LATE, _LEAST_LATE = 20, 60.0
+#: Longest time in s between two looks that counts: more passes if this process itself is halted.
+_LONGEST_LOOK = 1.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The most that one job may take.
+
+    Parameters
+    ----------
+    budget_s
+        Processor time of a run in s. Tracing and compiling, and the reference of a scene, may
+        take five times as long, but at least `LEAST_SECONDS`.
+    memory_gib
+        Resident memory.
+    processors
+        Processors that a run keeps busy: so many times the budget is allowed.
+    advice
+        A clause that tells the user how to stay within the budget.
+    """
+
+    budget_s: float = math.inf
+    memory_gib: float = math.inf
+    processors: int = 1
+    advice: str = ""
+
+    def seconds(self, phase: str) -> float:
+        """Return the processor time in s of a phase."""
+        if phase == LOADING:
+            return LOADING_SECONDS
+        if phase == RUNNING:
+            return self.budget_s * self.processors
+        return max(LEAST_SECONDS, _MORE * self.budget_s)
+
+    @property
+    def idle_seconds(self) -> float:
+        """Return the time in s that a process may do nothing."""
+        return max(_LEAST_IDLE, _IDLE * self.budget_s)
+
+
+class Excess(NamedTuple):
+    """A limit that was passed: the status of the job, and the reason as a clause."""
+
+    status: str
+    reason: str
+
+
+class Meter:
+    """Measures one job of a process against its limits, phase by phase."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits, self._last = limits, Usage()
+        self.begin(RUNNING)
+
+    def begin(self, phase: str, process: int | None = None) -> None:
+        """Begin a phase, in which nothing has been used."""
+        self.phase = phase
+        self._looked = time.monotonic()
+        self._last = (usage(process) if process else None) or self._last
+        self._computed = self._idle = self._lasted = 0.0
+
+    def excess(self, process: int) -> Excess | None:
+        """Look at a process; return the limit that it has passed, if any."""
+        now, use = time.monotonic(), usage(process)
+        if use is None:
+            return None
+        passed = min(now - self._looked, _LONGEST_LOOK)
+        computed = max(0.0, use.computed_s - self._last.computed_s)
+        queued = max(0.0, use.queued_s - self._last.queued_s)
+        self._looked, self._last = now, use
+        self._computed += computed
+        self._lasted += passed
+        if not use.stopped:
+            self._idle += max(0.0, passed - computed - queued)
+        allowed = self._limits.seconds(self.phase)
+        if self._computed > allowed:
+            return Excess(
+                "budget_exceeded", f"it took more than {allowed:g} s of processor time, its budget"
+            )
+        if self._idle > self._limits.idle_seconds:
+            return Excess(
+                "budget_exceeded",
+                f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
+            )
+        if use.memory > self._limits.memory_gib * 2**30:
+            memory = f"{self._limits.memory_gib:g} GiB"
+            return Excess("budget_exceeded", f"it used more memory than the budget of {memory}")
+        if self._lasted > _LATE * allowed + _LEAST_LATE:
+            return Excess(
+                "interrupted", "the machine hardly let it run: it was halted, or busy with others"
+            )
+        return None

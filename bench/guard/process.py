@@ -1,0 +1,283 @@
+"""Guarded processes: foreign code runs in them, one job at a time, within budgets.
+
+A crash, a hang or a memory blow-up costs the job in work and nothing else. The process has a
+keeper (`bench.guard.keeper`), which ends it with all that it started, whatever happens to us.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bench.guard import keeper, wire
+from bench.guard.limits import LOADING, Limits, Meter
+from problems.spec import SpecError
+
+#: Time in s between two looks at the use of a process.
+_WATCH_SECONDS = 0.1
+#: Of the output of a job so many bytes are kept: the first ones, and the last ones.
+_KEPT_BYTES = 1000
+#: Signals that end a process because of its own deeds; others come from outside.
+_OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP"})
+#: Variable by which everything that a guarded process started is known.
+_MARK = "STEPBENCH_KEPT"
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from bench.guard.serve import serve; serve(int(sys.argv[2]))"
+)
+
+
+class NoAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """The fate of a job that failed.
+
+    Attributes
+    ----------
+    status
+        "crashed", "budget_exceeded", or "interrupted" if the job is not to blame.
+    message
+        A sentence with the reason.
+    phase
+        The phase in which it ended, one of `bench.guard.limits`, with words on it.
+    """
+
+    status: str
+    message: str
+    phase: str = ""
+    words: str = ""
+
+
+class Refused(NoAnswer, frozen=True, kw_only=True):
+    """A job refused its arguments, with a sentence for the user."""
+
+
+class GuardedProcess:
+    """A process that answers jobs, one at a time.
+
+    A job is a function of a module, whose return annotation tells the type of its answer. It is
+    called with the state of the process and arguments, and must not return None.
+
+    Parameters
+    ----------
+    prepare
+        Makes the state, once, from a `Notify` and ``arguments``.
+    arguments
+        For ``prepare``.
+    limits
+        The most that one job may take.
+    """
+
+    def __init__(
+        self, prepare: Callable[..., Any], arguments: tuple = (), limits: Limits | None = None
+    ) -> None:
+        self._pipe, theirs = socket.socketpair()
+        self._control, keepers = socket.socketpair()
+        self._output, writing = os.pipe()
+        self._mark = secrets.token_hex(8)
+        command = [sys.executable, "-c", _START, json.dumps(sys.path), str(theirs.fileno())]
+        kept = f"{theirs.fileno()}"
+        self._keeper = subprocess.Popen(
+            [sys.executable, "-I", "-S", keeper.__file__, str(keepers.fileno()), kept, *command],
+            stdin=subprocess.DEVNULL,
+            stdout=writing,
+            stderr=writing,
+            pass_fds=(keepers.fileno(), theirs.fileno()),
+            env=os.environ | {_MARK: self._mark},
+        )
+        for end in (theirs, keepers):
+            end.close()
+        os.close(writing)
+        for descriptor in (self._pipe.fileno(), self._output):
+            os.set_blocking(descriptor, False)
+        self._inbox, self._news = wire.Inbox(), bytearray()
+        self._limits = limits or Limits()
+        self._meter, self._words = Meter(self._limits), "this program"
+        self._meter.begin(LOADING)
+        self._job: Callable[..., Any] | None = None
+        self._printed = bytearray()
+        self.alive = True
+        self._send((prepare, arguments))
+
+    def start(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> None:
+        """Begin a job."""
+        self._job = job
+        self._printed.clear()
+        self._send((job, arguments, named))
+
+    def take(self) -> Any:
+        """Return the answer of the job, NoAnswer if it has none, None while it is in work."""
+        try:
+            self._inbox.add(self._received())
+            for message in self._inbox.messages():
+                if message.kind == wire.PHASE:
+                    phase, self._words = wire.decode(message.content, tuple[str, str])
+                    self._meter.begin(phase, self.pid)
+                else:
+                    return self._answer(message)
+        except wire.BrokenMessage as error:
+            self.end()
+            return self._failed("crashed", f"Its answer cannot be read: {error}.")
+        if (status := self._status()) is not None:
+            return self._died(status)
+        excess = self._meter.excess(self.pid) if self.pid else None
+        if not excess:
+            return None
+        self.end()
+        if excess.status == "interrupted":
+            return self._failed("interrupted", f"Stopped because {excess.reason}.")
+        return self._failed(
+            excess.status,
+            f"Stopped while {self._doing} because {excess.reason}"
+            f"{'; ' if self._limits.advice else ''}{self._limits.advice}.",
+        )
+
+    def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        """Do a job and return its answer, or NoAnswer."""
+        self.start(job, *arguments, **named)
+        while (answer := self.take()) is None:
+            wait_for_any([self])
+        return answer
+
+    def printed(self) -> str:
+        """Return the beginning and the end of what the job in work, or the last one, printed."""
+        self._listen()
+        text = bytes(self._printed)
+        if len(text) > 2 * _KEPT_BYTES:
+            text = text[:_KEPT_BYTES] + b" ... " + text[-_KEPT_BYTES:]
+        return "".join(
+            c if c.isprintable() or c == "\n" else " " for c in text.decode(errors="replace")
+        ).strip()
+
+    def end(self) -> None:
+        """Kill the process and all that it started; nothing is lost that is not elsewhere."""
+        if not self.alive:
+            return
+        self.alive = False
+        self._listen()
+        self._control.close()
+        if self._keeper.wait() < 0:  # it was killed itself, and could not clear up
+            _kill_marked(self._mark)
+        self._pipe.close()
+        os.close(self._output)
+
+    @property
+    def pid(self) -> int | None:
+        """The number of the process, once its keeper has told it."""
+        with suppress(BlockingIOError, OSError):
+            self._news += self._control.recv(64, socket.MSG_DONTWAIT)
+        return struct.unpack_from("i", self._news)[0] if len(self._news) >= 4 else None
+
+    # ---- parts -------------------------------------------------------------------------
+    def _send(self, task: tuple[Any, ...]) -> None:
+        self._pipe.setblocking(True)
+        with suppress(OSError):  # it is dead, as take() will find
+            wire.send_task(self._pipe, *task)
+        with suppress(OSError):
+            self._pipe.setblocking(False)
+
+    def _received(self) -> bytes:
+        self._listen()
+        pieces = []
+        with suppress(BlockingIOError, OSError):
+            while piece := self._pipe.recv(2**20):
+                pieces.append(piece)
+        return b"".join(pieces)
+
+    def _listen(self) -> None:
+        """Take what was printed, of which little is kept."""
+        with suppress(BlockingIOError, OSError):
+            while piece := os.read(self._output, 2**16):
+                self._printed += piece
+                if len(self._printed) > 4 * _KEPT_BYTES:
+                    del self._printed[_KEPT_BYTES + 1 : -_KEPT_BYTES]
+
+    def _status(self) -> int | None:
+        """The wait status of the process if it has ended."""
+        if self.pid and len(self._news) >= 8:
+            return struct.unpack_from("i", self._news, 4)[0]
+        # The keeper says it before it ends, unless it was killed: then the process is, too.
+        return signal.SIGKILL if self._keeper.poll() is not None else None
+
+    def _answer(self, message: wire.Message) -> Any:
+        if message.kind == wire.DONE and self._job:
+            return wire.decode(message.content, wire.answer_type(self._job))
+        text = wire.decode(message.content, str)
+        if message.kind == wire.REFUSED:
+            return Refused(status="crashed", message=text, phase=self._meter.phase)
+        return self._failed("crashed", text)
+
+    def _died(self, status: int) -> NoAnswer:
+        self.end()
+        code = os.waitstatus_to_exitcode(status)
+        how = f"exit code {code}"
+        if code < 0:
+            with suppress(ValueError):
+                how = signal.Signals(-code).name
+            if how not in _OWN_FAULTS:
+                return self._failed(
+                    "interrupted",
+                    f"The process was killed from outside while {self._doing} ({how}).",
+                )
+        last = self.printed().splitlines()[-1:]
+        said = f" Its last words: {last[0][-300:]}" if last else ""
+        return self._failed("crashed", f"The process died while {self._doing} ({how}).{said}")
+
+    @property
+    def _doing(self) -> str:
+        return f"loading {self._words}" if self._meter.phase == LOADING else self._words
+
+    def _failed(self, status: str, text: str) -> NoAnswer:
+        return NoAnswer(status=status, message=text, phase=self._meter.phase, words=self._words)
+
+
+def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
+    """Return when one of the processes has something to tell, or budgets should be looked at."""
+    ends = [end for p in processes for end in (p._pipe, p._control, p._output)]
+    wait(ends, timeout=_WATCH_SECONDS)
+
+
+def ask_once(
+    prepare: Callable[..., Any],
+    arguments: tuple,
+    limits: Limits,
+    job: Callable[..., Any],
+    *given: Any,
+) -> Any:
+    """Do one job in a process of its own and return its answer.
+
+    Raises
+    ------
+    SpecError
+        If the job refuses its arguments, or has no answer.
+    """
+    process = GuardedProcess(prepare, arguments, limits)
+    try:
+        answer = process.ask(job, *given)
+        if printed := process.printed():
+            print(printed, file=sys.stderr)
+    finally:
+        process.end()
+    if isinstance(answer, NoAnswer):
+        raise SpecError(answer.message)
+    return answer
+
+
+def _kill_marked(mark: str) -> None:
+    """Kill all processes that inherited a mark from a guarded process (Linux only)."""
+    wanted = f"{_MARK}={mark}".encode()
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if wanted in (entry / "environ").read_bytes():
+                os.kill(int(entry.name), signal.SIGKILL)

@@ -1,0 +1,148 @@
+"""Facts about scenes and integrators: all that a plan needs to know of them, as plain data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import KINDS, Plugin, Registry
+from integrators import answers
+from problems.answers import step, tidy
+from problems.system import GROUPS
+
+
+class Sources(msgspec.Struct, frozen=True, order=True):
+    """Files and packages from outside of this project that a process has to load."""
+
+    files: frozenset[str] = frozenset()
+    packages: frozenset[str] = frozenset()
+
+    def __or__(self, other: Sources) -> Sources:
+        return Sources(self.files | other.files, self.packages | other.packages)
+
+    def __bool__(self) -> bool:
+        return bool(self.files or self.packages)
+
+
+class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """A line of the list of plugins; a ``reason`` says why one cannot be used."""
+
+    name: str
+    origin: str
+    summary: str = ""
+    options: list[dict[str, Any]] = []
+    reason: str = ""
+    sources: Sources = Sources()
+
+
+class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """A scene: printed name, interval and nominal step in s, fingerprint."""
+
+    spec: str
+    name: str
+    interval: tuple[float, float]
+    nominal_step: float
+    constrained: bool
+    fingerprint: str
+    sources: Sources = Sources()
+
+
+class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint;
+    ``fault`` is the sentence on a false one."""
+
+    spec: str
+    name: str
+    title: str
+    family: str
+    formulation: str
+    controls: str
+    affinity: str
+    orders: dict[str, int]
+    source: str
+    calls: str
+    fingerprint: str
+    sources: Sources = Sources()
+    fault: str = ""
+
+
+def plugin_facts(plugin: Plugin) -> PluginFacts:
+    """State the facts of a plugin, usable or not."""
+    return PluginFacts(
+        name=plugin.name,
+        origin=plugin.origin,
+        summary=tidy(plugin.summary),
+        options=plugin.options,
+        reason=plugin.reason,
+        sources=sources_of(plugin),
+    )
+
+
+def sources_of(plugin: Plugin) -> Sources:
+    """Return the files and packages that a plugin needs; a part of this project needs none."""
+    return Sources(
+        frozenset({plugin.file} if plugin.file else ()),
+        frozenset({plugin.package} if plugin.package else ()),
+    )
+
+
+def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> SceneFacts:
+    """State the facts of the scene that is written as ``text``."""
+    scene = registry.problem(text, **parameters)
+    return SceneFacts(
+        spec=scene.spec,
+        name=scene.name,
+        interval=scene.interval,
+        nominal_step=step(scene.nominal_step),
+        constrained=scene.has("constraint"),
+        fingerprint=fingerprint(type(scene)),
+        sources=sources_of(registry.problems[scene.name]),
+    )
+
+
+def method_facts(registry: Registry, text: str) -> MethodFacts:
+    """State the facts of the integrator that is written as ``text``."""
+    method = registry.integrator(text)
+    plugin = registry.integrators[method.name]
+    stated, fault = answers.stated(method)
+    return MethodFacts(
+        spec=method.spec,
+        name=method.name,
+        title=tidy(plugin.summary),
+        family=stated.family or method.name,
+        formulation=stated.formulation,
+        controls=stated.controls,
+        affinity=stated.affinity,
+        orders=dict(stated.orders),
+        source=stated.source,
+        calls=stated.calls,
+        fingerprint=fingerprint(type(method)),
+        sources=sources_of(plugin),
+        fault=fault,
+    )
+
+
+def scene_weight(registry: Registry, text: str) -> float:
+    """Estimate how long runs of a scene take: steps times the square of its states."""
+    scene = registry.problem(text)
+    states = sum(np.size(part) for part in scene.initial_state())
+    start, end = scene.interval
+    return float((end - start) / scene.nominal_step * states**2)
+
+
+def component_texts(registry: Registry, text: str) -> dict[str, list[str]]:
+    """Return the names of the components of each group of a scene, "xdot" included."""
+    scene = registry.problem(text)
+    names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
+    return names | {"xdot": [c.rate().text for c in scene.components("x")]}
+
+
+def listing(registry: Registry) -> dict[str, dict[str, PluginFacts]]:
+    """List all plugins by kind and name."""
+    return {
+        kind: {name: plugin_facts(plugin) for name, plugin in getattr(registry, kind).items()}
+        for kind in KINDS
+    }
