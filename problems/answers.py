@@ -26,6 +26,8 @@ MOST_SENTENCE = 1000
 MOST_DESCRIPTION = 20_000
 #: Entries of a list of texts, such as tags, and parameters of a scene.
 MOST_TEXTS = 1000
+#: Names of components.
+MOST_COMPONENTS = 100_000
 #: Lines of a drawing, and points of all its lines.
 MOST_LINES, MOST_POINTS = 1000, 20_000
 #: Notes of a trajectory.
@@ -118,12 +120,12 @@ def one_of(value: object, what: str, known: Collection[str]) -> str:
     return str.__str__(value)
 
 
-def texts(value: object, what: str) -> tuple[str, ...]:
+def texts(value: object, what: str, most: int = MOST_TEXTS) -> tuple[str, ...]:
     """Return a tuple of texts; a single text is a tuple of one."""
     if isinstance(value, str):
         return (text(value, what),)
-    if not isinstance(value, list | tuple) or len(value) > MOST_TEXTS:
-        raise refused(what, value, f"a tuple of at most {MOST_TEXTS} texts")
+    if not isinstance(value, list | tuple) or len(value) > most:
+        raise refused(what, value, f"a tuple of at most {most} texts")
     return tuple(text(item, f"{what}[{k}]") for k, item in enumerate(value))
 
 

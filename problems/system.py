@@ -302,7 +302,8 @@ class MechatronicSystem:
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""
         stated = {"lam": self.multipliers, "x": self.states, "y": self.outputs}
-        texts = answers.texts(stated.get(group, self.coordinates), f"the names of {group}")
+        named = stated.get(group, self.coordinates)
+        texts = answers.texts(named, f"names of {group}", answers.MOST_COMPONENTS)
         found = [Component.read(text) for text in texts]
         for _ in range("qva".find(group)):
             found = [component.rate() for component in found]

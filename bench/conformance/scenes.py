@@ -47,8 +47,9 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
         )
     stated = ("coordinates", "q"), ("multipliers", "lam"), ("states", "x"), ("outputs", "y")
     for attribute, group in stated:
-        named = len(answers.texts(getattr(scene, attribute), attribute))
-        scene.components(group)  # refuses natural sizes that are no numbers
+        scene.components(group)  # refuses names that are no text, and sizes that are no numbers
+        named = getattr(scene, attribute)
+        named = 1 if isinstance(named, str) else len(named)
         size = scene.sizes.of(group)
         if named not in (0, size):
             raise Failed(f"{named} {attribute} are named, {group} has {size} entries.")

@@ -1,4 +1,4 @@
-"""Plugins that give one false answer each; test_answers.py uses this as a plugin file, too."""
+"""Integrators that give one false answer each; test_answers.py names this as a plugin file."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from integrators import Integrator, PreparedRun, Trajectory, Work, option
-from problems import State, jnp
-from problems.scenes.oscillator import Oscillator
+from problems import jnp
 
 ROWS = 6
 
@@ -276,6 +275,9 @@ MENDED = {
     "nan_rows_of_a_failure": lambda run: replace(
         run, status="diverged", message="Late.", q=np.where(run.t[:, None] > 1, NAN, run.q)
     ),
+    "times_of_a_failure_repeated": lambda run: replace(
+        run, status="step_too_small", message="Late.", t=run.t[[0, 1, 2, 3, 4, 4]]
+    ),
     "nan_rows": lambda run: replace(run, q=np.full((ROWS, 1), NAN)),
     "infinite_rows": lambda run: replace(run, q=np.full((ROWS, 1), np.longdouble("1e400"))),
 }
@@ -334,188 +336,3 @@ class Lying(Integrator):
         if self.how in PREPARES:
             return PREPARES[self.how][0]
         return Run(self.how, scene, t_end)
-
-
-# ---- scenes ----------------------------------------------------------------------------
-def closed(change):
-    """A closed form that is changed."""
-    return {"exact": lambda self, t: change(Oscillator.exact(self, t))}
-
-
-def told(**parts):
-    """A description with other parts."""
-    return {"describe": lambda self: Oscillator.describe(self) | parts}
-
-
-def begun(value):
-    """Another initial state."""
-    return {"initial_state": lambda self: value}
-
-
-def drawn(value):
-    """Another picture."""
-    return {"draw": lambda self, q: value}
-
-
-def raising(*_):
-    """Raise an exception that cannot be shown."""
-    raise Unspeakable
-
-
-def leaving(*_):
-    """Leave without a word."""
-    raise SystemExit
-
-
-LINE = np.zeros((2, 2))
-PARAMETER = {"name": "m", "value": 1.0, "unit": "kg", "doc": "mass"}
-
-#: By name of the scene's class: what it states, the check that fails, and words of its sentence.
-SCENES = {
-    "Nan": (
-        closed(lambda z: z | {"q": z["q"] * NAN}),
-        "reference",
-        "exact()['q'][0, 0] is nan, expected finite numbers",
-    ),
-    "ExactNone": (closed(lambda z: None), "reference", "exact() is None, expected a dictionary"),
-    "ExactTurned": (
-        closed(lambda z: z | {"v": z["v"].T}),
-        "reference",
-        "; it is transposed",
-    ),
-    "ExactFlat": (
-        closed(lambda z: z | {"a": z["a"][:, 0]}),
-        "reference",
-        "exact()['a'] is an array of float64 of shape",
-    ),
-    "ExactLess": (closed(lambda z: {"q": z["q"]}), "reference", "exact() leaves out v, a"),
-    "ExactMore": (
-        closed(lambda z: z | {"speed": z["v"]}),
-        "reference",
-        "a group of exact() is 'speed', expected one of q, v, a",
-    ),
-    "ExactComplex": (
-        closed(lambda z: z | {"q": z["q"] + 0j}),
-        "reference",
-        "is an array of complex128 of shape",
-    ),
-    "ExactLeaving": ({"exact": leaving}, "reference", "SystemExit: no message"),
-    "DrawNone": (drawn(None), "drawing", "draw() is None, expected a list of at most 1000 lines"),
-    "DrawEndless": (drawn([LINE] * 1001), "drawing", "expected a list of at most 1000 lines"),
-    "DrawMuch": (
-        drawn([np.zeros((20_001, 2))]),
-        "drawing",
-        "draw() gives more than 20000 points; leave some out.",
-    ),
-    "DrawNan": (drawn([LINE * NAN]), "drawing", "line 0 of draw()[0, 0] is nan, expected finite"),
-    "DrawSpace": (
-        drawn([LINE, np.zeros((4, 3))]),
-        "drawing",
-        "line 1 of draw() is an array of float64 of shape (4, 3), expected an array of shape (poi",
-    ),
-    "DrawWords": (drawn([["here", "there"]]), "drawing", "line 0 of draw() is ['here', 'there']"),
-    "DrawRaising": ({"draw": raising}, "drawing", "Unspeakable: its text cannot be made"),
-    "EnergyVector": (
-        {"energy": lambda self, q, v: jnp.stack([q, v])},
-        "energy",
-        "energy() is ",
-    ),
-    "EnergyNan": (
-        {"energy": lambda self, q, v: NAN * (q @ v)},
-        "energy",
-        "energy() is Array(nan, dtype=float64",
-    ),
-    "EnergyText": ({"energy": lambda self, q, v: "much"}, "energy", "energy() is 'much', expected"),
-    "TagsOfNumbers": ({"tags": (1, 2)}, "description", "tags[0] is 1, expected text"),
-    "TagsOfNothing": ({"tags": None}, "description", "tags is None, expected a tuple"),
-    "TooManyTags": ({"tags": ("t",) * 1001}, "description", "expected a tuple of at most 1000"),
-    "Hard": ({"difficulties": 3}, "description", "difficulties is 3, expected a tuple of at most"),
-    "Unsourced": ({"source": None}, "description", "source is None, expected text"),
-    "Numbered": (
-        {"coordinates": (1,)},
-        "description",
-        "coordinates[0] is 1, expected text",
-    ),
-    "Unsized": (
-        {"coordinates": ("q [m] ~ big",)},
-        "description",
-        "a component is 'q [m] ~ big', expected positive numbers after '~'",
-    ),
-    "Negative": (
-        {"coordinates": ("q [m] ~ -1",)},
-        "description",
-        "a component is 'q [m] ~ -1', expected positive numbers after '~'",
-    ),
-    "DescribedByNothing": (
-        {"describe": lambda self: None},
-        "description",
-        "describe() is None, expected a dictionary of title, description and parameters",
-    ),
-    "DescribedByMore": (told(problem="x"), "description", "describe() is {'description'"),
-    "TitleNumber": (told(title=5), "description", "title of describe() is 5, expected text"),
-    "ParametersNone": (
-        told(parameters=[PARAMETER, 3]),
-        "description",
-        "a parameter of describe() is 3, expected a dictionary of name, value, unit and doc",
-    ),
-    "ParameterObject": (
-        told(parameters=[PARAMETER | {"value": {1}}]),
-        "description",
-        "the parameter m is {1}, expected a finite number",
-    ),
-    "DescribeRaising": ({"describe": raising}, "description", "Unspeakable: its text cannot be ma"),
-}
-#: The same for faults that leave no run possible.
-STARTS = {
-    "StartNone": (begun(None), "start", "initial_state() is None, expected State(q, v), or State("),
-    "StartPair": (begun(([1.0], [0.0])), "start", "expected State(q, v), or State(q, v, x)"),
-    "StartNan": (
-        begun(State(np.array([NAN]), np.zeros(1))),
-        "start",
-        "q of initial_state()[0] is nan, expected finite numbers",
-    ),
-    "StartEmpty": (
-        begun(State(np.zeros(0), np.zeros(0))),
-        "start",
-        "q of initial_state() is an array of float64 of shape (0,), expected real numbers of sha",
-    ),
-    "StartLong": (
-        begun(State(np.zeros(1), np.zeros(2))),
-        "start",
-        "v of initial_state() is an array of float64 of shape (2,), expected real numbers of sha",
-    ),
-    "StartComplex": (
-        begun(State(np.zeros(1), np.zeros(1) * 1j)),
-        "start",
-        "v of initial_state() is array([0.+0.j]), expected real numbers of shape (1,)",
-    ),
-    "StartText": (
-        begun(State(["a"], np.zeros(1))),
-        "start",
-        "q of initial_state() is ['a'], expected real numbers of shape (nq,)",
-    ),
-    "StartLeaving": ({"initial_state": leaving}, "start", "SystemExit: no message"),
-}
-#: By name of the class: its interval or step, and words of the reason why it cannot be used.
-TIMES = {
-    "StepText": ({"nominal_step": "short"}, "nominal_step is 'short', expected a positive number"),
-    "StepNone": ({"nominal_step": None}, "nominal_step is None, expected a positive number of sec"),
-    "StepNan": ({"nominal_step": NAN}, "nominal_step is nan, expected a positive number"),
-    "StepZero": ({"nominal_step": 0.0}, "nominal_step is 0.0, expected a positive number"),
-    "IntervalTurned": ({"interval": (1, 0)}, "interval is (1.0, 0.0), expected a start in s, and"),
-    "IntervalNan": ({"interval": (0, NAN)}, "interval[1] is nan, expected finite numbers"),
-    "IntervalOne": ({"interval": 3.0}, "interval is array(3.), expected real numbers of shape (2"),
-}
-
-
-def scene_class(name, stated):
-    """A scene that differs from an oscillator in what is stated."""
-    doc = {"__doc__": "A scene with a false answer.", "__module__": __name__}
-    return type(name, (Oscillator,), doc | stated)
-
-
-for _name, (_stated, *_) in (SCENES | STARTS | TIMES).items():
-    globals()[_name] = scene_class(_name, _stated)
-#: Not false: they are turned into our own types.
-NumpyStep = scene_class("NumpyStep", {"nominal_step": np.float64(0.1), "tags": "smooth"})
-LongStory = scene_class("LongStory", {"__doc__": "\x1b[31m" + "A long story. \x07\n\n" * 10**5})
