@@ -18,6 +18,7 @@ from bench.results.experiments import ExperimentResult
 from bench.results.records import (
     Damping,
     Environment,
+    IntegratorFacts,
     Plan,
     Record,
     Rows,
@@ -353,6 +354,37 @@ def test_a_result_that_cannot_be_read_again_is_kept_as_crashed_with_the_reason(t
         (scene,) = store.scenes().values()
         assert "cannot be stored" in scene.description
         assert "cannot be stored" in store.damping()["d"].message
+
+
+def test_a_plan_is_kept_without_unfit_facts_of_integrators(tmp_path):
+    facts = {
+        "odd": IntegratorFacts(title="O", orders={"q": 1.5}),  # type: ignore[dict-item]
+        "none": IntegratorFacts(title="N", source=None),  # type: ignore[arg-type]
+        "good": IntegratorFacts(title="G", orders={"q": 2}),
+    }
+    plan = Plan(name="p", title="", samples=1, budget_s=1.0, studies=[], integrators=facts)
+    with Store(tmp_path, create=True) as store:
+        store.save_plan(plan)
+        found = store.plan()
+        assert found
+        assert found.integrators == {"good": facts["good"]}
+        with pytest.raises(StoreError, match=r"Plan cannot be stored.*samples"):
+            store.save_plan(msgspec.structs.replace(plan, samples="many"))
+        assert store.plan() == found
+
+
+def test_names_that_no_chart_can_show_are_cut_and_stay_different(tmp_path):
+    with Store(tmp_path, create=True) as store:
+        for end in "ab":
+            store.save(a_record("k" * 9999 + end, integrator="i" * 9999), NO_ROWS)
+        store.save_scene(msgspec.structs.replace(A_SCENE, problem="p" * 9999))
+        assert store.set_aside() == []
+        records = store.records()
+        assert len(records) == 2
+        for record in records.values():
+            assert record.status == "crashed"
+            assert "length <= 1000" in record.message
+        assert len(store.scenes()) == 1
 
 
 def test_sampled_values_that_cannot_be_read_again_cost_no_more_than_themselves(tmp_path):

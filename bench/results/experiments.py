@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
+from bench.results.records import Name
+
 
 class CaseResult(msgspec.Struct, kw_only=True):
     """One case: its sweep (``x``, ``y``; None where there is no value), the number made of it, and
@@ -14,10 +16,10 @@ class CaseResult(msgspec.Struct, kw_only=True):
     ``stopped`` says that a run was stopped by its budget or from outside: nothing was measured.
     """
 
-    label: str
-    integrator: str
-    family: str
-    axis: str
+    label: Name
+    integrator: Name
+    family: Name
+    axis: Name
     x: list[float]
     y: list[float | None]
     number: float | None
@@ -37,11 +39,11 @@ class CaseResult(msgspec.Struct, kw_only=True):
 class PartResult(msgspec.Struct, kw_only=True):
     """One number for several cases; ``quantity`` names the values of the sweeps."""
 
-    text: str
-    quantity: str
+    text: Name
+    quantity: Name
     take: str
     healthy: tuple[float | None, float | None]
-    show: str = ""
+    show: Name = ""
     cases: list[CaseResult] = []
 
 

@@ -25,6 +25,8 @@ TIMING_SECONDS = 1.0
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=0, le=2**62)]
+#: Texts that charts show, of a length that they can show.
+Name = Annotated[str, Meta(max_length=1000)]
 Controls = Annotated[str, Meta(pattern="^(step|tolerance)$")]
 Norm = Annotated[str, Meta(pattern=f"^({'|'.join(NORMS)})$")]
 
@@ -58,11 +60,11 @@ class Record(msgspec.Struct, kw_only=True):
     that measured.
     """
 
-    key: str
-    problem: str
-    integrator: str
-    family: str
-    formulation: str
+    key: Name
+    problem: Name
+    integrator: Name
+    family: Name
+    formulation: Name
     controls: Controls
     calls: str = ""
     h: Positive | None = None
@@ -71,7 +73,7 @@ class Record(msgspec.Struct, kw_only=True):
     atol: NotNegative | None = None
     t0: float
     t_end: float
-    status: str
+    status: Name
     message: str = ""
     errors: dict[str, dict[str, NotNegative | None]] = {}
     reference_error: dict[str, dict[str, NotNegative]] = {}
@@ -110,9 +112,9 @@ class Rows(msgspec.Struct, kw_only=True):
 class Parameter(TypedDict):
     """A parameter of a scene; ``value`` is plain data."""
 
-    name: str
+    name: Name
     value: Any
-    unit: str
+    unit: Name
     doc: str
 
 
@@ -130,14 +132,14 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
-    problem: str
+    problem: Name
     t_end: float
-    title: str
+    title: Name
     description: str
     source: str
     parameters: list[Parameter]
-    components: dict[str, list[str]]
-    sizes: dict[str, int]
+    components: dict[str, list[Name]]
+    sizes: dict[str, Count]
     t0: float
     reference_method: str
     reference_error: dict[str, float]

@@ -28,7 +28,7 @@ from bench.results.store_file import (
     remove,
 )
 from bench.results.store_file import StoreError as StoreError
-from bench.results.stored_values import Unreadable, crashed, decoded, encoded, undescribed
+from bench.results.stored_values import Unreadable, crashed, decoded, encoded, storable, undescribed
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -115,12 +115,14 @@ class Store:
 
     # ---- writing -----------------------------------------------------------------------
     def save_plan(self, plan: Plan) -> None:
-        """Keep the plan of a run; reports follow it."""
-        self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", encoded(plan))
+        """Keep the plan of a run; reports follow it. Unfit facts of integrators are left out."""
+        facts = {name: facts for name, facts in plan.integrators.items() if storable(facts)}
+        plan = msgspec.structs.replace(plan, integrators=facts)
+        self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", self._encoded(plan))
 
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
-        self._write("INSERT INTO environments (value) VALUES (?)", encoded(environment))
+        self._write("INSERT INTO environments (value) VALUES (?)", self._encoded(environment))
         return self._read("SELECT MAX(id) FROM environments")[0][0]
 
     def save_scene(self, scene: SceneRecord) -> None:
@@ -128,7 +130,8 @@ class Store:
         try:
             value = encoded(scene)
         except Unreadable as error:
-            value = encoded(undescribed(scene, error))
+            scene = undescribed(scene, error)
+            value = encoded(scene)
         self._write(
             "INSERT OR REPLACE INTO scenes VALUES (?, ?, ?)",
             clean(scene.problem),
@@ -138,7 +141,8 @@ class Store:
 
     def save_experiment(self, found: ExperimentResult) -> None:
         """Keep the result of an experiment of the atlas."""
-        self._write("INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, encoded(found))
+        value = self._encoded(found)
+        self._write("INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, value)
 
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""
@@ -309,6 +313,14 @@ class Store:
         except Unreadable as error:
             self._note(table, key, str(error))
             return None
+
+    def _encoded(self, value: object) -> bytes:
+        """JSON of a value that is the bench's own."""
+        try:
+            return encoded(value)
+        except Unreadable as error:
+            name = type(value).__name__
+            raise StoreError(f"{name} cannot be stored in {self.folder}: {error}.") from None
 
     def _note(self, table: str, key: str, reason: str) -> None:
         self._spoilt[table, key] = reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from bench.results.records import Damping, Record, Rows, SceneRecord
 
 T = TypeVar("T")
 
-#: Most characters of a reason.
+#: Most characters of a reason, and of a name that was too long.
 _LONGEST = 200
 
 
@@ -64,6 +65,15 @@ def encoded(value: object) -> bytes:
     return raw
 
 
+def storable(value: object) -> bool:
+    """Whether a value can be written and read again."""
+    try:
+        encoded(value)
+    except Unreadable:
+        return False
+    return True
+
+
 def crashed(record: Record, reason: object) -> Record:
     """The record of a cell whose result cannot be stored: how it was run, and the reason."""
     return Record(
@@ -101,7 +111,11 @@ def undescribed(scene: SceneRecord, reason: object) -> SceneRecord:
 
 
 def _text(value: object) -> str:
-    return clean(value) if isinstance(value, str) else f"({type(value).__name__})"
+    """Clean text; one that is too long ends in a digest, so that two stay different."""
+    text = clean(value) if isinstance(value, str) else f"({type(value).__name__})"
+    if len(text) <= _LONGEST:
+        return text
+    return f"{text[:_LONGEST]}...{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _flaw(value: object) -> str:

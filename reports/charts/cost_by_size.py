@@ -43,8 +43,9 @@ def _rows(
     best: dict[tuple[str, int, str], Record] = {}
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
-        if record.status == "ok" and scene and steps and seconds_of(record):
-            key = record.problem.split("[")[0], sum(scene.sizes.values()), label_of(record)
+        sizes = sum(scene.sizes.values()) if scene else 0
+        if record.status == "ok" and sizes and steps and seconds_of(record):
+            key = record.problem.split("[")[0], sizes, label_of(record)
             if key not in best or steps > (best[key].work["steps"] or 0):
                 best[key] = record
     rows = defaultdict(list)
