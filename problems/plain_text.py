@@ -18,8 +18,11 @@ _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def visible(text: str) -> str:
-    r"""Write characters that command a terminal as escapes like ``\x1b``; keep lines and tabs."""
-    return _HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
+    r"""Write characters that command a terminal as escapes like ``\u001b``; keep lines and tabs.
+
+    The escapes are those of JSON, so that an answer in JSON means the same.
+    """
+    return _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def shortened(text: str) -> str:

@@ -54,8 +54,8 @@ NEEDED = {
     **{f"map {name}": {"over": ["--over", "rho_inf,th0"]} for name in ("step", "rtol", "atol")},
     **{f"solve {option}": MEMBERS for option in ("ensemble", "vary", "seed", "out")},
 }
-#: These commands tell of a plugin file that is of no use, and go on; a name has options to check.
-TOLD = re.compile(r"(list|check) plugins (text|binary)|check names (number|half)")
+#: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
+TOLD = re.compile(r"(list|check) plugins (text|binary)|check names (number|half)|solve seed many")
 
 ANY = {
     "empty": "",
@@ -82,7 +82,7 @@ REAL = ANY | {
     "hex": "0x1",
     "unit": "1s",
 }
-WHOLE = REAL | {"digits": "9" * 5000, "half": "1.5", "zero": "-0.0"}
+WHOLE = REAL | {"digits": "9" * 5000, "many": "9" * 30, "half": "1.5", "zero": "-0.0"}
 LIST = ANY | {"nans": "0.1,nan,0.2", "gap": "0.1,,0.2", "comma": ",", "minus": "-0.1,-0.2,0.3"}
 ADDRESS = ANY | {
     "no port": "tcp://head",

@@ -13,7 +13,7 @@ import click
 import pytest
 from planted import everything, plant
 
-from bench.commands.standard_streams import PlainStream
+from bench.commands.standard_streams import LostOutput, PlainStream, plain_streams
 from bench.plugins.registry import explain
 from problems.plain_text import LONGEST_LINE, said, shortened, visible
 
@@ -56,8 +56,12 @@ def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypa
     assert result.exit_code == 0, result.output
     assert "[/bold][red]" in result.stdout
     assert [text for text in COMMANDS if text in result.output] == []
-    assert r"\x1b" in result.stderr  # what it prints
-    assert ("\x1b[2m" in result.stdout) == ("--json" not in command)
+    assert r"\u001b" in result.stderr  # what it prints
+    if "--json" in command:
+        listed = {plugin["name"]: plugin for plugin in json.loads(result.stdout)["integrators"]}
+        assert listed["hostile"]["options"][-1]["default"] == HOSTILE[:-1]
+    else:
+        assert "\x1b[2m" in result.stdout
 
 
 @pytest.mark.parametrize(
@@ -88,6 +92,20 @@ def test_whatever_a_plugin_raises_is_a_short_reason(stepbench, tmp_path, source)
     assert visible(result.stderr) == result.stderr
 
 
+def test_a_refusal_that_cannot_say_its_message_is_one_all_the_same(stepbench, tmp_path):
+    source = (
+        "from dataclasses import dataclass\n"
+        "from integrators.methods.generalized_alpha import GeneralizedAlpha\n"
+        "from problems.spec import SpecError\n"
+        "class E(SpecError):\n    def __str__(self): raise OSError\n"
+        "@dataclass(frozen=True)\n"
+        "class Hostile(GeneralizedAlpha):\n    def __post_init__(self): raise E\n"
+    )
+    result = stepbench("solve", "pendulum", "hostile", "--plugins", hostile_file(tmp_path, source))
+    assert result.exit_code == 1
+    assert "its message cannot be read" in result.stderr
+
+
 def test_a_message_is_cut_in_its_middle():
     text = shortened("begin " + "x" * 10_000 + " " + "word " * 10_000 + "end")
     assert len(text) == LONGEST_LINE
@@ -115,7 +133,7 @@ def test_a_stream_of_any_encoding_takes_any_text(encoding):
     stream.write(HOSTILE)
     click.echo(HOSTILE + " ✓ …", file=stream)
     written = raw.buffer.getvalue().decode(encoding)
-    assert r"\x1b[2J" in written
+    assert r"\u001b[2J" in written
     assert visible(written) == written
     assert any(tick in written for tick in ("✓", r"\u2713"))
 
@@ -158,6 +176,15 @@ def test_an_answer_that_cannot_be_given_is_no_success(store, arguments, kind):
     assert result.returncode == 1
     assert result.stderr.startswith(b"Error: The s")
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_an_answer_that_is_lost_at_the_end_is_told(monkeypatch):
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        with pytest.raises(LostOutput, match="takes no more"), plain_streams():
+            sys.stdout.write("an answer")
+        assert sys.stdout is full
+        full.write("goes to nowhere")
 
 
 @pytest.mark.attack
