@@ -217,7 +217,7 @@ def _refusal(flags: str) -> str:
     """
     import jaxlib
 
-    key = hashlib.sha256(f"{jaxlib.__version__} {flags}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{jaxlib.version.__version__} {flags}".encode()).hexdigest()[:16]
     file = _CACHE / "flags" / key
     with suppress(OSError, UnicodeDecodeError):
         return file.read_text()
