@@ -16,11 +16,13 @@ from bench.plugins.registry import Registry
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import scene_records
 from bench.running.inventory import Inventory
+from bench.running.measure import energy_drift
 from bench.running.plan import Cell, make_suite
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.worker import Worker
 from integrators import Steps
-from problems.answers import MOST_DESCRIPTION, MOST_SENTENCE
+from problems import jnp
+from problems.answers import MOST_DESCRIPTION, MOST_SENTENCE, FalseAnswer
 from problems.reference import Reference
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import snake_case
@@ -217,3 +219,13 @@ def test_scenes_are_turned_into_own_types(registry, inventory, monkeypatch):
     assert record.faults == []
     assert 0 < len(record.description) <= MOST_DESCRIPTION
     assert record.title.isprintable()
+
+
+def test_an_energy_that_is_lost_in_motion_is_false():
+    lost = {"energy": lambda self, q, v: jnp.where(v[0] == 0.0, q[0], jnp.nan)}
+    scene = scenes.scene_class("EnergyLost", lost)()
+    run = methods.honest(scene, 20.0)
+    assert set(energy_drift(scene, run)) == {"energy"}
+    run.v = run.v + 1.0
+    with pytest.raises(FalseAnswer, match=r"energy\(\) of the rows\[0\] is nan"):
+        energy_drift(scene, run)
