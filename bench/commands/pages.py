@@ -9,8 +9,6 @@ from typing import Any
 
 import click
 
-from bench.plugins.registry import explain
-
 
 def view(name: str) -> Callable[..., Any]:
     """Load the writer of one kind of page or picture (entry points `stepbench.views`)."""
@@ -26,26 +24,33 @@ def write_reports(folder: Path) -> None:
     click.ClickException
         If one cannot be written; the others are.
     """
-    from concurrent.futures import ProcessPoolExecutor
-    from contextlib import ExitStack
-    from multiprocessing import get_context
+    from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
 
     # One process for each page: they do not wait for each other, and each may fail alone.
-    writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
-    failed, pages = [], {}
-    with ExitStack() as stack:
-        for writer in writers:
-            pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-            submit = stack.enter_context(pool).submit
-            pages[writer.name] = submit(_write_report, writer.value, folder)
-        for name, page in pages.items():
-            try:
-                click.echo(f"Report: {page.result()}")
-            except Exception as error:
-                failed.append(f"The {name} report could not be written: {explain(error)}")
+    pages: dict[str, GuardedProcess] = {}
+    failed = []
+    for writer in sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name):
+        pages[writer.name] = GuardedProcess(_load_writer, (writer.value,))
+        pages[writer.name].start(_write_report, str(folder))
+    for name, page in pages.items():
+        while (answer := page.take()) is None:
+            wait_for_any([page])
+        page.end()
+        if isinstance(answer, NoAnswer):
+            failed.append(f"The {name} report could not be written: {answer.message}")
+        else:
+            click.echo(f"Report: {answer}")
     if failed:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
 
-def _write_report(value: str, folder: Path) -> Path:
-    return EntryPoint("report", value, "stepbench.reports").load()(folder)
+# ---- in the process of a page ------------------------------------------------------------
+_Writer = Callable[[Path], Path]
+
+
+def _load_writer(notify: Any, value: str) -> _Writer:
+    return EntryPoint("report", value, "stepbench.reports").load()
+
+
+def _write_report(writer: _Writer, folder: str) -> str:
+    return str(writer(Path(folder)))
