@@ -144,6 +144,6 @@ def _decoded(kind: Any, value: Any) -> Any:
     if kind is not np.ndarray:
         raise TypeError(f"{kind} cannot be received")
     array = msgspec.convert(value, _Array)
-    if np.dtype(array.kind).kind not in "fiub":
+    if np.dtype(array.kind).kind not in "fiub" or min(array.shape, default=0) < 0:
         raise ValueError("an array of numbers was expected")
     return np.frombuffer(array.data, array.kind).reshape(array.shape)

@@ -1,0 +1,222 @@
+"""Guarded processes: fates of jobs, budgets, and nothing that is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import guarded_jobs as jobs
+import numpy as np
+import pytest
+
+from bench.guard import limits, usage
+from bench.guard.limits import Limits, Meter
+from bench.guard.process import GuardedProcess, NoAnswer, Refused
+from bench.guard.usage import Usage
+from bench.guard.wire import BrokenMessage, Inbox, decode, encode, message
+
+
+@pytest.fixture(scope="module")
+def guarded():
+    """A function that gives a process, a new one if the last has ended."""
+    made: list[GuardedProcess] = []
+
+    def process() -> GuardedProcess:
+        if not made or not made[-1].alive:
+            made.append(GuardedProcess(jobs.prepare, (10,), Limits(1.0, 0.3)))
+        return made[-1]
+
+    yield process
+    made[-1].end()
+
+
+def test_answers_come_back_as_data_of_the_stated_type(guarded):
+    assert guarded().ask(jobs.add, 1, two=2) == 13
+    np.testing.assert_array_equal(
+        guarded().ask(jobs.numbers), [[1.0, np.nan], [np.inf, -0.0]], strict=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("job", "arguments", "status", "words"),
+    [
+        (jobs.raises, (), "crashed", "ValueError: so it goes (guarded_jobs.py, line"),
+        (jobs.leaves, (), "crashed", "SystemExit: 0"),
+        (jobs.an_object, (), "crashed", "object cannot be sent"),
+        (jobs.another_type, (), "crashed", "Its answer cannot be read"),
+        (jobs.sends_rubbish, (), "crashed", "Its answer cannot be read"),
+        (jobs.exits, (), "crashed", "died while running (exit code 3)"),
+        (jobs.ends_by, (signal.SIGSEGV,), "crashed", "died while running (SIGSEGV)"),
+        (jobs.ends_by, (signal.SIGKILL,), "interrupted", "from outside while running (SIGKILL)"),
+        (jobs.ends_by, (signal.SIGTERM,), "interrupted", "from outside while running (SIGTERM)"),
+        (jobs.computes, (60.0,), "budget_exceeded", "more than 1 s of processor time"),
+        (jobs.hoards, (), "budget_exceeded", "more memory than the budget of 0.3 GiB"),
+    ],
+)
+def test_a_job_that_fails_has_a_fate_and_the_next_one_an_answer(
+    guarded, job, arguments, status, words
+):
+    fate = guarded().ask(job, *arguments)
+    assert isinstance(fate, NoAnswer)
+    assert (fate.status, fate.phase) == (status, "running")
+    assert words in fate.message
+    assert guarded().ask(jobs.add, 1) == 11
+
+
+def test_a_refusal_keeps_its_sentence(guarded):
+    fate = guarded().ask(jobs.refuses)
+    assert (type(fate), fate.message) == (Refused, "No such thing.")
+
+
+def test_a_phase_has_a_budget_of_its_own(guarded, monkeypatch):
+    assert guarded().ask(jobs.computes_a_reference, 1.5 + time.process_time()) == 1
+    monkeypatch.setattr(limits, "LEAST_SECONDS", 0.2)
+    monkeypatch.setattr(limits, "_MORE", 0.1)
+    fate = guarded().ask(jobs.computes_a_reference, 60.0)
+    assert (fate.status, fate.phase) == ("budget_exceeded", "reference")
+    assert fate.message.startswith("Stopped while making the reference of x because")
+
+
+def test_prints_are_cut_and_shown_as_text(guarded):
+    guarded().ask(jobs.prints)
+    printed = guarded().printed()
+    assert printed.startswith("firstxxx")
+    assert printed.endswith(r"\u001b[31mlast")
+    assert len(printed) < 5000
+    guarded().ask(jobs.add, 1)
+    assert guarded().printed() == ""
+
+
+def test_a_child_of_a_job_does_not_answer_for_it(guarded):
+    assert guarded().ask(jobs.comes_back_twice) == 8
+    assert guarded().ask(jobs.add, 1) == 11
+
+
+def marked(process: GuardedProcess) -> list[int]:
+    """The processes that were started by a guarded one, wherever they are now."""
+    wanted, found = f"STEPBENCH_KEPT={process._mark}".encode(), []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if wanted in (entry / "environ").read_bytes():
+                found.append(int(entry.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+def test_children_of_a_dead_process_end_though_they_hold_its_pipes(guarded):
+    process, begun = guarded(), time.monotonic()
+    fate = process.ask(jobs.leaves_children)
+    assert "exit code 4" in fate.message
+    assert time.monotonic() - begun < 20  # no pipe was waited for, which children hold for 1000 s
+    assert marked(process) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+def test_with_its_keeper_a_process_ends(guarded):
+    process = guarded()
+    assert process.ask(jobs.starts_a_child) == 1
+    assert len(marked(process)) == 3  # keeper, process, child
+    os.kill(process._keeper.pid, signal.SIGKILL)
+    fate = process.ask(jobs.computes, 60.0)
+    assert fate.status == "interrupted"
+    given_up = time.monotonic() + 2
+    while marked(process) and time.monotonic() < given_up:
+        time.sleep(0.01)
+    assert marked(process) == []
+
+
+# ---- budgets ---------------------------------------------------------------------------
+class Clock:
+    """Time and use of a process as a test wants them."""
+
+    def __init__(self, monkeypatch):
+        self.now, self.use = 0.0, Usage()
+        monkeypatch.setattr(limits.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(limits, "usage", lambda process: self.use)
+
+    def run(self, meter: Meter, looks: int, **more: float):
+        """Look ``looks`` times, a tenth of a second apart; return the first excess."""
+        for _ in range(looks):
+            self.now += 0.1
+            self.use = self.use._replace(
+                computed_s=self.use.computed_s + more.get("computed_s", 0.0),
+                queued_s=self.use.queued_s + more.get("queued_s", 0.0),
+                stopped=bool(more.get("stopped", False)),
+            )
+            if excess := meter.excess(1):
+                return excess
+        return None
+
+
+@pytest.mark.parametrize(
+    ("use", "status"),
+    [
+        ({"computed_s": 0.1}, "budget_exceeded"),
+        ({"computed_s": 0.01, "queued_s": 0.09}, None),  # others have the processors
+        ({}, "budget_exceeded"),  # it sleeps
+        ({"stopped": True}, None),  # somebody has halted it
+    ],
+)
+def test_a_budget_is_processor_time_and_no_load_or_halt_uses_it_up(monkeypatch, use, status):
+    clock = Clock(monkeypatch)
+    found = clock.run(Meter(Limits(budget_s=3.0)), 280, **use)
+    assert (found and found.status) == status
+
+
+def test_a_machine_that_lets_nothing_run_interrupts(monkeypatch):
+    clock = Clock(monkeypatch)
+    found = clock.run(Meter(Limits(budget_s=3.0)), 1250, queued_s=0.1)
+    assert found is not None
+    assert found.status == "interrupted"
+    assert clock.now == pytest.approx(120.1, abs=0.2)
+
+
+def test_a_halt_of_this_process_counts_a_second(monkeypatch):
+    clock = Clock(monkeypatch)
+    meter = Meter(Limits(budget_s=3.0))
+    clock.now += 3600.0
+    assert meter.excess(1) is None
+
+
+def test_use_of_this_process_and_its_children_is_seen():
+    before = usage.usage(os.getpid())
+    assert before is not None
+    while time.process_time() % 1 < 0.05 or time.process_time() < 0.1:
+        pass
+    after = usage.usage(os.getpid())
+    assert after is not None
+    assert after.computed_s >= before.computed_s > 0
+    assert after.memory > 2**20
+    assert usage.usage(2**22 + 1) is None
+
+
+# ---- messages --------------------------------------------------------------------------
+def test_messages_come_in_pieces_of_any_size():
+    sent = message("done", [1, 2]) + message("phase", ("running", "x"))
+    for size in (1, 3, 7, len(sent)):
+        inbox, found = Inbox(), []
+        for k in range(0, len(sent), size):
+            inbox.add(sent[k : k + size])
+            found += inbox.messages()
+        assert [m.kind for m in found] == ["done", "phase"]
+        assert decode(found[0].content, list[int]) == [1, 2]
+
+
+@pytest.mark.parametrize("content", [b"\xff" * 20, b"\x03" + 7 * b"\0" + b"abc"])
+def test_bytes_that_are_no_message_are_told(content):
+    inbox = Inbox()
+    inbox.add(content)
+    with pytest.raises(BrokenMessage):
+        list(inbox.messages())
+
+
+@pytest.mark.parametrize(
+    "value", [b"abc", ["<f8", [3], b"12"], ["|O", [1], b"12345678"], ["<f8", [-1], b""]]
+)
+def test_what_is_no_array_of_numbers_is_told(value):
+    with pytest.raises(BrokenMessage):
+        decode(encode(value), np.ndarray)
