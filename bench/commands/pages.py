@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 import click
-
-from bench.plugins.registry import explain
 
 
 def view(name: str) -> Callable[..., Any]:
@@ -26,26 +25,31 @@ def write_reports(folder: Path) -> None:
     click.ClickException
         If one cannot be written; the others are.
     """
-    from concurrent.futures import ProcessPoolExecutor
-    from contextlib import ExitStack
-    from multiprocessing import get_context
+    from bench.guard.process import GuardedProcess, NoAnswer
 
     # One process for each page: they do not wait for each other, and each may fail alone.
     writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
     failed, pages = [], {}
-    with ExitStack() as stack:
-        for writer in writers:
-            pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-            submit = stack.enter_context(pool).submit
-            pages[writer.name] = submit(_write_report, writer.value, folder)
-        for name, page in pages.items():
-            try:
-                click.echo(f"Report: {page.result()}")
-            except Exception as error:
-                failed.append(f"The {name} report could not be written: {explain(error)}")
+    for writer in writers:
+        pages[writer.name] = page = GuardedProcess(no_state)
+        page.start(write_report, writer.value, folder)
+    for name, page in pages.items():
+        answer = page.answer()
+        page.end()
+        if printed := page.printed():
+            click.echo(printed, err=True)
+        if isinstance(answer, NoAnswer):
+            failed.append(f"The {name} report could not be written: {answer.message}")
+        else:
+            click.echo(f"Report: {os.fsdecode(answer)}")
     if failed:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
 
-def _write_report(value: str, folder: Path) -> Path:
-    return EntryPoint("report", value, "stepbench.reports").load()(folder)
+def no_state(*_: object) -> None:
+    """Prepare nothing."""
+
+
+def write_report(_: None, value: str, folder: Path) -> bytes:
+    """Write a report in a guarded process; return the name of its file."""
+    return os.fsencode(EntryPoint("report", value, "stepbench.reports").load()(folder))

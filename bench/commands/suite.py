@@ -96,6 +96,8 @@ def run(
     write_reports(out)
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
+    if cut:
+        raise click.ClickException(f"Not complete: {cut} cells were interrupted; run it again.")
     if suite.lost:
         raise click.ClickException(" ".join(suite.lost))
 

@@ -12,7 +12,6 @@ import base64
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -24,6 +23,7 @@ from pathlib import Path
 from threading import Timer
 from typing import IO, Any
 
+from bench.guard.keeper import die_with_parent
 from bench.results.clean_text import clean
 from reports.charts.vega_lite import Spec, chart_json
 
@@ -31,8 +31,6 @@ from reports.charts.vega_lite import Spec, chart_json
 PART_SIZE = 240_000
 #: An engine that draws one chart for longer, in s, is stopped.
 LONGEST = 120.0
-#: Signal of prctl(2) on Linux: the end of the thread that started this process.
-_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
@@ -118,14 +116,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def end_with_parent() -> None:
-    """Have the system end this process with the one that started it (on Linux)."""
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 # ---- parts -------------------------------------------------------------------------------
@@ -237,7 +227,7 @@ def _answer(question: dict[str, Any]) -> Picture:
 
 def _serve() -> None:
     """Answer questions until there are no more."""
-    end_with_parent()
+    die_with_parent()
     # What the library itself prints is no answer.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
