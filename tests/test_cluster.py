@@ -63,10 +63,10 @@ def test_an_encrypted_address_needs_certificates_that_can_be_read(tmp_path):
     import dask
 
     with pytest.raises(SpecError, match="needs certificates; name them in dask's configuration"):
-        ClusterRunner([], "tls://127.0.0.1:9", budget_s=1.0, memory_gib=1.0)
+        ClusterRunner("tls://127.0.0.1:9", Limits(1.0, 1.0))
     missing = {TLS + name: str(tmp_path / "none") for name in ("ca-file", "client.cert")}
     with dask.config.set(missing), pytest.raises(SpecError, match=r"cannot be read: .*No such"):
-        ClusterRunner([], "tls://127.0.0.1:9", budget_s=1.0, memory_gib=1.0)
+        ClusterRunner("tls://127.0.0.1:9", Limits(1.0, 1.0))
 
 
 @pytest.mark.long
@@ -93,10 +93,10 @@ def test_the_client_takes_its_certificates_from_the_configuration_of_dask(tmp_pa
             n_workers=1, protocol="tls", security=security, dashboard_address=None
         ) as encrypted,
         dask.config.set({TLS + "ca-file": file, TLS + "client.cert": file}),
-        ClusterRunner([], encrypted.scheduler_address, 60.0, 4.0) as runner,
+        ClusterRunner(encrypted.scheduler_address, Limits(60.0, 4.0)) as runner,
     ):
         assert encrypted.scheduler_address.startswith("tls://")
-        ((_, answer),) = runner.run([[measure_task(cell)]])
+        ((_, answer),) = runner.run([[measure_task(cell, Sources())]])
     assert answer[0].status == "ok", answer
 
 

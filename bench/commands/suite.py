@@ -97,7 +97,10 @@ def run(
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
     if cut:
-        raise click.ClickException(f"Not complete: {cut} cells were interrupted; run it again.")
+        count = "1 cell was" if cut == 1 else f"{cut} cells were"
+        raise click.ClickException(
+            f"Not complete: {count} interrupted; the same command runs what is missing."
+        )
     if suite.lost:
         raise click.ClickException(" ".join(suite.lost))
 

@@ -1,7 +1,8 @@
 """Integrators that are hard to end; used by test_signals.py as a plugin file.
 
-Each answers with the exact motion of a pendulum, after what it is told to do. It waits for the
-file HOLD beside this one to vanish, if it is there.
+Each answers with the exact motion of a pendulum. The first that finds the file HOLD beside this one
+takes it, does what it is told to do, and goes on when HELD, which then has its process number, is
+taken away.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -20,26 +22,28 @@ import numpy as np
 from integrators import Integrator, PreparedRun, Trajectory, option
 from problems.scenes.pendulum import Pendulum
 
-HOLD = Path(__file__).with_name("HOLD")
+HOLD, HELD = (Path(__file__).with_name(name) for name in ("HOLD", "HELD"))
 BUSY = "while True: pass"
 
 
 class Run(PreparedRun):
-    def __init__(self, how: str, t_end: float) -> None:
-        self.how, self.t_end = how, t_end
+    def __init__(self, how: str, t0: float, t_end: float) -> None:
+        self.how, self.t = how, np.linspace(t0, t_end, 5)
 
     def measure(self) -> Trajectory:
-        if HOLD.exists():
+        with suppress(FileNotFoundError):
+            HOLD.rename(HELD)
+            HELD.write_text(f"{os.getpid()}")
             getattr(self, self.how, lambda: None)()
-        while HOLD.exists():
-            time.sleep(0.02)
+            while HELD.exists():
+                time.sleep(0.02)
         if self.how == "computes":  # half a second
             started = time.process_time()
             while time.process_time() < started + 0.5:
                 pass
-        exact = Pendulum().exact(t := np.linspace(self.t_end / 5, self.t_end, 5))
+        exact = Pendulum().exact(self.t)
         empty = np.zeros((5, 0))
-        return Trajectory(t=t, x=empty, xdot=empty, y=empty, **exact)
+        return Trajectory(t=self.t, x=empty, xdot=empty, y=empty, **exact)
 
     def execute(self) -> None:
         pass
@@ -49,11 +53,11 @@ class Run(PreparedRun):
         ctypes.PyDLL(None).sleep(600)
 
     def locks_in_turns(self) -> None:
-        while HOLD.exists():
+        while HELD.exists():
             ctypes.PyDLL(None).usleep(900_000)
 
     def spins(self) -> None:
-        while HOLD.exists():
+        while HELD.exists():
             pass
 
     def child(self) -> None:
@@ -82,4 +86,4 @@ class Busy(Integrator):
     how: str = option("well", "what it does", always=True)
 
     def prepare(self, scene, t_end, resolution):
-        return Run(self.how, t_end)
+        return Run(self.how, scene.interval[0], t_end)

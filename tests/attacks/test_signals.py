@@ -109,7 +109,7 @@ def check_goes_on(folder: Path, kept: int) -> None:
     ],
 )
 def test_endless_work_ends_at_a_random_moment(folder, name, number, send):
-    moment = random.Random(f"{name} {number} {send.__name__}").uniform(0, 4)
+    moment = random.Random(f"f {name} {number} {send.__name__}").uniform(0, 4)
     process = Started(folder, *ENDLESS[name].split())
     process.wait_until_it_obeys()
     time.sleep(moment)
