@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from busy_methods import BUSY
 from planted import everything, plant
@@ -217,6 +218,25 @@ def test_a_killed_page_costs_that_page(folder, role):
     assert "The results are stored." in process.said
     again = Started(folder, "report", "planted")
     assert again.finish() == 0, again.said
+
+
+@attack
+@pytest.mark.parametrize("number", [KILL, signal.SIGINT])
+def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
+    distributed = pytest.importorskip("distributed")
+    write_profile(folder, "spins")
+    (folder / "HOLD").touch()
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        process = Started(folder, *RUN, "--cluster", cluster.scheduler_address)
+        process.wait_for(lambda: (folder / "HELD").exists() and (folder / "HELD").read_text())
+        worker = psutil.Process(int((folder / "HELD").read_text()))
+        process.process.send_signal(number)
+        process.process.wait(4)
+        assert "Traceback" not in process.said
+        worker.wait(2 * PROMISED_SECONDS)
+        process.check_nothing_left()
 
 
 # ---- halts and load ------------------------------------------------------------------------------
