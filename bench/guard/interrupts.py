@@ -7,6 +7,7 @@ sentence and ends the program, also while compiled code runs.
 
 from __future__ import annotations
 
+import atexit
 import os
 import select
 import signal
@@ -34,11 +35,18 @@ def obey() -> None:
         if signal.getsignal(wanted) is not signal.SIG_IGN or wanted == signal.SIGINT:
             signal.signal(wanted, lambda *_: None)
     threading.Thread(target=_end, args=(reading,), daemon=True).start()
+    atexit.register(_ignore)  # the first one registered runs last
 
 
 def remark(sentence: str) -> None:
     """Set the sentence that is said when the program is ended from now on."""
     _remark[:] = [sentence] if sentence else []
+
+
+def _ignore() -> None:
+    """From here on Python could no longer obey: it would be killed, though all is done."""
+    for wanted in _WORDS:
+        signal.signal(wanted, signal.SIG_IGN)
 
 
 def _end(reading: int) -> None:

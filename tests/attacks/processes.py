@@ -50,7 +50,8 @@ class Started:
 
     @property
     def said(self) -> str:
-        return " ".join(self._said.read_text(errors="replace").split())
+        """The last part of what it said, in one line."""
+        return " ".join(self._said.read_text(errors="replace")[-5000:].split())
 
     def family(self, role: str = "") -> list[int]:
         """All processes that it started, itself included, oldest first; or those of one role."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
@@ -24,10 +25,10 @@ PROFILE = """
 samples = 2
 [[study]]
 problems = ["pendulum"]
-integrators = ["newmark", "generalized_alpha", "busy[how={how}]"]
+integrators = ["newmark", "busy[how={how}]"]
 steps = [0.1, 0.05]
 """
-CELLS = 6
+CELLS = 4
 RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
 HOWS = ("locks", "locks_in_turns", "spins", "child", "session", "orphan")
 #: Longer than a process may be idle, in s.
@@ -110,9 +111,9 @@ def test_a_killed_group_leaves_nothing_and_goes_on(folder, how):
     os.killpg(process.pid, KILL)
     process.process.wait(4)
     process.check_nothing_left()
-    shown = Started(folder, "export", "out", "--json")
+    shown = Started(folder, "export", "out", "--json", "-o", "rows.json")
     assert shown.finish() == 0, shown.said
-    check_goes_on(folder, CELLS - shown.said.count('"status"'))
+    check_goes_on(folder, CELLS - len(json.loads((folder / "rows.json").read_text())))
 
 
 @attack
@@ -130,12 +131,11 @@ def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
     ("role", "how"),
     [
         ("worker", "locks"),
-        ("keeper", "orphan"),
         *(
             pytest.param(role, how, marks=attack)
             for role in ("worker", "keeper", "terminated")
             for how in HOWS
-            if (role, how) not in [("worker", "locks"), ("keeper", "orphan")]
+            if (role, how) != ("worker", "locks")
         ),
     ],
 )
