@@ -1,8 +1,8 @@
 """Integrators that are hard to end; used by test_signals.py as a plugin file.
 
-Each answers with the exact motion of a pendulum. The first that finds the file HOLD beside this one
-takes it, does what it is told to do, and goes on when HELD, which then has its process number, is
-taken away.
+Each answers with the exact motion of a scene of positions. The first that finds the file HOLD
+beside this one takes it, does what it is told to do, and goes on when HELD, which then has its
+process number, is taken away.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from typing import ClassVar
 import numpy as np
 
 from integrators import Integrator, PreparedRun, Trajectory, option
-from problems.scenes.pendulum import Pendulum
+from problems import MechatronicSystem
 
 HOLD, HELD = (Path(__file__).with_name(name) for name in ("HOLD", "HELD"))
 BUSY = "while True: pass"
 
 
 class Run(PreparedRun):
-    def __init__(self, how: str, t0: float, t_end: float) -> None:
-        self.how, self.t = how, np.linspace(t0, t_end, 5)
+    def __init__(self, how: str, scene: MechatronicSystem, t_end: float) -> None:
+        self.how, self.exact = how, scene.exact
+        self.t = np.linspace(scene.interval[0], t_end, 5)
 
     def measure(self) -> Trajectory:
         with suppress(FileNotFoundError):
@@ -41,8 +42,8 @@ class Run(PreparedRun):
             started = time.process_time()
             while time.process_time() < started + 0.5:
                 pass
-        exact = Pendulum().exact(self.t)
         empty = np.zeros((5, 0))
+        exact = {"lam": empty} | self.exact(self.t)
         return Trajectory(t=self.t, x=empty, xdot=empty, y=empty, **exact)
 
     def execute(self) -> None:
@@ -82,8 +83,8 @@ class Busy(Integrator):
     """An integrator that does more than it should."""
 
     controls: ClassVar[str] = "step"
-    formulation: ClassVar[str] = "index3"
+    formulation: ClassVar[str] = "unconstrained"
     how: str = option("well", "what it does", always=True)
 
     def prepare(self, scene, t_end, resolution):
-        return Run(self.how, scene.interval[0], t_end)
+        return Run(self.how, scene, t_end)

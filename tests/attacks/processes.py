@@ -24,6 +24,8 @@ ROLES = {
     "worker": "serve(int(",
     "engine": "reports.charts.rendering",
 }
+#: All commands of a test, whose `end_all` ends what failed.
+STARTED: list[Started] = []
 PHRASES = ("Interrupted.", "Stopped.")
 
 
@@ -47,6 +49,7 @@ class Started:
                 start_new_session=True,
             )
         self.pid = self.process.pid
+        STARTED.append(self)
 
     @property
     def said(self) -> str:
@@ -102,3 +105,15 @@ class Started:
         assert code == 128 + number, (code, self.said)
         assert sum(map(self.said.count, PHRASES)) == 1, self.said
         self.check_nothing_left()
+
+
+def end_all() -> None:
+    """End what a test that failed has left, and hand the processes back to the system."""
+    while STARTED:
+        command = STARTED.pop()
+        while left := command.family():
+            for process in left:
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            command.process.poll()
+        command.process.wait()

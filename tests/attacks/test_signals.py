@@ -9,12 +9,12 @@ import shutil
 import signal
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from planted import everything, plant
-from processes import MODULE, STEPBENCH, Started
+from processes import MODULE, STEPBENCH, Started, end_all
 
 from bench.results.store import FILE
 
@@ -57,12 +57,13 @@ def planted(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def folder(tmp_path, planted) -> Path:
+def folder(tmp_path, planted) -> Iterator[Path]:
     shutil.copytree(planted, tmp_path / "planted")
     (tmp_path / "small.toml").write_text(PROFILE)
     method = Path(__file__).parents[1] / "radau2.py"
     shutil.copy(method, tmp_path / "method.py")
-    return tmp_path
+    yield tmp_path
+    end_all()
 
 
 def saved(folder: Path, table: str = "records") -> int:
