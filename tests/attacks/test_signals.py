@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import random
@@ -118,6 +119,20 @@ def test_endless_work_ends_at_a_random_moment(folder, name, number, send):
     assert process.process.poll() is None, process.said
     send(process, number)
     process.check_obeys(number)
+
+
+def test_nothing_is_imported_before_signals_are_obeyed():
+    """Until then Python itself answers Ctrl-C, with a traceback."""
+    bench = Path(__file__).parents[2] / "bench"
+    named = set()
+    for name in ("__init__", "guard/__init__", "guard/interrupts", "__main__"):
+        for node in ast.parse((bench / f"{name}.py").read_text()).body:
+            if isinstance(node, ast.Import):
+                named |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                named.add(node.module)
+    small = {"atexit", "contextlib", "os", "select", "signal", "sys", "threading"}
+    assert named == small | {"__future__", "bench.guard.interrupts"}
 
 
 # ---- short commands, and the beginning and the end of all --------------------------------------
