@@ -19,6 +19,7 @@ import sys
 import warnings
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -215,9 +216,7 @@ def _refusal(flags: str) -> str:
 
     They are tried in another process, once for each release of jaxlib.
     """
-    import jaxlib
-
-    key = hashlib.sha256(f"{jaxlib.version.__version__} {flags}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{version('jaxlib')} {flags}".encode()).hexdigest()[:16]
     file = _CACHE / "flags" / key
     with suppress(OSError, UnicodeDecodeError):
         return file.read_text()

@@ -154,7 +154,8 @@ def cost_of(record: Record, cost: str) -> float | None:
     if cost == "seconds":
         return seconds_of(record)
     if cost == "operations":
-        return sum(record.operations.values()) or None
+        total = sum(record.operations.values())
+        return total if total >= 1 else None
     return record.work.get(cost)
 
 

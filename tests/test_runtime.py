@@ -184,6 +184,13 @@ def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, dr
     call = PackedFunction(lambda t, s: t * s, None, 2).bind()
     assert [np.asarray(call(t, np.ones(2))).tolist() for t in (2.0, 3.0)] == [[2.0] * 2, [3.0] * 2]
     assert "JAX copies their arguments" in caplog.text
+    # Not even a program that runs after its call returned sees the next arguments.
+    function, given = PackedFunction(lambda t, s: t * s, None, 2), []
+    function.program = given.append
+    later = function.bind()
+    later(2.0, np.ones(2))
+    later(3.0, np.ones(2))
+    assert [numbers[0] for numbers in given] == [2.0, 3.0]
 
 
 @pytest.mark.usefixtures("_forgotten")

@@ -71,7 +71,7 @@ def test_two_sizes_make_no_line_and_failed_or_untimed_runs_no_point():
 
 def test_of_a_large_scene_the_record_says_why_it_has_no_reference():
     large = Chain(links=150)
-    record = scene_record(large, Reference(large, 0.1))
+    record = scene_record(large, 0.1, lambda: Reference(large, 0.1))
     assert "450 unknowns" in record.reference_method
     assert (record.reference.t, record.drawings, record.rates) == ([], [], None)
     assert record.sizes == {"nq": 300, "nl": 150, "nx": 0, "ny": 0}

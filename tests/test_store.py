@@ -321,7 +321,7 @@ def test_rows_that_do_not_fit_together_are_set_aside(tmp_path, rows, reason):
         assert reason in set_aside_text(store.set_aside())
 
 
-@pytest.mark.parametrize("seconds", ["'x'", "-1.0", "0.0", "9e999", "X'00'"])
+@pytest.mark.parametrize("seconds", ["'x'", "-1.0", "0.0", "1e-300", "1e300", "9e999", "X'00'"])
 def test_a_spoilt_sample_costs_no_other_and_is_taken_anew_with_its_cell(tmp_path, seconds):
     change(filled(tmp_path), f"INSERT INTO samples VALUES ('k', 1, {seconds})")
     with Store(tmp_path, create=True) as store:

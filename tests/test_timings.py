@@ -7,10 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from bench.guard.limits import Limits
+from bench.plugins.facts import Sources
 from bench.results.store import Store
 from bench.results.timings import median_interval
 from bench.running.plan import Cell
-from bench.running.runner import Runner
+from bench.running.runner import Runner, time_task
 from integrators.contract import Steps
 from reports.ranking import RANKED_GROUPS, TARGETS, rank
 from reports.series import series_of
@@ -29,10 +31,10 @@ class _Clock(Runner):
     """A runner whose worker tells when it was asked."""
 
     def __init__(self, seconds=None):
-        super().__init__([], 1, 1.0, 1.0)
+        super().__init__(1, Limits(1.0, 1.0))
         self.seconds, self.asked = seconds or {}, []
 
-    def _timekeeper(self, cell):
+    def _timekeeper(self, task):
         def ask(job, cell):
             self.asked.append(cell.key)
             return self.seconds.get(cell.key, 1e-3)
@@ -49,9 +51,10 @@ def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     ]
     long, known = cells[1].key, cells[2].key
     runner = _Clock({long: 0.6})
-    taken = list(runner.time(cells, 7, {known: [1e-3] * 3}))
+    tasks = [time_task(cell, Sources()) for cell in cells]
+    taken = list(runner.time(tasks, 7, {known: [1e-3] * 3}))
     for number in range(7):
-        scenes = [cell.problem for cell, n, _ in taken if n == number]
+        scenes = [task.scene for task, n, _ in taken if n == number]
         assert scenes == sorted(scenes, key="pendulum oscillator".index)
     counts = {cell.key: runner.asked.count(cell.key) for cell in cells}
     # Samples that are there are not taken again; a long run stops after a second.

@@ -111,9 +111,14 @@ def not_nan(
     return value
 
 
+def inventory(plugins: Sequence[str]) -> Inventory:
+    """List all plugins, usable or not."""
+    return Inventory(plugins, lambda text: say_printed("The loading of plugins", text))
+
+
 def usable_registry(plugins: Sequence[str]) -> Inventory:
     """List all plugins; raise PluginError if a file named with --plugins cannot be used."""
-    registry = Inventory(plugins)
+    registry = inventory(plugins)
     registry.require_files()
     return registry
 
@@ -244,7 +249,10 @@ with_budget = click.option(
 def with_given_budget(words: str) -> Callable:
     """Add --budget without a default: a file may state one."""
     return click.option(
-        "--budget", type=click.FloatRange(min=0, min_open=True), callback=not_nan, help=words
+        "--budget",
+        type=click.FloatRange(0, LARGEST_BUDGET, min_open=True),
+        callback=not_nan,
+        help=words,
     )
 
 

@@ -28,11 +28,11 @@ def write_reports(folder: Path) -> None:
     from bench.guard.process import GuardedProcess, NoAnswer
 
     # One process for each page: they do not wait for each other, and each may fail alone.
-    writers = sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name)
-    failed, pages = [], {}
-    for writer in writers:
-        pages[writer.name] = page = GuardedProcess(no_state)
-        page.start(write_report, writer.value, folder)
+    pages: dict[str, GuardedProcess] = {}
+    failed = []
+    for writer in sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name):
+        pages[writer.name] = GuardedProcess(_load_writer, (writer.value,))
+        pages[writer.name].start(_write_report, str(folder))
     for name, page in pages.items():
         answer = page.answer()
         page.end()
@@ -46,10 +46,13 @@ def write_reports(folder: Path) -> None:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
 
-def no_state(*_: object) -> None:
-    """Prepare nothing."""
+# ---- in the process of a page ------------------------------------------------------------
+_Writer = Callable[[Path], Path]
 
 
-def write_report(_: None, value: str, folder: Path) -> bytes:
-    """Write a report in a guarded process; return the name of its file."""
-    return os.fsencode(EntryPoint("report", value, "stepbench.reports").load()(folder))
+def _load_writer(notify: Any, value: str) -> _Writer:
+    return EntryPoint("report", value, "stepbench.reports").load()
+
+
+def _write_report(writer: _Writer, folder: str) -> bytes:
+    return os.fsencode(writer(Path(folder)))  # a name may be no text

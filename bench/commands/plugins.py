@@ -32,7 +32,7 @@ def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
       stepbench list
       stepbench list integrators --json
     """
-    registry = Inventory(plugins)
+    registry = options.inventory(plugins)
     kinds = list(_WORDS) if kind == "all" else [kind]
     listed = {k: list(getattr(registry, k).values()) for k in kinds}
     if as_json:
@@ -87,7 +87,7 @@ def check(
     from bench.commands.terminal_tables import check_line
     from bench.conformance.checker import FAILED, Checker, chosen, is_file
 
-    registry = Inventory([*plugins, *(name for name in names if is_file(name))])
+    registry = options.inventory([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)
     answers, count, failed = [], 0, 0
     with Checker(registry, budget) as checker:

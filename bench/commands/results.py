@@ -98,7 +98,7 @@ def compare(
     _tell_set_aside(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
-        click.echo(msgspec.json.format(msgspec.json.encode(answer), indent=2))
+        click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
     else:
         for line in [*comparison.state(), *comparison.summary()]:
             say(line)

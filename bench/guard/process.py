@@ -24,6 +24,7 @@ import msgspec
 
 from bench.guard import keeper, wire
 from bench.guard.limits import LOADING, Limits, Meter
+from problems.plain_text import visible
 from problems.spec import SpecError
 
 #: Time in s between two looks at the use of a process.
@@ -161,9 +162,7 @@ class GuardedProcess:
         text = bytes(self._printed)
         if len(text) > 2 * _KEPT_BYTES:
             text = text[:_KEPT_BYTES] + b" ... " + text[-_KEPT_BYTES:]
-        return "".join(
-            c if c.isprintable() or c == "\n" else " " for c in text.decode(errors="replace")
-        ).strip()
+        return visible(text.decode(errors="replace")).strip()
 
     def end(self) -> None:
         """Kill the process and all that it started; nothing is lost that is not elsewhere."""

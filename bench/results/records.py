@@ -82,7 +82,7 @@ class Record(msgspec.Struct, kw_only=True):
     constraint: dict[str, NotNegative | None] = {}
     energy_drift: NotNegative | None = None
     work: dict[str, Count | None] = {}
-    operations: dict[str, NotNegative] = {}
+    operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}
     compile_s: NotNegative | None = None
     run_s: list[Positive] = []
     environment: int = 0

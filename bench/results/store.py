@@ -6,7 +6,6 @@ killed at any moment has lost nothing but the cell in work.
 
 from __future__ import annotations
 
-import math
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,6 +33,9 @@ if TYPE_CHECKING:
     from filelock import FileLock
 
 T = TypeVar("T")
+
+#: Times in s that a clock can tell.
+_TIMES = 1e-12, 1e12
 
 #: Most rows that are named in the sentence about those set aside.
 _NAMED = 3
@@ -299,7 +301,7 @@ class Store:
             "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
         ):
             known = isinstance(number, int) and isinstance(seconds, float)
-            good = known and owner is not None and 0 < seconds < math.inf
+            good = known and owner is not None and _TIMES[0] <= seconds <= _TIMES[1]
             if not good:
                 reason = f"{str(seconds)[:40]!r} is no time in s" if owner else "it has no record"
                 self._note("samples", f"{key}, number {number}", reason)

@@ -47,6 +47,8 @@ class Inventory:
     ----------
     paths
         Python files, or folders of them, that define scenes or integrators.
+    printed
+        Told what plugins print while they are loaded.
 
     Raises
     ------
@@ -54,7 +56,12 @@ class Inventory:
         If a path is empty or not there.
     """
 
-    def __init__(self, paths: Sequence[str | Path] = ()) -> None:
+    def __init__(
+        self,
+        paths: Sequence[str | Path] = (),
+        printed: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._printed = printed
         self.files = plugin_files(paths)
         packages = {
             entry.dist.name if entry.dist else entry.value
@@ -149,6 +156,8 @@ class Inventory:
                     raise PluginError(f"The plugins cannot be listed: {answer.message}")
                 self._broken[source] = answer.message
             listed = answer
+            if text := self._process().printed():
+                self._printed(text)
         return listed
 
     def _ask(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:

@@ -235,5 +235,5 @@ class _ErrorMeter:
                 group = self._group.strip("|")
                 self._exact[key] = reference(t)[group], scales(reference, group)
             except Exception as error:  # the scene may be a plugin, which may do anything
-                self._exact[key] = f"The reference failed: {said(error)}."
+                self._exact[key] = f"The reference failed: {said(error)}"
         return self._exact[key]

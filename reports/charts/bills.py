@@ -21,9 +21,9 @@ def bills(series: Sequence[Series]) -> vl.Spec | None:
 
     The label of a bar ends with the sum. Rows are those of the series, from coarse to fine.
     """
-    runs = [(s, r) for s in series for r in s.ok if r.operations]
+    runs = [(s, r) for s in series for r in s.ok if cost_of(r, "operations")]
     if len(runs) > MOST_BARS:
-        runs = [(s, s.finest) for s in series if s.finest.operations]
+        runs = [(s, s.finest) for s in series if cost_of(s.finest, "operations")]
     if not runs:
         return None
     bars: list[str] = []

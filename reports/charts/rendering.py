@@ -1,35 +1,29 @@
-"""Charts as pictures. Engines draw them: processes of their own, which end with this one.
+"""Charts as pictures. Engines draw them: guarded processes, which end with this one.
 
 The library that draws may end its process. That costs the picture, never the page: the engine is
-replaced. An engine is ``python -m reports.charts.rendering``; it reads a question per line from its
-standard input and answers each by a line.
+replaced.
 """
 
 from __future__ import annotations
 
 import atexit
-import base64
-import contextlib
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
-from threading import Timer
-from typing import IO, Any
 
-from bench.guard.keeper import die_with_parent
+from bench.guard.limits import Limits
+from bench.guard.process import GuardedProcess, NoAnswer
+from bench.guard.serve import Notify
 from bench.results.clean_text import clean
 from reports.charts.vega_lite import Spec, chart_json
 
 #: Characters of charts per engine; one takes a third of a second to start.
 PART_SIZE = 240_000
-#: An engine that draws one chart for longer, in s, is stopped.
+#: An engine that computes at one chart for longer, in s, is stopped.
 LONGEST = 120.0
 
 
@@ -87,7 +81,6 @@ def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) ->
     if not texts:
         return {}
     split = parts(texts, max(1, min(cores(), sum(map(len, texts.values())) // PART_SIZE)))
-    # Taken here: on Linux an engine ends with the thread that started it.
     engines = [_taken() for _ in split]
     with ThreadPoolExecutor(len(split)) as pool:
         found = pool.map(partial(_drawn, form=form, options=options), engines, split)
@@ -131,47 +124,8 @@ def _plain(chart: Spec) -> Spec:
     return chart | {"config": config | {"aria": False, "axis": axis, "legend": legend}}
 
 
-class _Engine:
-    """A drawing process."""
-
-    def __init__(self) -> None:
-        # -P: a folder "reports" in the user's current folder is not meant.
-        command = [sys.executable, "-P", "-m", "reports.charts.rendering"]
-        pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing)
-
-    @property
-    def alive(self) -> bool:
-        """Whether it can be asked."""
-        return self._process.poll() is None
-
-    def ask(self, question: bytes) -> Picture:
-        """Have a chart drawn; an engine that dies of it has ended when this returns."""
-        late = Timer(LONGEST, self._process.kill)
-        late.start()
-        answer = b""
-        try:
-            with contextlib.suppress(OSError):
-                _pipe(self._process.stdin).write(question)
-                _pipe(self._process.stdin).flush()
-                answer = _pipe(self._process.stdout).readline()
-        finally:
-            late.cancel()
-            if not answer.endswith(b"\n"):
-                self.end()
-        if answer.endswith(b"\n"):
-            found = json.loads(answer)
-            return Picture(base64.b64decode(found["content"]), found["reason"])
-        return Picture(reason=f"its drawing process ended with code {self._process.returncode}")
-
-    def end(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.communicate()
-
-
 #: Engines without work. They are kept, as starting one takes longer than drawing a small chart.
-_idle: list[_Engine] = []
+_idle: list[GuardedProcess] = []
 
 
 @atexit.register
@@ -184,59 +138,49 @@ if hasattr(os, "register_at_fork"):  # the child must not talk to the engines of
     os.register_at_fork(after_in_child=_idle.clear)
 
 
-def _taken() -> _Engine:
+def _engine() -> GuardedProcess:
+    return GuardedProcess(_ready, limits=Limits(LONGEST))
+
+
+def _taken() -> GuardedProcess:
     while _idle:
         engine = _idle.pop()
         if engine.alive:
             return engine
-    return _Engine()
+    return _engine()
 
 
 def _drawn(
-    engine: _Engine, texts: Mapping[str, str], form: str, options: Mapping[str, float]
+    engine: GuardedProcess, texts: Mapping[str, str], form: str, options: Mapping[str, float]
 ) -> dict[str, Picture]:
     found = {}
     for name, text in texts.items():
-        question = json.dumps({"chart": text, "form": form, "options": options}).encode() + b"\n"
-        found[name] = engine.ask(question)
+        answer = engine.ask(_converted, text, form, options)
         if not engine.alive:
             # Somebody else may have ended it: the chart is guilty if a second one dies of it.
-            engine = _Engine()
-            found[name] = engine.ask(question)
-            engine = engine if engine.alive else _Engine()
+            engine = _engine()
+            answer = engine.ask(_converted, text, form, options)
+            engine = engine if engine.alive else _engine()
+        if isinstance(answer, NoAnswer):
+            answer = Picture(reason=answer.message.rstrip("."))
+        found[name] = answer
     _idle.append(engine)
     return found
 
 
-def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
-    assert stream is not None
-    return stream
+# ---- in an engine ------------------------------------------------------------------------
+def _ready(notify: Notify) -> bool:
+    import vl_convert  # noqa: F401
+
+    return True
 
 
-def _answer(question: dict[str, Any]) -> Picture:
+def _converted(state: bool, text: str, form: str, options: dict[str, float]) -> Picture:
     import vl_convert
 
-    convert = getattr(vl_convert, f"vegalite_to_{question['form']}")
     try:
-        content = convert(question["chart"], **question["options"])
+        content = getattr(vl_convert, f"vegalite_to_{form}")(text, **options)
     except BaseException as error:  # a panic of the library is no Exception
         reason = clean(str(error)).strip().partition("\n")[0][:300].rstrip(".")
         return Picture(reason=reason or type(error).__name__)
     return Picture(content.encode() if isinstance(content, str) else content)
-
-
-def _serve() -> None:
-    """Answer questions until there are no more."""
-    die_with_parent()
-    # What the library itself prints is no answer.
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    for line in sys.stdin.buffer:
-        found = _answer(json.loads(line))
-        content = base64.b64encode(found.content).decode()
-        answers.write(json.dumps({"content": content, "reason": found.reason}).encode() + b"\n")
-        answers.flush()
-
-
-if __name__ == "__main__":
-    _serve()

@@ -172,7 +172,7 @@ TRAJECTORIES = {
     ),
     "work_none": (put(work=None), "work is None, expected a Work"),
     "work_dict": (put(work={"steps": 5}), "work is {'steps': 5}, expected a Work"),
-    "work_mined": (put(work=MinedWork()), "work.newton cannot be read: Unspeakable: its text can"),
+    "work_mined": (put(work=MinedWork()), "work.newton cannot be read: Unspeakable: its message"),
     "steps_nan": (count(steps=NAN), "work.steps is nan, expected a whole number from 0"),
     "steps_half": (count(steps=2.5), "work.steps is 2.5, expected a whole number from 0"),
     "steps_negative": (count(steps=-1), "work.steps is -1, expected a whole number from 0"),
@@ -203,7 +203,7 @@ FACTS = {
     "orders_none": ("orders", None, "orders is None, expected a dictionary of whole numbers"),
     "orders_number": ("orders", 2, "orders is 2, expected a dictionary of whole numbers"),
     "orders_group": ("orders", {"p": 2}, "a group of orders is 'p', expected one of q, v, a"),
-    "orders_raise": ("orders", Unspeakable(), "orders cannot be read: Unspeakable: its text can"),
+    "orders_raise": ("orders", Unspeakable(), "orders cannot be read: Unspeakable: its message"),
     "source_none": ("source", None, "source is None, expected text"),
     "source_list": ("source", ["Hairer"], "source is ['Hairer'], expected text"),
     "formulation_none": ("formulation", None, "formulation is None, expected text"),
@@ -241,7 +241,7 @@ BILLS = {
 }
 #: By name, what a run raises, and words of the row.
 RAISED = {
-    "raises_unspeakable": (Unspeakable(), "Unspeakable: its text cannot be made"),
+    "raises_unspeakable": (Unspeakable(), "Unspeakable: its message cannot be read"),
     "raises_exit": (SystemExit(0), "SystemExit: 0"),
     "raises_quit": (SystemExit(), "SystemExit: no message"),
     "raises_generator_exit": (GeneratorExit("over"), "GeneratorExit: over"),

@@ -86,7 +86,7 @@ SCENES = {
         "line 1 of draw() is an array of float64 of shape (4, 3), expected an array of shape (poi",
     ),
     "DrawWords": (drawn([["here", "there"]]), "drawing", "line 0 of draw() is ['here', 'there']"),
-    "DrawRaising": ({"draw": raising}, "drawing", "Unspeakable: its text cannot be made"),
+    "DrawRaising": ({"draw": raising}, "drawing", "Unspeakable: its message"),
     "EnergyVector": (
         {"energy": lambda self, q, v: jnp.stack([q, v])},
         "energy",
@@ -135,7 +135,7 @@ SCENES = {
         "description",
         "the parameter m is {1}, expected a finite number",
     ),
-    "DescribeRaising": ({"describe": raising}, "description", "Unspeakable: its text cannot be ma"),
+    "DescribeRaising": ({"describe": raising}, "description", "Unspeakable: its message"),
 }
 #: The same for faults that leave no run possible.
 STARTS = {

@@ -196,7 +196,7 @@ def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
         shutil.rmtree(gone)
 
     code, text = ask(*command, limits=leave)
-    assert code == 1 or command == ["list"], text
+    assert code == (command == ["run"]), text  # which has nowhere to write
     assert code == 0 or "No such file or directory" in text
 
 
@@ -206,7 +206,7 @@ def test_too_few_open_files_are_a_sentence(tmp_path, profile, most):
     few = limit(resource.RLIMIT_NOFILE, most)
     code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
     assert code == 1
-    assert "Too many open files" in text
+    assert "Too many open files" in text or "unable to open database file" in text
 
 
 @attack

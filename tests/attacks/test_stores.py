@@ -25,6 +25,7 @@ from bench.results.store import FILE, Store
 from bench.running.session import missing_cells
 from reports.charts import rendering
 from reports.figures import write_figure
+from reports.pages import catalogue
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 
@@ -501,6 +502,21 @@ def test_no_name_leaves_the_folder(folder, tmp_path, stepbench, monkeypatch, nam
     assert result.exit_code in (0, 1)
     assert "Traceback" not in result.output
     assert {path for path in tmp_path.rglob("*") if folder not in path.parents} == outside
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_picture_of_a_catalogue_leaves_its_folder(folder, tmp_path, monkeypatch, name):
+    with Store(folder) as store:
+        scene = next(iter(store.scenes().values()))
+    scene.problem = NAMES[name]
+    drawn = rendering.Picture(b"<svg/>")
+    monkeypatch.setattr(catalogue, "pictures", lambda charts: dict.fromkeys(charts, drawn))
+    before = set(tmp_path.rglob("*"))
+    catalogue.write_catalogue([scene], tmp_path / "c")
+    new = {path.relative_to(tmp_path) for path in set(tmp_path.rglob("*")) - before}
+    assert {path.parts[0] for path in new} == {"c"}
+    (picture,) = (path for path in new if path.suffix == ".svg")
+    assert picture.parent == Path("c", catalogue.PICTURES)
 
 
 # ---- anything, anywhere ------------------------------------------------------------------
