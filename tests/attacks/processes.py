@@ -18,15 +18,13 @@ MODULE = [sys.executable, "-m", "bench"]
 MARK = "STEPBENCH_ATTACK"
 #: Two seconds are promised; other tests may keep the processors busy meanwhile.
 PROMISED_SECONDS = 4.0
-#: What the command lines of each kind of process hold; the keeper's holds the worker's, too.
-ROLES = {
-    "keeper": "guard/keeper.py",
-    "worker": "serve(int(",
-    "engine": "reports.charts.rendering",
-}
 #: All commands of a test, whose `end_all` ends what failed.
 STARTED: list[Started] = []
 PHRASES = ("Interrupted.", "Stopped.")
+
+
+def parent_of(process: int) -> int:
+    return int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[1])
 
 
 class Started:
@@ -57,16 +55,26 @@ class Started:
         return " ".join(self._said.read_text(errors="replace")[-5000:].split())
 
     def family(self, role: str = "") -> list[int]:
-        """All processes that it started, itself included, oldest first; or those of one role."""
+        """All processes that it started, itself included, oldest first; or those of one role.
+
+        Workers are its own, and engines those of its workers; all have keepers.
+        """
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
                 if self._mark in (entry / "environ").read_bytes():
-                    line = (entry / "cmdline").read_bytes().decode(errors="replace")
-                    kind = next((name for name, part in ROLES.items() if part in line), "")
-                    if not role or kind == role:
-                        found.append(int(entry.name))
+                    number = int(entry.name)
+                    if not role or role == self._role(number, (entry / "cmdline").read_bytes()):
+                        found.append(number)
         return sorted(found)
+
+    def _role(self, process: int, line: bytes) -> str:
+        above = parent_of(process)
+        if b"guard/keeper.py" in line:  # the line of what it keeps is in it, too
+            return "keeper" if above == self.pid else "keeper of an engine"
+        if b"serve(int(" in line:
+            return "worker" if parent_of(above) == self.pid else "engine"
+        return "other"
 
     def wait_for(self, condition: Callable[[], object], seconds: float = 90.0) -> None:
         """Wait for a condition, or the end of the process."""

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from busy_methods import BUSY
 from planted import everything, plant
-from processes import PROMISED_SECONDS, Started, end_all
+from processes import PROMISED_SECONDS, Started, end_all, parent_of
 
 attack = pytest.mark.attack
 KILL, STOP, CONT = signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT
@@ -71,10 +71,6 @@ def held(folder: Path, how: str, *more: str) -> tuple[Started, int]:
 def busy_children(process: Started) -> list[int]:
     lines = {p: Path(f"/proc/{p}/cmdline") for p in process.family()}
     return [p for p, line in lines.items() if line.exists() and BUSY.encode() in line.read_bytes()]
-
-
-def keeper_of(worker: int) -> int:
-    return int(Path(f"/proc/{worker}/stat").read_bytes().rpartition(b")")[2].split()[1])
 
 
 def victim(process: Started, role: str, chance: random.Random) -> int:
@@ -147,7 +143,7 @@ def test_a_killed_worker_costs_one_cell(folder, role, how):
     process, worker = held(folder, how)
     before = busy_children(process)
     os.kill(
-        keeper_of(worker) if role == "keeper" else worker,
+        parent_of(worker) if role == "keeper" else worker,
         signal.SIGTERM if role == "terminated" else KILL,
     )
     late = time.monotonic() + PROMISED_SECONDS
@@ -249,7 +245,7 @@ def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
 @pytest.mark.parametrize("who", ["worker", "command", "keeper"])
 def test_a_halt_changes_no_verdict(folder, who):
     process, worker = held(folder, "well", "--budget", "1")
-    stopped = {"worker": worker, "command": process.pid, "keeper": keeper_of(worker)}[who]
+    stopped = {"worker": worker, "command": process.pid, "keeper": parent_of(worker)}[who]
     os.kill(stopped, STOP)
     time.sleep(3 if who == "keeper" else LONG_HALT)
     os.kill(stopped, CONT)
