@@ -71,15 +71,19 @@ def run(
     suite = make_suite(*read_profile(profile), registry, problems, integrators, budget)
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
-    with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+    with (
+        RunProgress() as progress,
+        runner_for(suite, jobs, progress, cluster) as runner,  # a cluster answers before it counts
+        Store(out, create=True, fresh=fresh) as store,
+    ):
         remark("Finished runs are stored; the same command goes on.")
         options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
-        with runner_for(suite, jobs, progress, cluster) as runner:
-            measured = measure_suite(suite, store, registry, runner, progress)
-            damping.complete(suite, store, registry, runner, progress)
-            time_suite(suite, store, registry, runner, progress)
+        measured = measure_suite(suite, store, registry, runner, progress)
+        damping.complete(suite, store, registry, runner, progress)
+        time_suite(suite, store, registry, runner, progress)
+        runner.end_workers()
         stored = store.records()
         results = complete(experiments, [], store, registry, jobs, progress)
     records = [stored[key] for key in suite.cells if key in stored]
@@ -94,6 +98,8 @@ def run(
         held = sum(result.as_predicted for result in results)
         click.echo(f"{len(results)} experiments of the failure atlas: {held} as predicted.")
     write_reports(out)
+    if cut and good:
+        raise click.ClickException(f"{cut} cells were interrupted; the same command runs them.")
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
     if cut:

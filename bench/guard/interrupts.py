@@ -34,7 +34,8 @@ def obey() -> None:
     for wanted in _WORDS:
         if signal.getsignal(wanted) is not signal.SIG_IGN or wanted == signal.SIGINT:
             signal.signal(wanted, lambda *_: None)
-    threading.Thread(target=_end, args=(reading,), daemon=True).start()
+    with suppress(RuntimeError):  # no process may be started; commands will say it
+        threading.Thread(target=_end, args=(reading,), daemon=True).start()
     atexit.register(_ignore)  # the first one registered runs last
 
 

@@ -61,7 +61,10 @@ def main(control: socket.socket, kept: list[int], command: list[str]) -> None:
     signal.set_wakeup_fd(wake)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     myself = os.getpid()
-    started = subprocess.Popen(command, pass_fds=kept, preexec_fn=lambda: _begin(myself))
+    try:
+        started = subprocess.Popen(command, pass_fds=kept, preexec_fn=lambda: _begin(myself))
+    except (OSError, subprocess.SubprocessError) as error:
+        sys.exit(f"{error}")  # no processes or no memory are left
     for descriptor in (*kept, 1, 2):  # their other ends see who else holds them
         os.close(descriptor)
     worker, status = started.pid, None

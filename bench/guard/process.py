@@ -224,6 +224,9 @@ class GuardedProcess:
 
     def _died(self, status: int) -> NoAnswer:
         self.end()
+        if self._keeper.returncode > 0:
+            reason = self.printed().partition("\n")[0]
+            return self._failed("interrupted", f"The process cannot be started: {reason}.")
         code = os.waitstatus_to_exitcode(status)
         how = f"exit code {code}"
         if code < 0:

@@ -3,7 +3,7 @@
 These are the source of the modules that take part, the versions of the libraries that compute,
 and the flags of the compiler. A cell whose fingerprint changes is measured anew.
 
-The modules are those of the class and its base classes, the module that judges runs, and the
+The modules are those of the class and its base classes, the modules that judge runs, and the
 modules of this project, or of the plugin's own folder or package, that these import, directly or
 not. Imports are read from the source, inside functions, too; nothing is loaded for that.
 """
@@ -24,8 +24,8 @@ from bench.results.environment import library_versions
 
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
-#: The module whose functions turn a trajectory into errors and a status.
-JUDGE = "bench.running.measure"
+#: The modules whose functions turn the answers of a method into errors and a status.
+JUDGES = ("bench.running.measure", "integrators.answers")
 _PROJECT = frozenset({"problems", "integrators", "bench"})
 _PROJECT_FOLDER = Path(__file__).parents[2]
 
@@ -57,7 +57,7 @@ def forget() -> None:
 def modules_of(cls: type) -> dict[str, Path]:
     """Return the source files that decide the numbers of a class, by the names of the modules."""
     places = (_Place(_PROJECT_FOLDER, _PROJECT),)
-    due = [JUDGE]
+    due = [*JUDGES]
     found: dict[str, Path] = {}
     for base in cls.__mro__:
         name, top = base.__module__, base.__module__.partition(".")[0]

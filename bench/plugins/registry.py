@@ -12,6 +12,7 @@ import hashlib
 import importlib.util
 import inspect
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -27,6 +28,8 @@ from problems.plain_text import named, said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Folders of code that is not to blame for an exception.
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 #: Name of the package of this project.
 PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
@@ -217,9 +220,10 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
 
 
 def explain(error: BaseException) -> str:
-    """Return one sentence on an exception, with the innermost line of code it came from."""
+    """Return one sentence on an exception, with the innermost line of code that is no library's."""
     # A syntax error says its own line; it came from the importer's.
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
+    frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return f"{named(error)}{where}."
 

@@ -27,7 +27,7 @@ from bench.results.comparison import (
     factor,
 )
 from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import Environment, Record
+from bench.results.records import INTERRUPTED, Environment, Record
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient_of_medians
 from problems.spec import SpecError, suggest
@@ -145,7 +145,11 @@ def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str
 # ---- parts -----------------------------------------------------------------------------
 def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
     with Store(folder) as store:
-        return store.records(), store.environments()
+        records = store.records()
+        return (
+            {key: r for key, r in records.items() if r.status != INTERRUPTED},
+            store.environments(),
+        )
 
 
 def _names(records: list[Record]) -> dict[tuple[str, float], str]:

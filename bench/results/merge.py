@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from bench.results.records import Environment, Plan, Record, SceneRecord, Study
+from bench.results.records import INTERRUPTED, Environment, Plan, Record, SceneRecord, Study
 from bench.results.store import FILE, Store
 from problems.spec import SpecError
 
@@ -26,10 +26,10 @@ class Source:
     scenes: dict[tuple[str, float], SceneRecord]
     records: dict[str, Record]
 
-    def measured(self, record: Record) -> datetime.datetime:
-        """Return the time at which a record was measured; long ago if that is not known."""
+    def worth(self, record: Record) -> tuple[bool, datetime.datetime]:
+        """Return whether a record has a verdict, and when it was measured (or long ago)."""
         environment = self.environments.get(record.environment)
-        return _date(environment.date if environment else "")
+        return record.status != INTERRUPTED, _date(environment.date if environment else "")
 
 
 @dataclass
@@ -68,7 +68,7 @@ def merge(folders: Sequence[Path], out: Path) -> Merged:
             other = kept.get(key)
             if other is not None:
                 twice[key] = None
-                if source.measured(record) < other.measured(other.records[key]):
+                if source.worth(record) < other.worth(other.records[key]):
                     continue
             kept[key] = source
     out.mkdir(parents=True, exist_ok=True)
@@ -143,7 +143,7 @@ def _united(plans: Iterable[Plan]) -> Plan | None:
 
 
 def _latest(source: Source) -> datetime.datetime:
-    return max((source.measured(record) for record in source.records.values()), default=_date(""))
+    return max((source.worth(record)[1] for record in source.records.values()), default=_date(""))
 
 
 def _date(text: str) -> datetime.datetime:

@@ -109,6 +109,10 @@ class Runner:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.end_workers()
+
+    def end_workers(self) -> None:
+        """End all worker processes; others are started when they are needed."""
         for worker in self.workers:
             worker.end()
         self.workers.clear()

@@ -76,7 +76,7 @@ class Worker:
         self._seconds: dict[str, float] = {}
         self._references: dict[tuple[str, float], Reference] = {}
         self._scenes: dict[str, MechatronicSystem] = {}
-        self._checked = False
+        self._found: str | None = None
 
     def problem(self, text: str) -> MechatronicSystem:
         """Return a scene; it is made once, as it finds its dimensions by tracing."""
@@ -193,10 +193,9 @@ class Worker:
 
         Known numbers are computed for that.
         """
-        if self._checked and not self._watched:
-            return ""
-        self._checked = True
-        return check_runtime()
+        if self._found is None or self._watched:
+            self._found = check_runtime()
+        return self._found
 
     def time(self, cell: Cell) -> float:
         """Return seconds per bare run, averaged over as many runs as fit a sample."""

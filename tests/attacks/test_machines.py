@@ -224,21 +224,16 @@ def test_few_open_files_cost_no_result(tmp_path, profile, most):
     ("which", "most"),
     [
         (resource.RLIMIT_AS, 200 << 20),
-        pytest.param(
-            *(resource.RLIMIT_AS, 600 << 20),
-            marks=pytest.mark.xfail(strict=True, reason="0 cells ok is exit code 0"),
-        ),
+        (resource.RLIMIT_AS, 600 << 20),
         (resource.RLIMIT_AS, 2000 << 20),
-        pytest.param(
-            *(resource.RLIMIT_CPU, 1),
-            marks=pytest.mark.xfail(strict=True, reason="0 cells ok is exit code 0"),
-        ),
+        (resource.RLIMIT_CPU, 1),
     ],
 )
 def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most):
     out = tmp_path / "out"
-    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=limit(which, most))
-    assert code == 1, text
+    small = ["--jobs", 1, "--budget", 5]
+    code, text = ask("run", profile, "--out", out, *small, limits=limit(which, most))
+    assert code == (OK not in text), text
     # The same command measures what was lost, once there is room.
     code, text = ask("run", profile, "--out", out, "--jobs", 1, "--fresh")
     assert (code, OK in text) == (0, True), text
@@ -247,15 +242,7 @@ def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most)
 @attack
 @pytest.mark.parametrize(
     ("most", "codes"),
-    [
-        pytest.param(
-            *(3, {1}),
-            marks=pytest.mark.xfail(
-                strict=True, reason="processes that draw pictures end with a traceback"
-            ),
-        ),
-        (30, {0}),
-    ],
+    [(3, {1}), (30, {0})],
 )
 def test_few_processes(tmp_path, profile, most, codes):
     # Root has no limit: the command runs as nobody, who may read everything.
@@ -273,7 +260,7 @@ def test_few_processes(tmp_path, profile, most, codes):
 
 
 @attack
-@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 2), (0, 1, 2)], ids=str)
 def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
     out = tmp_path / "out"
 
@@ -282,8 +269,11 @@ def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
             os.close(descriptor)
 
     code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=close)
-    assert code in (0, 1), text
-    assert OK in text or 1 in closed
+    if 1 in closed:  # it could not tell its results, and says so before it begins
+        assert code == 1
+        assert not out.exists()
+        return
+    assert (code, OK in text) == (0, True), text
     assert len(stored(out)) == 2
     assert (out / "report.html").stat().st_size > 100_000
 
@@ -337,7 +327,6 @@ def test_a_variable_that_keeps_jax_from_computing_is_named(name, value, sentence
 
 @attack
 @pytest.mark.parametrize(("name", "value", "sentence"), REFUSED.values(), ids=REFUSED)
-@pytest.mark.xfail(strict=True, reason="workers do not call check_runtime yet")
 def test_a_run_under_such_a_variable_is_no_success(tmp_path, profile, name, value, sentence):
     out = tmp_path / "out"
     code, text = ask("run", profile, "--out", out, "--jobs", 1, **{"XLA_FLAGS": None, name: value})
