@@ -93,10 +93,10 @@ def test_the_client_takes_its_certificates_from_the_configuration_of_dask(tmp_pa
             n_workers=1, protocol="tls", security=security, dashboard_address=None
         ) as encrypted,
         dask.config.set({TLS + "ca-file": file, TLS + "client.cert": file}),
-        ClusterRunner([], encrypted.scheduler_address, 60.0, 4.0) as runner,
+        ClusterRunner(encrypted.scheduler_address, Limits(60.0, 4.0)) as runner,
     ):
         assert encrypted.scheduler_address.startswith("tls://")
-        ((_, answer),) = runner.run([[measure_task(cell)]])
+        ((_, answer),) = runner.run([[measure_task(cell, Sources())]])
     assert answer[0].status == "ok", answer
 
 

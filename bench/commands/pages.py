@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -24,7 +25,7 @@ def write_reports(folder: Path) -> None:
     click.ClickException
         If one cannot be written; the others are.
     """
-    from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
+    from bench.guard.process import GuardedProcess, NoAnswer
 
     # One process for each page: they do not wait for each other, and each may fail alone.
     pages: dict[str, GuardedProcess] = {}
@@ -33,13 +34,14 @@ def write_reports(folder: Path) -> None:
         pages[writer.name] = GuardedProcess(_load_writer, (writer.value,))
         pages[writer.name].start(_write_report, str(folder))
     for name, page in pages.items():
-        while (answer := page.take()) is None:
-            wait_for_any([page])
+        answer = page.answer()
         page.end()
+        if printed := page.printed():
+            click.echo(printed, err=True)
         if isinstance(answer, NoAnswer):
             failed.append(f"The {name} report could not be written: {answer.message}")
         else:
-            click.echo(f"Report: {answer}")
+            click.echo(f"Report: {os.fsdecode(answer)}")
     if failed:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
@@ -52,5 +54,5 @@ def _load_writer(notify: Any, value: str) -> _Writer:
     return EntryPoint("report", value, "stepbench.reports").load()
 
 
-def _write_report(writer: _Writer, folder: str) -> str:
-    return str(writer(Path(folder)))
+def _write_report(writer: _Writer, folder: str) -> bytes:
+    return os.fsencode(writer(Path(folder)))  # a name may be no text

@@ -102,6 +102,11 @@ def run(
         raise click.ClickException(f"{cut} cells were interrupted; the same command runs them.")
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
+    if cut:
+        count = "1 cell was" if cut == 1 else f"{cut} cells were"
+        raise click.ClickException(
+            f"Not complete: {count} interrupted; the same command runs what is missing."
+        )
     if suite.lost:
         raise click.ClickException(" ".join(suite.lost))
 

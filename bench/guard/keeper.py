@@ -53,8 +53,6 @@ def _begin(keeper: int) -> None:
 
 def main(control: socket.socket, kept: list[int], command: list[str]) -> None:
     """Keep a command until it ends or the other side of ``control`` says so or is gone."""
-    with suppress(PermissionError):  # it leads a group already
-        os.setsid()  # signals of the terminal are for the parent alone
     for ending in (signal.SIGINT, *_ENDING):
         signal.signal(ending, signal.SIG_IGN)
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)

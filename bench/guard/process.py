@@ -95,6 +95,7 @@ class GuardedProcess:
             stdout=writing,
             stderr=writing,
             pass_fds=(keepers.fileno(), theirs.fileno()),
+            start_new_session=True,  # signals of the terminal are for this process alone
             env=os.environ | {_MARK: self._mark},
         )
         for end in (theirs, keepers):
@@ -147,6 +148,10 @@ class GuardedProcess:
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         """Do a job and return its answer, or NoAnswer."""
         self.start(job, *arguments, **named)
+        return self.answer()
+
+    def answer(self) -> Any:
+        """Wait for the answer of the job in work, or NoAnswer."""
         while (answer := self.take()) is None:
             wait_for_any([self])
         return answer

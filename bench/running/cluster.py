@@ -133,7 +133,7 @@ def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, 
     for task in group:
         plugin_files(sorted(task.sources.files))  # says what is missing; a child would die of it
     printed: dict[str, str] = {}
-    with Runner(1, limits, printed.__setitem__) as runner:
+    with Runner(1, limits, printed.__setitem__, _wanted()) as runner:
         answers = dict(runner.run([group]))
     return [
         (
@@ -143,4 +143,22 @@ def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, 
             wire.encode(answers[task]),
         )
         for task in group
+        if task in answers
     ]
+
+
+def _wanted() -> Callable[[], bool]:
+    """Return a function that tells, in a worker of the cluster, whether its task is wanted still.
+
+    The scheduler takes it back when the client has ended.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+
+    def wanted() -> bool:
+        task = worker.state.tasks.get(key)
+        return task is not None and task.state != "cancelled"
+
+    return wanted

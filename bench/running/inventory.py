@@ -18,6 +18,7 @@ from bench.guard.serve import Notify
 from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
 from bench.plugins.registry import KINDS, PROJECT, PluginError, Registry, plugin_files
+from bench.results.records import INTERRUPTED
 from problems import spec
 from problems.spec import SpecError
 
@@ -149,7 +150,7 @@ class Inventory:
         listed = facts.listing(self._own)
         if self._sources:
             # A process dies with the first source that ends it: it is started again without.
-            while isinstance(answer := self._process().ask(facts.listing), NoAnswer):
+            while isinstance(answer := self._answer(facts.listing), NoAnswer):
                 source = answer.words if answer.phase == LOADING else ""
                 if source in self._broken or source not in {*self.files, *self._sources.packages}:
                     raise PluginError(f"The plugins cannot be listed: {answer.message}")
@@ -165,11 +166,18 @@ class Inventory:
         plugin = self._listing[kind].get(name)
         if plugin is None or not plugin.sources:
             return question(self._own, text, *more)
-        answer = self._process().ask(question, text, *more)
+        answer = self._answer(question, text, *more)
         if isinstance(answer, Refused):
             raise SpecError(answer.message)
         if isinstance(answer, NoAnswer):
             raise PluginFailed(f"{text} gives no facts about itself: {answer.message}")
+        return answer
+
+    def _answer(self, question: Callable[..., Any], *given: Any) -> Any:
+        """Ask a second time if the process was killed from outside: no plugin is to blame."""
+        answer = self._process().ask(question, *given)
+        if isinstance(answer, NoAnswer) and answer.status == INTERRUPTED:
+            answer = self._process().ask(question, *given)
         return answer
 
     def _process(self) -> GuardedProcess:

@@ -88,6 +88,8 @@ class Runner:
         The most that one task may take.
     printed
         Told what a task printed: its label, and the text.
+    wanted
+        Whether anybody waits for the answers still; else ``run`` ends.
     """
 
     def __init__(
@@ -95,9 +97,10 @@ class Runner:
         jobs: int,
         limits: Limits,
         printed: Callable[[str, str], None] = lambda label, text: None,
+        wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         self._jobs, self._limits = jobs, replace(limits, advice=_ADVICE)
-        self._printed = printed
+        self._printed, self._wanted = printed, wanted
         self.workers: list[_WorkerProcess] = []
         self._owner: dict[str, _WorkerProcess] = {}
         self._lacking: dict[str, str] = {}
@@ -124,7 +127,7 @@ class Runner:
     ) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
         queue = deque(deque(group) for group in groups if group)
-        while queue or self._busy():
+        while (queue or self._busy()) and self._wanted():
             self._feed(queue, on_start)
             wait_for_any(worker for worker in self.workers if worker.task)
             for worker in list(self.workers):

@@ -1,0 +1,90 @@
+"""Integrators that are hard to end; used by test_signals.py as a plugin file.
+
+Each answers with the exact motion of a scene of positions. The first that finds the file HOLD
+beside this one takes it, does what it is told to do, and goes on when HELD, which then has its
+process number, is taken away.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from integrators import Integrator, PreparedRun, Trajectory, option
+from problems import MechatronicSystem
+
+HOLD, HELD = (Path(__file__).with_name(name) for name in ("HOLD", "HELD"))
+BUSY = "while True: pass"
+
+
+class Run(PreparedRun):
+    def __init__(self, how: str, scene: MechatronicSystem, t_end: float) -> None:
+        self.how, self.exact = how, scene.exact
+        self.t = np.linspace(scene.interval[0], t_end, 5)
+
+    def measure(self) -> Trajectory:
+        with suppress(FileNotFoundError):
+            HOLD.rename(HELD)
+            HELD.write_text(f"{os.getpid()}")
+            getattr(self, self.how, lambda: None)()
+            while HELD.exists():
+                time.sleep(0.02)
+        if self.how == "computes":  # half a second
+            started = time.process_time()
+            while time.process_time() < started + 0.5:
+                pass
+        empty = np.zeros((5, 0))
+        exact = {"lam": empty} | self.exact(self.t)
+        return Trajectory(t=self.t, x=empty, xdot=empty, y=empty, **exact)
+
+    def execute(self) -> None:
+        pass
+
+    def locks(self) -> None:
+        """Hold the interpreter lock, so that no thread and no handler of Python's runs."""
+        ctypes.PyDLL(None).sleep(600)
+
+    def locks_in_turns(self) -> None:
+        while HELD.exists():
+            ctypes.PyDLL(None).usleep(900_000)
+
+    def spins(self) -> None:
+        while HELD.exists():
+            pass
+
+    def child(self) -> None:
+        subprocess.Popen([sys.executable, "-c", BUSY])
+
+    def session(self) -> None:
+        subprocess.Popen([sys.executable, "-c", BUSY], start_new_session=True)
+
+    def orphan(self) -> None:
+        """A grandchild in a session of its own, whose parent has ended, and which heeds nothing."""
+        if not os.fork():
+            os.setsid()
+            if not os.fork():
+                script = f"import signal\nfor n in (1, 2, 15): signal.signal(n, 1)\n{BUSY}"
+                os.execv(sys.executable, [sys.executable, "-c", script])
+            os._exit(0)
+        os.wait()
+
+
+@dataclass(frozen=True)
+class Busy(Integrator):
+    """An integrator that does more than it should."""
+
+    controls: ClassVar[str] = "step"
+    formulation: ClassVar[str] = "unconstrained"
+    how: str = option("well", "what it does", always=True)
+
+    def prepare(self, scene, t_end, resolution):
+        return Run(self.how, scene, t_end)

@@ -1,0 +1,127 @@
+"""Commands as processes, all that they start, and signals to any of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+STEPBENCH = [str(Path(sys.executable).with_name("stepbench"))]
+MODULE = [sys.executable, "-m", "bench"]
+MARK = "STEPBENCH_ATTACK"
+#: Two seconds are promised; other tests may keep the processors busy meanwhile.
+PROMISED_SECONDS = 4.0
+#: All commands of a test, whose `end_all` ends what failed.
+STARTED: list[Started] = []
+PHRASES = ("Interrupted.", "Stopped.")
+
+
+def parent_of(process: int) -> int:
+    return int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[1])
+
+
+class Started:
+    """A command in work; it leads a session of its own, as in a terminal of its own."""
+
+    def __init__(
+        self, folder: Path, *arguments: object, entry: list[str] = STEPBENCH, output: int = -1
+    ) -> None:
+        self._mark = f"{MARK}={secrets.token_hex(8)}".encode()
+        self._said = folder / f"said-{secrets.token_hex(4)}.txt"
+        name, value = self._mark.decode().split("=")
+        with self._said.open("wb") as said:
+            self.process = subprocess.Popen(
+                [*entry, *map(str, arguments)],
+                cwd=folder,
+                env=os.environ | {name: value},
+                stdin=subprocess.DEVNULL,
+                stdout=said if output < 0 else output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self.pid = self.process.pid
+        STARTED.append(self)
+
+    @property
+    def said(self) -> str:
+        """The last part of what it said, in one line."""
+        return " ".join(self._said.read_text(errors="replace")[-5000:].split())
+
+    def family(self, role: str = "") -> list[int]:
+        """All processes that it started, itself included, oldest first; or those of one role.
+
+        Workers are its own, and engines those of its workers; all have keepers.
+        """
+        found = []
+        for entry in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if self._mark in (entry / "environ").read_bytes():
+                    number = int(entry.name)
+                    if not role or role == self._role(number, (entry / "cmdline").read_bytes()):
+                        found.append(number)
+        return sorted(found)
+
+    def _role(self, process: int, line: bytes) -> str:
+        above = parent_of(process)
+        if b"guard/keeper.py" in line:  # the line of what it keeps is in it, too
+            return "keeper" if above == self.pid else "keeper of an engine"
+        if b"serve(int(" in line:
+            return "worker" if parent_of(above) == self.pid else "engine"
+        return "other"
+
+    def wait_for(self, condition: Callable[[], object], seconds: float = 90.0) -> None:
+        """Wait for a condition, or the end of the process."""
+        late = time.monotonic() + seconds
+        while not condition() and self.process.poll() is None:
+            assert time.monotonic() < late, self.said
+            time.sleep(0.002)
+
+    def wait_until_it_obeys(self) -> None:
+        """Python starts with a handler for Ctrl-C; one for the end of a terminal is ours."""
+        self.wait_for(lambda: 1 << (signal.SIGHUP - 1) & self._caught())
+
+    def _caught(self) -> int:
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        match = re.search(r"SigCgt:\s*(\w+)", status)
+        return int(match[1], 16) if match else 0
+
+    def finish(self, seconds: float = 120.0) -> int:
+        """Exit code of the command; nothing of it is left, and it said no traceback."""
+        code = self.process.wait(seconds)
+        assert "Traceback" not in self.said, self.said
+        self.check_nothing_left()
+        return code
+
+    def check_nothing_left(self) -> None:
+        """Every process that it started ends in time."""
+        late = time.monotonic() + PROMISED_SECONDS
+        while (left := self.family()) and time.monotonic() < late:
+            time.sleep(0.02)
+        assert not left, [Path(f"/proc/{p}/cmdline").read_bytes() for p in left]
+
+    def check_obeys(self, number: int) -> None:
+        """It ends in time after this signal, with one sentence and the right code."""
+        code = self.process.wait(PROMISED_SECONDS)
+        assert "Traceback" not in self.said, self.said
+        assert code == 128 + number, (code, self.said)
+        assert sum(map(self.said.count, PHRASES)) == 1, self.said
+        self.check_nothing_left()
+
+
+def end_all() -> None:
+    """End what a test that failed has left, and hand the processes back to the system."""
+    while STARTED:
+        command = STARTED.pop()
+        while left := command.family():
+            for process in left:
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            command.process.poll()
+        command.process.wait()

@@ -1,0 +1,268 @@
+"""Processes that are killed or halted at random moments: nothing is left, and one cell is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from busy_methods import BUSY
+from planted import everything, plant
+from processes import PROMISED_SECONDS, Started, end_all, parent_of
+
+attack = pytest.mark.attack
+KILL, STOP, CONT = signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT
+PROFILE = """
+samples = 2
+[[study]]
+problems = ["oscillator"]
+integrators = ["newmark", "busy[how={how}]"]
+steps = [0.1, 0.05]
+"""
+CELLS = 4
+RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
+HOWS = ("locks", "locks_in_turns", "spins", "child", "session", "orphan")
+#: The kill that every test run tries, without the second run.
+QUICK = ("worker", "locks")
+#: Longer than a process may be idle, in s.
+LONG_HALT = 12.0
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory) -> Path:
+    return plant(tmp_path_factory.mktemp("kills") / "planted", everything())
+
+
+@pytest.fixture
+def folder(tmp_path, planted) -> Iterator[Path]:
+    shutil.copytree(planted, tmp_path / "planted")
+    shutil.copy(Path(__file__).with_name("busy_methods.py"), tmp_path / "busy.py")
+    write_profile(tmp_path, "well")
+    yield tmp_path
+    end_all()
+
+
+def write_profile(folder: Path, how: str) -> None:
+    (folder / "busy.toml").write_text(PROFILE.format(how=how))
+
+
+def held(folder: Path, how: str, *more: str) -> tuple[Started, int]:
+    """A run with a method that does its worst, and the worker in which it is."""
+    write_profile(folder, how)
+    (folder / "HOLD").touch()
+    process, told = Started(folder, *RUN, *more), folder / "HELD"
+    process.wait_for(lambda: told.exists() and told.read_text())
+    if how in ("child", "session", "orphan"):
+        process.wait_for(lambda: busy_children(process))
+    time.sleep(random.Random(how).uniform(0, 0.5))
+    return process, int(told.read_text())
+
+
+def busy_children(process: Started) -> list[int]:
+    lines = {p: Path(f"/proc/{p}/cmdline") for p in process.family()}
+    return [p for p, line in lines.items() if line.exists() and BUSY.encode() in line.read_bytes()]
+
+
+def victim(process: Started, role: str, chance: random.Random) -> int:
+    """A process of a role, at a random moment."""
+    time.sleep(chance.uniform(0, 3))
+    process.wait_for(lambda: process.family(role), 20)
+    return chance.choice(process.family(role) or [0])
+
+
+def kill(pid: int) -> None:
+    if pid:
+        os.kill(pid, KILL)
+
+
+def check_goes_on(folder: Path, measured: int) -> None:
+    """The same command measures so many cells again, and no others."""
+    again = Started(folder, *RUN)
+    assert again.finish() == 0, again.said
+    assert f"{CELLS} ok" in again.said
+    assert f"{measured} measured now, {CELLS - measured} kept from before" in again.said
+
+
+# ---- kill -9 of the command --------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "how", [h if h == "locks" else pytest.param(h, marks=attack) for h in HOWS]
+)
+def test_a_killed_command_leaves_nothing(folder, how):
+    process, _ = held(folder, how)
+    kill(process.pid)
+    process.process.wait(4)
+    process.check_nothing_left()
+
+
+@attack
+@pytest.mark.parametrize("how", HOWS)
+def test_a_killed_group_leaves_nothing_and_goes_on(folder, how):
+    process, _ = held(folder, how)
+    os.killpg(process.pid, KILL)
+    process.process.wait(4)
+    process.check_nothing_left()
+    shown = Started(folder, "export", "out", "--json", "-o", "rows.json")
+    assert shown.finish() == 0, shown.said
+    check_goes_on(folder, CELLS - len(json.loads((folder / "rows.json").read_text())))
+
+
+@attack
+@pytest.mark.parametrize("seed", range(8))
+def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
+    process = Started(folder, *RUN)
+    time.sleep(random.Random(seed).uniform(0, 6))
+    kill(process.pid)
+    process.process.wait(4)
+    process.check_nothing_left()
+
+
+# ---- kill -9 of what it started ------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("role", "how"),
+    [
+        QUICK,
+        *(
+            pytest.param(role, how, marks=attack)
+            for role in ("worker", "keeper", "terminated")
+            for how in HOWS
+            if (role, how) != QUICK
+        ),
+    ],
+)
+def test_a_killed_worker_costs_one_cell(folder, role, how):
+    process, worker = held(folder, how)
+    before = busy_children(process)
+    os.kill(
+        parent_of(worker) if role == "keeper" else worker,
+        signal.SIGTERM if role == "terminated" else KILL,
+    )
+    late = time.monotonic() + PROMISED_SECONDS
+    while set(before) & set(process.family()):
+        assert time.monotonic() < late, "what the worker started is left"
+        time.sleep(0.02)
+    assert process.finish() == 1, process.said
+    assert f"{CELLS - 1} ok" in process.said
+    assert "Not complete: 1 cell" in process.said
+    if (role, how) != QUICK:
+        check_goes_on(folder, 1)
+
+
+@attack
+@pytest.mark.parametrize("role", ["worker", "keeper"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_worker_killed_at_a_random_moment_costs_at_most_one_cell(folder, role, seed):
+    process = Started(folder, *RUN)
+    kill(victim(process, role, random.Random(f"{role} {seed}")))
+    code = process.finish()
+    found = re.search(r"Not complete: (\d+) cell", process.said)
+    assert code == (1 if found else 0), process.said
+    lost = int(found[1]) if found else 0
+    assert lost <= 1
+    assert f"{CELLS - lost} ok" in process.said
+    check_goes_on(folder, lost)
+
+
+@attack
+@pytest.mark.parametrize("seed", range(4))
+def test_a_killed_inventory_costs_nothing(folder, seed):
+    process = Started(folder, *RUN)
+    process.wait_for(lambda: process.family("worker"))
+    time.sleep(random.Random(seed).uniform(0, 0.6))
+    kill(process.family("worker")[0])
+    assert process.finish() == 0, process.said
+    assert f"{CELLS} ok" in process.said
+
+
+@attack
+@pytest.mark.parametrize("role", ["worker", "keeper"])
+@pytest.mark.parametrize("name", ["map", "ensemble", "solve", "stability"])
+def test_a_command_whose_worker_is_killed_says_so(folder, role, name):
+    from test_signals import ENDLESS
+
+    process = Started(folder, *ENDLESS[name].split())
+    kill(victim(process, role, random.Random(f"{name} {role}")))
+    assert process.finish() == 1, process.said
+    assert "killed from outside" in process.said
+
+
+@attack
+@pytest.mark.parametrize("seed", range(3))
+def test_a_killed_drawing_engine_costs_nothing(folder, seed):
+    process = Started(folder, "report", "planted")
+    process.wait_for(lambda: process.family("engine"))
+    time.sleep(random.Random(seed).uniform(0, 0.3))
+    kill(process.family("engine")[0])
+    assert process.finish() == 0, process.said
+    assert process.said.count("Report:") == 2
+
+
+@attack
+@pytest.mark.parametrize("role", ["worker", "keeper"])
+def test_a_killed_page_costs_that_page(folder, role):
+    process = Started(folder, "report", "planted")
+    process.wait_for(lambda: len(process.family(role)) == 2)
+    time.sleep(random.Random(role).uniform(0, 0.3))
+    kill(process.family(role)[0])
+    assert process.finish() == 1, process.said
+    assert process.said.count("Report:") == 1
+    assert "killed from outside" in process.said
+    assert "The results are stored." in process.said
+    again = Started(folder, "report", "planted")
+    assert again.finish() == 0, again.said
+
+
+@attack
+@pytest.mark.parametrize("number", [KILL, signal.SIGINT])
+def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
+    distributed = pytest.importorskip("distributed")
+    write_profile(folder, "spins")
+    (folder / "HOLD").touch()
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        process = Started(folder, *RUN, "--cluster", cluster.scheduler_address)
+        process.wait_for(lambda: (folder / "HELD").exists() and (folder / "HELD").read_text())
+        worker = psutil.Process(int((folder / "HELD").read_text()))
+        process.process.send_signal(number)
+        process.process.wait(4)
+        assert "Traceback" not in process.said
+        worker.wait(2 * PROMISED_SECONDS)
+        process.check_nothing_left()
+
+
+# ---- halts and load ------------------------------------------------------------------------------
+@attack
+@pytest.mark.parametrize("who", ["worker", "command", "keeper"])
+def test_a_halt_changes_no_verdict(folder, who):
+    process, worker = held(folder, "well", "--budget", "1")
+    stopped = {"worker": worker, "command": process.pid, "keeper": parent_of(worker)}[who]
+    os.kill(stopped, STOP)
+    time.sleep(3 if who == "keeper" else LONG_HALT)
+    os.kill(stopped, CONT)
+    (folder / "HELD").unlink()
+    assert process.finish() == 0, process.said
+    assert f"{CELLS} ok" in process.said
+
+
+@attack
+def test_a_busy_machine_changes_no_verdict(folder):
+    write_profile(folder, "computes")
+    others = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(6)]
+    try:
+        process = Started(folder, *RUN, "--budget", "1")
+        assert process.finish() == 0, process.said
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert f"{CELLS} ok" in process.said
