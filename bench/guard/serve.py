@@ -26,9 +26,12 @@ def serve(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.set_inheritable(descriptor, False)  # by programs that a plugin starts
 
-    def tell(kind: str, content: Any) -> None:
+    def only_one() -> None:
         if os.getpid() != myself:  # a plugin has forked, and its child came here
             os._exit(1)
+
+    def tell(kind: str, content: Any) -> None:
+        only_one()
         pipe.sendall(wire.message(kind, content))
 
     def notify(phase: str, words: str) -> None:
@@ -46,8 +49,7 @@ def serve(descriptor: int) -> None:
                 traceback.print_exc()
             tell(wire.FAILED, why(error))
         else:
-            if os.getpid() != myself:
-                os._exit(1)
+            only_one()
             pipe.sendall(content)
 
     try:
@@ -55,6 +57,7 @@ def serve(descriptor: int) -> None:
         notify(LOADING, "this program")
         state = prepare(notify, *arguments)
         while True:
+            only_one()
             job, given, named = wire.receive_task(pipe)
             notify(RUNNING, "running")
             answer(job, state, *given, **named)

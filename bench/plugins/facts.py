@@ -26,6 +26,16 @@ class Sources(msgspec.Struct, frozen=True, order=True):
     def __bool__(self) -> bool:
         return bool(self.files or self.packages)
 
+    @property
+    def names(self) -> list[str]:
+        """The files and packages."""
+        return [*sorted(self.files), *sorted(self.packages)]
+
+    def each(self) -> list[Sources]:
+        """Return each file and package by itself."""
+        files = [Sources(files=frozenset({file})) for file in sorted(self.files)]
+        return files + [Sources(packages=frozenset({name})) for name in sorted(self.packages)]
+
 
 class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
     """A line of the list of plugins; a ``reason`` says why one cannot be used."""
