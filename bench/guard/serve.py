@@ -12,7 +12,8 @@ from typing import Any
 
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
-from bench.plugins.registry import why
+from bench.plugins.registry import PluginError, why
+from problems.answers import FalseAnswer
 from problems.plain_text import said
 from problems.spec import SpecError
 
@@ -42,9 +43,9 @@ def serve(descriptor: int) -> None:
             found = job(*given, **named)
             sys.stdout.flush()
             content = wire.message(wire.DONE, found)
-        except SpecError as error:
-            tell(wire.REFUSED, f"{said(error)}.")
         except BaseException as error:  # a plugin may raise anything
+            if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
+                return tell(wire.REFUSED, f"{said(error)}.")  # the user is to blame
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
             tell(wire.FAILED, why(error))

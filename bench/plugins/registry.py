@@ -139,7 +139,7 @@ class Registry:
         plugins = getattr(self, kind)
         if name not in plugins:
             usable = [n for n, plugin in plugins.items() if plugin.cls]
-            raise SpecError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
+            raise PluginError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
         plugin = plugins[name]
         if plugin.cls is None:
             raise PluginError(f"The {word} {name!r} is unavailable: {plugin.reason}")
