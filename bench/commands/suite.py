@@ -98,7 +98,8 @@ def run(
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
     if suite.lost:
-        raise click.ClickException(" ".join(suite.lost))
+        more = f" {len(suite.lost) - 1} more reasons are above." if len(suite.lost) > 1 else ""
+        raise click.ClickException(f"{suite.lost[0]}{more}")
 
 
 def in_common(records: Sequence[Record]) -> str:

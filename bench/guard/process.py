@@ -6,6 +6,7 @@ keeper (`bench.guard.keeper`), which ends it with all that it started, whatever 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import secrets
@@ -31,6 +32,8 @@ from problems.spec import SpecError
 _WATCH_SECONDS = 0.1
 #: Of the output of a job so many bytes are kept: the first ones, and the last ones.
 _KEPT_BYTES = 1000
+#: Size of the pipe for output: whoever prints much must not seem to be idle while we look around.
+_PIPE_BYTES = 2**20
 #: Pieces that are taken at a look: a process may write faster than we read, without an end.
 _MOST_PIECES = 64
 #: Signals that end a process because of its own deeds; others come from outside.
@@ -88,6 +91,8 @@ class GuardedProcess:
         self._pipe, theirs = socket.socketpair()
         self._control, keepers = socket.socketpair()
         self._output, writing = os.pipe()
+        with suppress(AttributeError, OSError):  # not on Linux, or the user has too many
+            fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._mark = secrets.token_hex(8)
         command = [sys.executable, "-c", _START, json.dumps(sys.path), str(theirs.fileno())]
         kept = f"{theirs.fileno()}"

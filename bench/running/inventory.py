@@ -136,7 +136,7 @@ class Inventory:
         """Return a sentence for each file that was named and cannot be used."""
         return list(
             dict.fromkeys(
-                f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
+                _unusable(plugin)
                 for plugins in self._listing.values()
                 for plugin in plugins.values()
                 if plugin.reason and plugin.origin in self.files
@@ -184,7 +184,7 @@ class Inventory:
         if plugin is None or not plugin.sources:
             return question(self._own, text, *more)
         if plugin.reason:
-            raise PluginFailed(f"{text} is unavailable: {plugin.reason}")
+            raise PluginFailed(_unusable(plugin))
         if not self._apart:
             answer = self._process(self._sources).ask(question, text, *more)
             # Others may be to blame.
@@ -210,6 +210,10 @@ class Inventory:
             self._outside = GuardedProcess(load_registry, (sources,), _LIMITS)
             self._loaded = sources
         return self._outside
+
+
+def _unusable(plugin: PluginFacts) -> str:
+    return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
 
 
 def _no_answer(answer: Any) -> bool:
