@@ -370,9 +370,9 @@ _RUNS = {
     "measure_stop": ("measure", "raise StopIteration", "crashed", "StopIteration"),
     "measure_hog": (
         "measure",
-        "x = [np.ones(10**7) for _ in range(100)]; time.sleep(60)",
+        "x = [np.ones(10**7) for _ in range(22)]; time.sleep(60)",
         "budget_exceeded",
-        "memory",
+        "budget",
     ),
     "measure_too_much": ("measure", "np.ones(10**14)", "crashed", "Unable to allocate"),
     "measure_rows_claimed": (
