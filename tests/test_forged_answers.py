@@ -35,6 +35,18 @@ def test_a_phase_that_begins_again_goes_on_counting(monkeypatch):
     assert meter.excess(1) is None
 
 
+def test_a_process_that_halts_itself_is_given_up(monkeypatch):
+    times = iter(range(100))
+    monkeypatch.setattr(limits, "usage", lambda process: Usage(stopped=True))
+    monkeypatch.setattr(limits.time, "monotonic", lambda: float(next(times)))
+    meter = Meter(Limits(budget_s=1.0))
+    meter.begin(RUNNING, 1)
+    found = [meter.excess(1) for _ in range(31)]
+    assert found[:-1] == [None] * 30
+    assert found[-1].status == "interrupted"
+    assert "halted it for 30 s" in found[-1].reason
+
+
 def test_an_answer_about_another_cell_is_none():
     inventory = Inventory()
     other = Cell("oscillator", "newmark", 2.0, Steps(0.1))

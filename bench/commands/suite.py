@@ -98,8 +98,9 @@ def run(
     if not good:
         raise click.ClickException(f"No cell succeeded. {in_common(records)}")
     if suite.lost:
-        more = f" {len(suite.lost) - 1} more reasons are above." if len(suite.lost) > 1 else ""
-        raise click.ClickException(f"{suite.lost[0]}{more}")
+        first, *others = suite.lost
+        more = f" {len(others)} more reasons are above." if others else ""
+        raise click.ClickException(f"{first}{more}")
 
 
 def in_common(records: Sequence[Record]) -> str:

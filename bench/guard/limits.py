@@ -18,6 +18,8 @@ LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 _MORE = 5
 #: A process may be idle for so many budgets of a run, or at least so long, in s.
 _IDLE, _LEAST_IDLE = 2, 10.0
+#: A process may be halted by a signal, as its user or itself may send, so many idle times.
+_STOPPED = 3
 #: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
 #: without having computed or been idle: the machine did not let it run.
 _LATE, _LEAST_LATE = 20, 60.0
@@ -70,10 +72,11 @@ class Excess(NamedTuple):
 
 @dataclass
 class _Used:
-    """Processor time, idle time and duration of a phase so far."""
+    """Processor time, idle time, time halted by a signal, and duration of a phase so far."""
 
     computed_s: float = 0.0
     idle_s: float = 0.0
+    stopped_s: float = 0.0
     lasted_s: float = 0.0
 
 
@@ -112,7 +115,9 @@ class Meter:
         used = self._used[self.phase]
         used.computed_s += computed
         used.lasted_s += passed
-        if not use.stopped:
+        if use.stopped:
+            used.stopped_s += passed
+        else:
             used.idle_s += max(0.0, passed - computed - queued)
         allowed = self._limits.seconds(self.phase)
         if used.computed_s > allowed:
@@ -124,6 +129,9 @@ class Meter:
                 "budget_exceeded",
                 f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
             )
+        stopped = _STOPPED * self._limits.idle_seconds
+        if used.stopped_s > stopped:
+            return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if use.memory > self._limits.memory_gib * 2**30:
             memory = f"{self._limits.memory_gib:g} GiB"
             return Excess("budget_exceeded", f"it used more memory than the budget of {memory}")

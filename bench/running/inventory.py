@@ -185,11 +185,10 @@ class Inventory:
             return question(self._own, text, *more)
         if plugin.reason:
             raise PluginFailed(_unusable(plugin))
-        if not self._apart:
-            answer = self._process(self._sources).ask(question, text, *more)
-            # Others may be to blame.
-            self._apart = _no_answer(answer) and self._sources != plugin.sources
-        if self._apart:
+        sources = plugin.sources if self._apart else self._sources
+        answer = self._process(sources).ask(question, text, *more)
+        if _no_answer(answer) and sources != plugin.sources:  # others may be to blame
+            self._apart = True
             answer = self._process(plugin.sources).ask(question, text, *more)
         if isinstance(answer, Refused):
             raise SpecError(answer.message)

@@ -298,7 +298,12 @@ _HANGS = {
     "import_busy": ("top", _SPIN, "lost", BUSY),
     "fact_sleeps": ("facts", "@property\ndef family(self): time.sleep(3600)", "lost", SLEPT),
     "fact_busy": ("facts", "@property\ndef family(self):\n    " + _SPIN, "lost", BUSY),
-    "stops_itself": ("top", "os.kill(os.getpid(), signal.SIGSTOP)", "lost", ""),
+    "stops_itself": (
+        "top",
+        "os.kill(os.getpid(), signal.SIGSTOP)",
+        "lost",
+        "a signal had halted it",
+    ),
 }
 _FACTS = {
     "family_exits": ("@property\ndef family(self): os._exit(3)", "lost", "exit code 3"),
@@ -498,7 +503,11 @@ _RUN_HANGS = {
     "measure_sleeps": ("measure", "time.sleep(3600)", SLEPT),
     "measure_busy": ("measure", _SPIN, BUSY),
     "measure_holds": ("measure", _HOLD, SLEPT),
-    "measure_stopped": ("measure", "os.kill(os.getpid(), signal.SIGSTOP)", ""),
+    "measure_stopped": (
+        "measure",
+        "os.kill(os.getpid(), signal.SIGSTOP)",
+        "a signal had halted it",
+    ),
     "measure_waits_for_child": ("measure", "subprocess.run(['sleep', '3600'])", SLEPT),
     "measure_busy_child": (
         "measure",
@@ -567,7 +576,9 @@ METHODS = {
     **{f"f_{n}": Hostile("facts", "facts", *rest) for n, rest in _FACTS.items()},
     **{f"r_{n}": Hostile("runs", *rest) for n, rest in _RUNS.items()},
     **{
-        f"s_{n}": Hostile("hangs", place, code, "budget_exceeded", words)
+        f"s_{n}": Hostile(
+            "hangs", place, code, "interrupted" if "halted" in words else "budget_exceeded", words
+        )
         for n, (place, code, words) in _RUN_HANGS.items()
     },
     **{f"t_{n}": Hostile("timed", *rest, "ok") for n, rest in _TIMED_HANGS.items()},
