@@ -14,6 +14,7 @@ from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.records import INTERRUPTED, Record
 from bench.results.store import Store
+from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 
@@ -67,7 +68,7 @@ def run(
     from bench.running.session import measure_suite, runner_for, time_suite
     from bench.stability import damping
 
-    registry = options.usable_registry(plugins)
+    registry = Inventory(plugins)  # a file that cannot be used costs its own cells
     suite = make_suite(*read_profile(profile), registry, problems, integrators, budget)
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
@@ -106,7 +107,9 @@ def run(
             f"Not complete: {count} interrupted; the same command runs what is missing."
         )
     if suite.lost:
-        raise click.ClickException(" ".join(suite.lost))
+        first, *others = suite.lost
+        more = f" {len(others)} more reasons are above." if others else ""
+        raise click.ClickException(f"{first}{more}")
 
 
 def in_common(records: Sequence[Record]) -> str:

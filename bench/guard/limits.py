@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 _MORE = 5
 #: A process may be idle for so many budgets of a run, or at least so long, in s.
 _IDLE, _LEAST_IDLE = 2, 10.0
+#: A process may be halted by a signal, as its user or itself may send, so many idle times.
+_STOPPED = 3
 #: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
 #: without having computed or been idle: the machine did not let it run.
 _LATE, _LEAST_LATE = 20, 60.0
@@ -67,19 +70,38 @@ class Excess(NamedTuple):
     reason: str
 
 
+@dataclass
+class _Used:
+    """Processor time, idle time, time halted by a signal, and duration of a phase so far."""
+
+    computed_s: float = 0.0
+    idle_s: float = 0.0
+    stopped_s: float = 0.0
+    lasted_s: float = 0.0
+
+
 class Meter:
-    """Measures one job of a process against its limits, phase by phase."""
+    """Measures one job of a process against its limits, phase by phase.
+
+    What a phase has used counts on when the job comes back to it: else foreign code could get a
+    new budget by saying that a phase begins.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self._limits, self._last = limits, Usage()
-        self.begin(RUNNING)
+        self.phase = LOADING
+        self.start()
+
+    def start(self) -> None:
+        """Begin a job, which has used nothing."""
+        self._used: defaultdict[str, _Used] = defaultdict(_Used)
+        self._looked = time.monotonic()
 
     def begin(self, phase: str, process: int | None = None) -> None:
-        """Begin a phase, in which nothing has been used."""
+        """Go on to a phase."""
         self.phase = phase
         self._looked = time.monotonic()
         self._last = (usage(process) if process else None) or self._last
-        self._computed = self._idle = self._lasted = 0.0
 
     def excess(self, process: int) -> Excess | None:
         """Look at a process; return the limit that it has passed, if any."""
@@ -90,24 +112,30 @@ class Meter:
         computed = max(0.0, use.computed_s - self._last.computed_s)
         queued = max(0.0, use.queued_s - self._last.queued_s)
         self._looked, self._last = now, use
-        self._computed += computed
-        self._lasted += passed
-        if not use.stopped:
-            self._idle += max(0.0, passed - computed - queued)
+        used = self._used[self.phase]
+        used.computed_s += computed
+        used.lasted_s += passed
+        if use.stopped:
+            used.stopped_s += passed
+        else:
+            used.idle_s += max(0.0, passed - computed - queued)
         allowed = self._limits.seconds(self.phase)
-        if self._computed > allowed:
+        if used.computed_s > allowed:
             return Excess(
                 "budget_exceeded", f"it took more than {allowed:g} s of processor time, its budget"
             )
-        if self._idle > self._limits.idle_seconds:
+        if used.idle_s > self._limits.idle_seconds:
             return Excess(
                 "budget_exceeded",
                 f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
             )
+        stopped = _STOPPED * self._limits.idle_seconds
+        if used.stopped_s > stopped:
+            return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if use.memory > self._limits.memory_gib * 2**30:
             memory = f"{self._limits.memory_gib:g} GiB"
             return Excess("budget_exceeded", f"it used more memory than the budget of {memory}")
-        if self._lasted > _LATE * allowed + _LEAST_LATE:
+        if used.lasted_s > _LATE * allowed + _LEAST_LATE:
             return Excess(
                 "interrupted", "the machine hardly let it run: it was halted, or busy with others"
             )

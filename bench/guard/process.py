@@ -6,6 +6,7 @@ keeper (`bench.guard.keeper`), which ends it with all that it started, whatever 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import secrets
@@ -24,13 +25,17 @@ import msgspec
 
 from bench.guard import keeper, wire
 from bench.guard.limits import LOADING, Limits, Meter
-from problems.plain_text import visible
+from problems.plain_text import shortened
 from problems.spec import SpecError
 
 #: Time in s between two looks at the use of a process.
 _WATCH_SECONDS = 0.1
 #: Of the output of a job so many bytes are kept: the first ones, and the last ones.
 _KEPT_BYTES = 1000
+#: Size of the pipe for output: whoever prints much must not seem to be idle while we look around.
+_PIPE_BYTES = 2**20
+#: Pieces that are taken at a look: a process may write faster than we read, without an end.
+_MOST_PIECES = 64
 #: Signals that end a process because of its own deeds; others come from outside.
 _OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP"})
 #: Variable by which everything that a guarded process started is known.
@@ -86,6 +91,8 @@ class GuardedProcess:
         self._pipe, theirs = socket.socketpair()
         self._control, keepers = socket.socketpair()
         self._output, writing = os.pipe()
+        with suppress(AttributeError, OSError):  # not on Linux, or the user has too many
+            fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._mark = secrets.token_hex(8)
         command = [sys.executable, "-c", _START, json.dumps(sys.path), str(theirs.fileno())]
         kept = f"{theirs.fileno()}"
@@ -106,7 +113,6 @@ class GuardedProcess:
         self._inbox, self._news = wire.Inbox(), bytearray()
         self._limits = limits or Limits()
         self._meter, self._words = Meter(self._limits), "this program"
-        self._meter.begin(LOADING)
         self._job: Callable[..., Any] | None = None
         self._printed = bytearray()
         self.alive = True
@@ -115,6 +121,7 @@ class GuardedProcess:
     def start(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         """Begin a job."""
         self._job = job
+        self._meter.start()
         self._printed.clear()
         self._send((job, arguments, named))
 
@@ -162,7 +169,7 @@ class GuardedProcess:
         text = bytes(self._printed)
         if len(text) > 2 * _KEPT_BYTES:
             text = text[:_KEPT_BYTES] + b" ... " + text[-_KEPT_BYTES:]
-        return visible(text.decode(errors="replace")).strip()
+        return shortened(text.decode(errors="replace").strip())
 
     def end(self) -> None:
         """Kill the process and all that it started; nothing is lost that is not elsewhere."""
@@ -195,14 +202,17 @@ class GuardedProcess:
         self._listen()
         pieces = []
         with suppress(BlockingIOError, OSError):
-            while piece := self._pipe.recv(2**20):
+            while len(pieces) < _MOST_PIECES and (piece := self._pipe.recv(2**20)):
                 pieces.append(piece)
         return b"".join(pieces)
 
     def _listen(self) -> None:
         """Take what was printed, of which little is kept."""
         with suppress(BlockingIOError, OSError):
-            while piece := os.read(self._output, 2**16):
+            for _ in range(_MOST_PIECES):
+                piece = os.read(self._output, 2**16)
+                if not piece:
+                    break
                 self._printed += piece
                 if len(self._printed) > 4 * _KEPT_BYTES:
                     del self._printed[_KEPT_BYTES + 1 : -_KEPT_BYTES]

@@ -12,7 +12,8 @@ from typing import Any
 
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
-from bench.plugins.registry import why
+from bench.plugins.registry import PluginError, why
+from problems.answers import FalseAnswer
 from problems.plain_text import said
 from problems.spec import SpecError
 
@@ -26,9 +27,12 @@ def serve(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.set_inheritable(descriptor, False)  # by programs that a plugin starts
 
-    def tell(kind: str, content: Any) -> None:
+    def only_one() -> None:
         if os.getpid() != myself:  # a plugin has forked, and its child came here
             os._exit(1)
+
+    def tell(kind: str, content: Any) -> None:
+        only_one()
         pipe.sendall(wire.message(kind, content))
 
     def notify(phase: str, words: str) -> None:
@@ -39,15 +43,14 @@ def serve(descriptor: int) -> None:
             found = job(*given, **named)
             sys.stdout.flush()
             content = wire.message(wire.DONE, found)
-        except SpecError as error:
-            tell(wire.REFUSED, f"{said(error)}.")
         except BaseException as error:  # a plugin may raise anything
+            if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
+                return tell(wire.REFUSED, f"{said(error)}.")  # the user is to blame
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
             tell(wire.FAILED, why(error))
         else:
-            if os.getpid() != myself:
-                os._exit(1)
+            only_one()
             pipe.sendall(content)
 
     try:
@@ -55,6 +58,7 @@ def serve(descriptor: int) -> None:
         notify(LOADING, "this program")
         state = prepare(notify, *arguments)
         while True:
+            only_one()
             job, given, named = wire.receive_task(pipe)
             notify(RUNNING, "running")
             answer(job, state, *given, **named)

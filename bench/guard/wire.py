@@ -18,7 +18,7 @@ import numpy as np
 
 _LENGTH = struct.Struct("<Q")
 #: A longer message, in bytes, is none.
-_MOST_BYTES = 4 * 2**30
+_MOST_BYTES = 2**28
 #: Kinds of messages of a process.
 PHASE, DONE, REFUSED, FAILED = "phase", "done", "refused", "failed"
 

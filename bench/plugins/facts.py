@@ -10,7 +10,8 @@ import numpy as np
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import KINDS, Plugin, Registry
 from integrators import answers
-from problems.answers import step, tidy
+from problems.answers import asked, refused, step, tidy
+from problems.answers import text as text_of
 from problems.system import GROUPS
 
 
@@ -25,6 +26,16 @@ class Sources(msgspec.Struct, frozen=True, order=True):
 
     def __bool__(self) -> bool:
         return bool(self.files or self.packages)
+
+    @property
+    def names(self) -> list[str]:
+        """The files and packages."""
+        return [*sorted(self.files), *sorted(self.packages)]
+
+    def each(self) -> list[Sources]:
+        """Return each file and package by itself."""
+        files = [Sources(files=frozenset({file})) for file in sorted(self.files)]
+        return files + [Sources(packages=frozenset({name})) for name in sorted(self.packages)]
 
 
 class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,11 +100,25 @@ def sources_of(plugin: Plugin) -> Sources:
     )
 
 
+def _own_spec(made: Any) -> str:
+    """Return the printed name of a scene or an integrator, which has to be its own.
+
+    Raises
+    ------
+    FalseAnswer
+        If it is that of another.
+    """
+    stated = text_of(asked(made, "spec", "spec"), "spec")
+    if stated.partition("[")[0] != made.name:
+        raise refused("spec", stated, f"{made.name!r}, or {made.name!r} with options")
+    return stated
+
+
 def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> SceneFacts:
     """State the facts of the scene that is written as ``text``."""
     scene = registry.problem(text, **parameters)
     return SceneFacts(
-        spec=scene.spec,
+        spec=_own_spec(scene),
         name=scene.name,
         interval=scene.interval,
         nominal_step=step(scene.nominal_step),
@@ -109,7 +134,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
     plugin = registry.integrators[method.name]
     stated, fault = answers.stated(method)
     return MethodFacts(
-        spec=method.spec,
+        spec=_own_spec(method),
         name=method.name,
         title=tidy(plugin.summary),
         family=stated.family or method.name,

@@ -142,7 +142,7 @@ class Registry:
         plugins = getattr(self, kind)
         if name not in plugins:
             usable = [n for n, plugin in plugins.items() if plugin.cls]
-            raise SpecError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
+            raise PluginError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
         plugin = plugins[name]
         if plugin.cls is None:
             raise PluginError(f"The {word} {name!r} is unavailable: {plugin.reason}")
@@ -154,15 +154,8 @@ class Registry:
     def _add(self, kind: str, plugin: Plugin) -> None:
         plugins = getattr(self, kind)
         if plugin.name in plugins:
-            taken = plugins[plugin.name]
-            plugin = Plugin(
-                f"{plugin.name} ({plugin.origin})",
-                plugin.origin,
-                None,
-                f"the name {plugin.name!r} is taken by {taken.origin}; give it another name.",
-                plugin.file,
-                plugin.package,
-            )
+            name, reason = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
+            plugin = Plugin(name, plugin.origin, None, reason, plugin.file, plugin.package)
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
@@ -198,6 +191,11 @@ class Registry:
         plugin = checked_plugin(kind, entry.name, origin, entry.load)
         plugin.package = package
         return plugin
+
+
+def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
+    """Return the name under which a plugin is listed whose own is taken, and the reason."""
+    return f"{name} ({origin})", f"the name {name!r} is taken by {owner}; give it another name."
 
 
 def _broken(file: Path, reason: str) -> Plugin:

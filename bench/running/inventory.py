@@ -6,18 +6,21 @@ or a method that hangs, exits or crashes must not take the results of others wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import msgspec
+
 from bench.guard.limits import LOADING, Limits
-from bench.guard.process import GuardedProcess, NoAnswer, Refused
+from bench.guard.process import GuardedProcess, NoAnswer, Refused, wait_for_any
 from bench.guard.serve import Notify
 from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
-from bench.plugins.registry import KINDS, PROJECT, PluginError, Registry, plugin_files
+from bench.plugins.registry import KINDS, PROJECT, PluginError, Registry, plugin_files, taken_name
 from bench.results.records import INTERRUPTED
 from problems import spec
 from problems.spec import SpecError
@@ -25,11 +28,16 @@ from problems.spec import SpecError
 #: Budget of a question about a plugin: processor time in s, and memory in GiB.
 _LIMITS = Limits(budget_s=10.0, memory_gib=4.0)
 
+#: So many processes list plugins side by side: one that hangs keeps the others waiting.
+_SIDE_BY_SIDE = 8
+
 T = TypeVar("T")
 
 
 class PluginFailed(PluginError):
-    """A plugin gave no facts: it raised, hung, or ended its process."""
+    """A plugin gave no facts: it raised, hung, or ended its process, which ``ended`` says."""
+
+    ended = False
 
 
 class Prospect(NamedTuple):
@@ -71,7 +79,9 @@ class Inventory:
         self._sources = Sources(frozenset(self.files), frozenset(packages - {PROJECT}))
         self._own = Registry(packages=())
         self._outside: GuardedProcess | None = None
-        self._broken: dict[str, str] = {}
+        self._loaded = self._sources
+        # Whether one plugin has spoilt the process of others, so that each gets one of its own.
+        self._apart = False
         self._known: dict[Any, Any] = {}
 
     @property
@@ -107,8 +117,7 @@ class Inventory:
             try:
                 weight = self._ask("problems", text, facts.scene_weight)
             except Exception as error:  # its runs will say what is wrong, unless they end, too
-                gone = self._outside is not None and not self._outside.alive
-                fault = str(error) if isinstance(error, PluginFailed) and gone else ""
+                fault = str(error) if isinstance(error, PluginFailed) and error.ended else ""
             self._known[key] = Prospect(weight, fault)
         return self._known[key]
 
@@ -131,6 +140,17 @@ class Inventory:
         """Return the names of the components of each group of a scene, "xdot" included."""
         return self._ask("problems", text, facts.component_texts)
 
+    def broken_files(self) -> list[str]:
+        """Return a sentence for each file that was named and cannot be used."""
+        return list(
+            dict.fromkeys(
+                _unusable(plugin)
+                for plugins in self._listing.values()
+                for plugin in plugins.values()
+                if plugin.reason and plugin.origin in self.files
+            )
+        )
+
     def require_files(self) -> None:
         """Check that all files that were named can be used.
 
@@ -139,61 +159,116 @@ class Inventory:
         PluginError
             If one cannot be used.
         """
-        for plugins in self._listing.values():
-            for plugin in plugins.values():
-                if plugin.reason and plugin.origin in self.files:
-                    raise PluginError(f"Plugin {plugin.origin} cannot be used: {plugin.reason}")
+        for sentence in self.broken_files():
+            raise PluginError(sentence)
 
     # ---- parts -------------------------------------------------------------------------
     @cached_property
     def _listing(self) -> dict[str, dict[str, PluginFacts]]:
+        """Own plugins, and those from outside: in one process if all of them let it live."""
         listed = facts.listing(self._own)
-        if self._sources:
-            # A process dies with the first source that ends it: it is started again without.
-            while isinstance(answer := self._answer(facts.listing), NoAnswer):
-                source = answer.words if answer.phase == LOADING else ""
-                if source in self._broken or source not in {*self.files, *self._sources.packages}:
-                    raise PluginError(f"The plugins cannot be listed: {answer.message}")
-                self._broken[source] = answer.message
+        each = self._sources.each()
+        answer = self._answer(self._sources, facts.listing) if each else listed
+        if self._outside and (text := self._outside.printed()):
+            self._printed(text)
+        suspects = each
+        if isinstance(answer, NoAnswer):
+            self._apart = True
+        else:
             listed = answer
-            if text := self._process().printed():
-                self._printed(text)
+            faulty = [f.sources for known in answer.values() for f in known.values() if f.reason]
+            suspects = [source for source in each if len(each) > 1 and source in faulty]
+            for kind, known in answer.items():
+                listed[kind] = {n: f for n, f in known.items() if f.sources not in suspects}
+        for source, alone in zip(suspects, _listed_alone(suspects), strict=True):
+            for kind, known in alone.items():
+                _add(listed[kind], [f for f in known.values() if f.sources == source])
         return listed
 
     def _ask(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:
         """Ask about a plugin, here if it is of this project."""
         name, _ = spec.split_spec(text)
         plugin = self._listing[kind].get(name)
+        if plugin is None and (broken := self.broken_files()):  # one of them may have defined it
+            raise PluginFailed(f"There is no {text}. {broken[0]}")
         if plugin is None or not plugin.sources:
             return question(self._own, text, *more)
-        answer = self._answer(question, text, *more)
+        if plugin.reason:
+            raise PluginFailed(_unusable(plugin))
+        sources = plugin.sources if self._apart else self._sources
+        answer = self._answer(sources, question, text, *more)
+        if _no_answer(answer) and sources != plugin.sources:  # others may be to blame
+            self._apart = True
+            answer = self._answer(plugin.sources, question, text, *more)
         if isinstance(answer, Refused):
             raise SpecError(answer.message)
         if isinstance(answer, NoAnswer):
-            raise PluginFailed(f"{text} gives no facts about itself: {answer.message}")
+            failed = PluginFailed(f"{text} gives no facts about itself: {answer.message}")
+            failed.ended = not self._process_lives()
+            raise failed
         return answer
 
-    def _answer(self, question: Callable[..., Any], *given: Any) -> Any:
+    def _answer(self, sources: Sources, question: Callable[..., Any], *given: Any) -> Any:
         """Ask a second time if the process was killed from outside: no plugin is to blame."""
-        answer = self._process().ask(question, *given)
+        answer = self._process(sources).ask(question, *given)
         if isinstance(answer, NoAnswer) and answer.status == INTERRUPTED:
-            answer = self._process().ask(question, *given)
+            answer = self._process(sources).ask(question, *given)
         return answer
 
-    def _process(self) -> GuardedProcess:
+    def _process_lives(self) -> bool:
+        return self._outside is not None and self._outside.alive
+
+    def _process(self, sources: Sources) -> GuardedProcess:
+        """A process that has loaded these sources and nothing else."""
+        if self._outside and self._loaded != sources:
+            self._outside.end()
         if self._outside is None or not self._outside.alive:
-            arguments = (self._sources, self._broken)
-            self._outside = GuardedProcess(load_registry, arguments, _LIMITS)
+            self._outside = GuardedProcess(load_registry, (sources,), _LIMITS)
+            self._loaded = sources
         return self._outside
 
 
-def load_registry(
-    notify: Notify, sources: Sources, broken: dict[str, str] | None = None
-) -> Registry:
+def _unusable(plugin: PluginFacts) -> str:
+    return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
+
+
+def _no_answer(answer: Any) -> bool:
+    return isinstance(answer, NoAnswer) and not isinstance(answer, Refused)
+
+
+def _listed_alone(
+    each: Sequence[Sources],
+) -> list[dict[str, dict[str, PluginFacts]]]:
+    """List plugins by sources, each in a process of its own, several side by side."""
+    found: dict[Sources, dict[str, dict[str, PluginFacts]]] = {}
+    due, asked = deque(each), {}
+    while due or asked:
+        while due and len(asked) < _SIDE_BY_SIDE:
+            source = due.popleft()
+            asked[source] = GuardedProcess(load_registry, (source,), _LIMITS)
+            asked[source].start(facts.listing)
+        wait_for_any(asked.values())
+        for source, process in list(asked.items()):
+            if (answer := process.take()) is not None:
+                asked.pop(source).end()
+                if isinstance(answer, NoAnswer):
+                    reasons = dict.fromkeys(source.names, answer.message)
+                    answer = facts.listing(
+                        Registry(sorted(source.files), source.packages, without=reasons)
+                    )
+                found[source] = answer
+    return [found[source] for source in each]
+
+
+def _add(known: dict[str, PluginFacts], more: Iterable[PluginFacts]) -> None:
+    """Add plugins to those that are known; a name that is taken is told."""
+    for plugin in more:
+        if taken := known.get(plugin.name):
+            name, reason = taken_name(plugin.name, plugin.origin, taken.origin)
+            plugin = msgspec.structs.replace(plugin, name=name, reason=reason)
+        known[plugin.name] = plugin
+
+
+def load_registry(notify: Notify, sources: Sources) -> Registry:
     """Load plugins in a guarded process, which its parent follows file by file."""
-    return Registry(
-        sorted(sources.files),
-        sources.packages,
-        lambda source: notify(LOADING, source),
-        broken,
-    )
+    return Registry(sorted(sources.files), sources.packages, lambda source: notify(LOADING, source))

@@ -141,7 +141,16 @@ def make_suite(
     lost: list[str] = []
     problems = _usable(problems, registry.problem, lost)
     integrators = _usable(integrators, registry.integrator, lost)
-    files = _select_problems(profile.study, registry, problems)
+    named = [
+        msgspec.structs.replace(
+            file,
+            problems=_usable(file.problems, registry.problem, lost),
+            integrators=_usable(file.integrators, registry.integrator, lost),
+        )
+        for file in profile.study
+    ]
+    lost += registry.broken_files()
+    files = _select_problems(named, registry, problems)
     if not 0 <= profile.samples <= 1000:
         raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
     for key in ("budget_s", "memory_gib"):
@@ -161,7 +170,7 @@ def make_suite(
             own = [registry.integrator(text) for text in file.integrators]
             chosen = _select_integrators(own, registry, integrators) if integrators else own
             # An integrator that no study of a scene names goes into its first study alone.
-            taken = _own_specs(profile.study, problem, registry) | placed[problem]
+            taken = _own_specs(named, problem, registry) | placed[problem]
             chosen = [i for i in chosen if i in own or i.spec not in taken]
             placed[problem] |= {i.spec for i in chosen}
             if chosen:
@@ -185,7 +194,7 @@ def make_suite(
     )
     # A part of the profile goes without the atlas.
     atlas = False if problems or integrators else profile.atlas
-    return Suite(plan, cells, profile.memory_gib, atlas, tuple(lost))
+    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)))
 
 
 def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:

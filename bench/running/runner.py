@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -155,9 +156,10 @@ class Runner:
                     continue
                 worker = self._timekeeper(task)
                 answer = worker.ask(task.job, *task.arguments)
-                if isinstance(answer, NoAnswer):
-                    if answer.status != "interrupted":
-                        spent[key] = float("inf")
+                failed = isinstance(answer, NoAnswer)
+                if failed or not 0.0 < answer < math.inf:  # a plugin may change the clock
+                    if not failed or answer.status != "interrupted":
+                        spent[key] = math.inf
                     self._replace_dead(worker)
                     continue
                 self._owner[key] = worker

@@ -17,6 +17,9 @@ from bench.running.plan import Cell, Suite
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.worker import CellResult, Worker
 
+#: Said of the answer of a plugin that writes into the rows of others.
+_OTHER = "Its answer is about something else than it was asked."
+
 
 class Progress(Protocol):
     """Messages to the person who waits."""
@@ -119,8 +122,8 @@ def measure_suite(
         progress.phase("measuring", sum(len(group) for group in groups))
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
             if task.job is Worker.scene:
-                if isinstance(answer, NoAnswer):
-                    progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
+                if fault := _fault_of_scene(task, answer):
+                    progress.note(f"No picture of {task.arguments[0]}: {fault}")
                 else:
                     answer.budget_s = suite.plan.budget_s
                     store.save_scene(answer)
@@ -193,8 +196,8 @@ def describe_scenes(
     progress.phase("references", len(groups))
     with Runner(2, Limits(budget_s, memory_gib), teller(progress)) as runner:
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
-            if isinstance(answer, NoAnswer):
-                progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
+            if fault := _fault_of_scene(task, answer):
+                progress.note(f"No picture of {task.arguments[0]}: {fault}")
             else:
                 records[task.arguments[0]] = answer
             progress.advance()
@@ -203,6 +206,8 @@ def describe_scenes(
 
 def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
+    if not isinstance(answer, NoAnswer) and answer.record.key != cell.key:  # a plugin forged it
+        answer = NoAnswer(status="crashed", message=_OTHER)
     if isinstance(answer, NoAnswer):
         record = cell.record(*cell.facts(registry), answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
@@ -211,6 +216,13 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
 
 
 # ---- parts -----------------------------------------------------------------------------
+def _fault_of_scene(task: Task, answer: SceneRecord | NoAnswer) -> str:
+    """Return the reason why there is no record of a scene, or nothing."""
+    if isinstance(answer, NoAnswer):
+        return answer.message
+    return "" if (answer.problem, answer.t_end) == task.arguments else _OTHER
+
+
 def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
     """Count the timing samples that the measured cells still lack."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]

@@ -1,0 +1,190 @@
+"""Hostile plugins: each costs its own cell, with its true reason, and nothing else.
+
+Plugins of a group share one `stepbench run`, whose other cells have to be those of a run without
+plugins, to the last bit.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import hostile_plugins as hostile
+import psutil
+import pytest
+
+from bench.plugins.registry import Registry
+from bench.results.records import Record
+from bench.results.store import Store
+from bench.running.plan import Cell
+from bench.running.worker import Worker
+from integrators import Steps
+
+STEPBENCH = str(Path(sys.executable).with_name("stepbench"))
+#: By this variable processes of a run are known, and by this argument those that cleared it.
+MARK = "HOSTILE_RUN"
+ALL = hostile.METHODS | hostile.SCENES
+NEWMARK = "newmark[beta=0.25,gamma=0.5]"
+GROUPS = dict.fromkeys(plugin.group for plugin in ALL.values())
+CONTROLS = (
+    "[[study]]\nproblems = ['spring_mass', 'pendulum']\nintegrators = ['newmark']\n"
+    "t_end = 1.0\nsteps = [0.1]\n"
+)
+HEAD = "budget_s = 2.0\nmemory_gib = 1.5\nsamples = {}\n"
+
+
+class Run(NamedTuple):
+    """A finished command: exit code, output, records by (scene, integrator), sampled rows of the
+    controls, processes that are left, and whether there are pages."""
+
+    code: int
+    output: str
+    records: dict[tuple[str, str], Record]
+    controls: dict[str, tuple]
+    left: list[str]
+    pages: bool
+
+
+def processes(mark: str) -> list[str]:
+    """Processes of a run that still live."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            sleeper = " ".join(process.cmdline()) == "sleep 3599"
+            if sleeper or process.environ().get(MARK) == mark:
+                found.append(f"{process.pid} {process.cmdline()}")
+        except psutil.Error:
+            continue
+    return found
+
+
+def command(folder: Path, *arguments: object, mark: str) -> tuple[int, str]:
+    """Exit code and output of a command on the plugins in a folder."""
+    environment = {k: v for k, v in os.environ.items() if k != "STEPBENCH_TRACEBACK"}
+    done = subprocess.run(
+        [STEPBENCH, *map(str, arguments)],
+        env=environment | {MARK: mark, "COLUMNS": "10000"},
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=580,
+        check=False,
+    )
+    output = (done.stdout + done.stderr).decode(errors="replace")
+    assert "Traceback" not in output, output
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", output), output
+    return done.returncode, output
+
+
+def run(folder: Path, names: Sequence[str], samples: int) -> Run:
+    """Run hostile plugins beside the controls."""
+    plugins, out, mark = folder / "plugins", folder / "out", secrets.token_hex(8)
+    plugins.mkdir()
+    hostile.write(plugins, names)
+    studies = [
+        f"[[study]]\nproblems = {problems}\nintegrators = {integrators}\n"
+        "t_end = 1.0\nsteps = [0.1]\n"
+        for problems, integrators in (
+            (["oscillator"], [name for name in names if name in hostile.METHODS]),
+            ([name for name in names if name in hostile.SCENES], ["newmark"]),
+        )
+        if problems and integrators
+    ]
+    (folder / "profile.toml").write_text("".join([HEAD.format(samples), CONTROLS, *studies]))
+    options = ("--out", out, "--jobs", 8, "--plugins", plugins)
+    code, output = command(folder, "run", "profile.toml", *options, mark=mark)
+    given_up = time.monotonic() + 2.0
+    while (left := processes(mark)) and time.monotonic() < given_up:
+        time.sleep(0.1)
+    with Store(out) as store:
+        assert not store.set_aside()
+        records = {(r.problem, r.integrator.partition("[")[0]): r for r in store.records().values()}
+        controls = {
+            scene: (record.status, record.message, record.errors, record.work, store.rows(key))
+            for (scene, _), record in records.items()
+            if scene in ("spring_mass", "pendulum")
+            for key in [record.key]
+        }
+    pages = all((out / page).stat().st_size for page in ("report.html", "report.md"))
+    return Run(code, output, records, controls, left, pages)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """The controls without plugins, measured here."""
+    worker, measured = Worker(Registry(packages=())), {}
+    for scene in ("spring_mass", "pendulum"):
+        record, rows = worker.measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
+        measured[scene] = (record.status, record.message, record.errors, record.work, rows)
+    return measured
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Runs of the groups, made when they are asked for."""
+    made: dict[str, Run] = {}
+
+    def of(group: str) -> Run:
+        if group not in made:
+            names = [n for n, p in ALL.items() if p.group == group] if group else hostile.QUICK
+            made[group] = run(tmp_path_factory.mktemp("run"), names, 2 if group else 0)
+        return made[group]
+
+    return of
+
+
+def check_controls(found: Run, alone: dict[str, tuple]) -> None:
+    """The controls are those of a run without plugins, pages are made, nothing runs on."""
+    assert found.controls == alone
+    assert found.pages
+    assert not found.left
+
+
+def check_fate(name: str, found: Run) -> None:
+    """A plugin has the fate that its table says."""
+    plugin = ALL[name]
+    place = ("oscillator", name) if name in hostile.METHODS else (name, "newmark")
+    if place in found.records:
+        status, message = found.records[place].status, found.records[place].message
+    else:
+        status = "lost"
+        message = " ".join(line for line in found.output.splitlines() if name in line)
+        assert message
+    assert plugin.status == "any" or status in plugin.status.split(" or "), message
+    assert plugin.words in message
+    assert message or status == "ok"
+
+
+@pytest.mark.parametrize("name", hostile.QUICK)
+def test_a_hostile_plugin_costs_its_own_cell(runs, name):
+    check_fate(name, runs(""))
+
+
+def test_the_cells_beside_hostile_plugins_are_bit_identical(runs, alone):
+    found = runs("")
+    check_controls(found, alone)
+    lost = any(ALL[name].status == "lost" for name in hostile.QUICK)
+    assert found.code == lost
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ALL)
+def test_each_hostile_plugin_costs_its_own_cell(runs, name):
+    check_fate(name, runs(ALL[name].group))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_cells_beside_a_group_are_bit_identical(runs, alone, group):
+    found = runs(group)
+    check_controls(found, alone)
+    names = {n for n, plugin in ALL.items() if plugin.group == group}
+    with_rows = {n for place in found.records for n in place}
+    assert found.code == bool(names - with_rows)
