@@ -242,6 +242,8 @@ def _files(path: Path) -> list[Path]:
     for file in files:
         if not file.is_file():  # a pipe would be waited for
             raise PluginError(f"There is no plugin file or folder {file}.")
+        if file.suffix != ".py":
+            raise PluginError(f"{file} is not a Python file.")
     return files
 
 

@@ -14,12 +14,15 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.guard.limits import Limits
 from bench.guard.process import GuardedProcess, NoAnswer
-from bench.guard.serve import Notify
 from bench.results.clean_text import clean
 from reports.charts.vega_lite import Spec, chart_json
+
+if TYPE_CHECKING:
+    from bench.guard.serve import Notify
 
 #: Characters of charts per engine; one takes a third of a second to start.
 PART_SIZE = 240_000
