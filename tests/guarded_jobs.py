@@ -70,7 +70,7 @@ def hoards(state: tuple) -> int:
 
 
 def sends_rubbish(state: tuple) -> int:
-    for descriptor in range(3, 20):
+    for descriptor in range(3, 1000):
         try:
             os.write(descriptor, b"\xff" * 100)
         except OSError:

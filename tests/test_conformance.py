@@ -10,6 +10,7 @@ from helpers import long
 
 from bench.conformance.checker import CHECKS, Checker, examine
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
+from bench.guard import limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
 
@@ -153,6 +154,7 @@ def test_a_check_without_an_object_says_why(registry):
 def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     monkeypatch, how, budget, sentence
 ):
+    monkeypatch.setattr(limits, "_LEAST_IDLE", 3.0)
     few = {name: CHECKS["integrators"][name] for name in ("repeats", "options")}
     monkeypatch.setitem(CHECKS, "integrators", few)
     with Checker(Inventory([PLUGINS]), budget) as checker:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import guarded_jobs as jobs
@@ -94,6 +95,14 @@ def test_a_child_of_a_job_does_not_answer_for_it(guarded):
     assert guarded().ask(jobs.add, 1) == 11
 
 
+def comes(condition: Callable[[], bool]) -> bool:
+    """Whether a condition holds within two seconds."""
+    given_up = time.monotonic() + 2
+    while not condition() and time.monotonic() < given_up:
+        time.sleep(0.01)
+    return condition()
+
+
 def marked(process: GuardedProcess) -> list[int]:
     """The processes that were started by a guarded one, wherever they are now."""
     wanted, found = f"STEPBENCH_KEPT={process._mark}".encode(), []
@@ -119,14 +128,11 @@ def test_children_of_a_dead_process_end_though_they_hold_its_pipes(guarded):
 def test_with_its_keeper_a_process_ends(guarded):
     process = guarded()
     assert process.ask(jobs.starts_a_child) == 1
-    assert len(marked(process)) == 3  # keeper, process, child
+    assert comes(lambda: len(marked(process)) == 3)  # keeper, process, child
     os.kill(process._keeper.pid, signal.SIGKILL)
     fate = process.ask(jobs.computes, 60.0)
     assert fate.status == "interrupted"
-    given_up = time.monotonic() + 2
-    while marked(process) and time.monotonic() < given_up:
-        time.sleep(0.01)
-    assert marked(process) == []
+    assert comes(lambda: marked(process) == [])
 
 
 def running(within: Limits) -> Meter:

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import pytest
 
+from bench.guard import limits
 from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.running import worker
@@ -24,7 +25,7 @@ FATES = {
     "well": ("ok", ""),
     "crash": ("crashed", "SIGSEGV"),
     "exit": ("crashed", "exit code 3"),
-    "hang": ("budget_exceeded", "it did nothing for 10 s"),
+    "hang": ("budget_exceeded", "it did nothing for 5 s"),
     "hog": ("budget_exceeded", "GiB"),
     "raise": ("crashed", "ZeroDivisionError: so it goes (bad_plugins.py, line"),
     "nan": ("diverged", "not finite"),
@@ -33,7 +34,9 @@ FATES = {
 }
 
 
-def test_each_fate_is_a_row_and_the_good_cells_are_measured():
+def test_each_fate_is_a_row_and_the_good_cells_are_measured(monkeypatch):
+    monkeypatch.setattr(limits, "_LEAST_IDLE", 5.0)
+    monkeypatch.setattr(limits, "_IDLE", 1)
     cells = [
         Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01)) for how in (*FATES, "last")
     ]

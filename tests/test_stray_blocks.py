@@ -7,6 +7,7 @@ from inspect import isfunction
 
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.plugins.registry import Registry
 from problems import MechatronicSystem, State, jnp
@@ -147,7 +148,7 @@ def test_all_built_in_scenes_state_their_blocks():
     "arguments",
     [
         ("solve", "sleigh", "newmark", "--plugins", "FILE"),
-        ("run", "-p", "sleigh", "-i", "newmark", "--plugins", "FILE"),
+        *long((("run", "-p", "sleigh", "-i", "newmark", "--plugins", "FILE"),)),
         ("check", "FILE"),
     ],
 )

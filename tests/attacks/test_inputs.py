@@ -213,7 +213,7 @@ integrators = ["newmark"]
 """
 PROFILES = {
     "deep": "a = " + "[" * 10_000,
-    "deep tables": "a" + ".a" * 20_000 + " = 1",
+    "deep tables": "a" + ".a" * 3_000 + " = 1",
     "empty": "",
     "binary": "\udcff\udcfe\0",
     "null": "a = '\0'",

@@ -94,9 +94,8 @@ def check_goes_on(folder: Path, measured: int) -> None:
 
 
 # ---- kill -9 of the command --------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "how", [h if h == "locks" else pytest.param(h, marks=attack) for h in HOWS]
-)
+@attack
+@pytest.mark.parametrize("how", HOWS)
 def test_a_killed_command_leaves_nothing(folder, how):
     process, _ = held(folder, how)
     kill(process.pid)
