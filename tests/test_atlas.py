@@ -205,7 +205,7 @@ def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
     assert "As predicted: 5 of 5 numbers." in page
     assert page.count("<svg") >= 2
-    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"', "", page)
+    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv', "", page)
     second = stepbench("atlas", "condition", "--out", tmp_path, "--json")
     assert "failure atlas" not in second.stderr
     with Store(tmp_path) as store:
@@ -221,7 +221,7 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
     monkeypatch.setattr("bench.atlas.experiments.built_in_experiments", lambda: {"wrong": wrong})
     result = stepbench("atlas", "wrong", "--out", tmp_path)
     assert result.exit_code == 1
-    assert "Not as predicted: wrong." in result.output
+    assert "Not all is as predicted: wrong (not as predicted)." in result.output
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
     assert "Not as predicted: 4 of 5 numbers." in page
     assert "DIFFERS" in page

@@ -71,6 +71,7 @@ def test_order_gives_orders_windows_and_errors(stepbench):
     assert answer["orders"]["lam"]["max"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_an_order_that_is_not_there_is_null(stepbench):
     result = stepbench(
         "order", "pendulum", "generalized_alpha[rho_inf=1]", "--steps", "0.02,0.01,0.005", "--json"

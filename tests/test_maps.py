@@ -173,6 +173,7 @@ def test_the_reference_is_made_once_per_scene_and_set_of_times(monkeypatch):
 MAP = ("map", "pendulum", "generalized_alpha", "--over", "h,rho_inf", "--grid", "6x4")
 
 
+@pytest.mark.long
 def test_numbers_as_json(stepbench):
     result = stepbench(*MAP, "--range", "h:1e-3..0.3", "--error", "q", "--json")
     assert result.exit_code == 0, result.output

@@ -126,6 +126,7 @@ def test_ctrl_c_is_one_sentence_and_leaves_no_process(tmp_path):
     assert len(table(tmp_path / "out")) >= 1
 
 
+@pytest.mark.long
 def test_a_killed_parent_leaves_no_worker_behind(tmp_path):
     process = start(tmp_path)
     while rows(tmp_path / "out") < 2 and process.poll() is None:

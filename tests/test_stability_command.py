@@ -43,6 +43,7 @@ def test_numbers_at_the_steps_that_are_asked_for(stepbench):
     assert last == pytest.approx([row["value"] for row in over["rho_inf"]["rows"]], abs=5e-3)
 
 
+@pytest.mark.long
 def test_a_pattern_is_looked_at_as_a_whole(stepbench):
     method = "newmark[beta=0.3,gamma=0.6]"
     (found,) = found_by(stepbench, method, "--pattern", "0.5,0.5", "--at", "2", "--zeta", "0.1")
@@ -52,6 +53,7 @@ def test_a_pattern_is_looked_at_as_a_whole(stepbench):
     assert found["theory"] is None
 
 
+@pytest.mark.long
 def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
     euler, bathe = found_by(stepbench, "euler", "bathe", "--plugins", plugins, "--at", "0.1,1000")
     assert bathe["order"] == 2
@@ -93,6 +95,7 @@ def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
     assert "nan" not in page.words.lower().split()
 
 
+@pytest.mark.long
 def test_a_step_that_does_not_converge_is_told_and_is_no_growth(stepbench, tmp_path):
     # One iteration finds the solution of a linear step, and no second one confirms it.
     method = "newmark[newton_max=1]"

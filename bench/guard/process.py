@@ -219,10 +219,11 @@ class GuardedProcess:
 
     def _status(self) -> int | None:
         """The wait status of the process if it has ended."""
+        keeper_ended = self._keeper.poll() is not None  # asked first: it says the status before
         if self.pid and len(self._news) >= 8:
             return struct.unpack_from("i", self._news, 4)[0]
-        # The keeper says it before it ends, unless it was killed: then the process is, too.
-        return signal.SIGKILL if self._keeper.poll() is not None else None
+        # A keeper that was killed says nothing; the process has ended with it.
+        return signal.SIGKILL if keeper_ended else None
 
     def _answer(self, message: wire.Message) -> Any:
         if message.kind == wire.DONE and self._job:
