@@ -100,6 +100,7 @@ def test_an_experiment_comes_out_as_predicted(name):
     assert {case.verdict for _, case in cases} == {"spared", "hit"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EACH)
 def test_a_mutant_of_an_experiment_does_not(name):
     assert not mutated(name in LONG)[name].as_predicted

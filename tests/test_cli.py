@@ -189,6 +189,7 @@ def test_failed_runs_exit_with_their_reason_and_still_answer(stepbench):
     assert answer["message"] in result.stderr
 
 
+@pytest.mark.long
 def test_records_open_in_pandas(stepbench, tmp_path):
     out = tmp_path / "out"
     profile = tmp_path / "small.toml"

@@ -27,7 +27,7 @@ def registry():
     [
         ("problems", "spring_mass"),
         ("problems", "pendulum[th0=2.0]"),
-        ("integrators", "newmark"),
+        *long(("integrators", "newmark")),
         ("integrators", "generalized_alpha[rho_inf=0.5]"),
         *long(("integrators", "kvaerno5")),
         ("integrators", "ida"),
@@ -164,6 +164,7 @@ def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     assert options.verdict == PASSED
 
 
+@pytest.mark.long
 def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_path):
     file = tmp_path / "heavy.py"
     file.write_text(

@@ -47,7 +47,9 @@ def test_the_examples_pass_every_check(plugins, kind, name):
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("bathe", 2), ("euler_dae", 1), ("euler", 1)])
+@pytest.mark.parametrize(
+    ("integrator", "order"), [("euler_dae", 1), *long(("bathe", 2), ("euler", 1))]
+)
 def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
     result = stepbench(
         "order",

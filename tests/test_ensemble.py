@@ -253,6 +253,7 @@ def test_a_budget_stops_between_blocks():
 ENSEMBLE = ("solve", "spring_mass", "generalized_alpha", "--ensemble", "5", "--t-end", "1")
 
 
+@pytest.mark.long
 def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_path):
     vary = ("--vary", "k:0.8..1.2", "--vary", "h:0.001..0.1")
     csv, js = tmp_path / "m.csv", tmp_path / "m.json"

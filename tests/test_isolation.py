@@ -34,6 +34,7 @@ FATES = {
 }
 
 
+@pytest.mark.long
 def test_each_fate_is_a_row_and_the_good_cells_are_measured(monkeypatch):
     monkeypatch.setattr(limits, "_LEAST_IDLE", 5.0)
     monkeypatch.setattr(limits, "_IDLE", 1)
@@ -216,6 +217,7 @@ def test_a_plugin_that_is_no_python_file_is_one_sentence(stepbench, tmp_path):
     assert "is not a Python file" in result.output
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not worker.memory_mappings(), reason="memory mappings cannot be counted here")
 def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
     bench = worker.Worker(Registry())

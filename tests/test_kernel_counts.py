@@ -153,6 +153,7 @@ def test_schemes_steps_and_parameters_compile_nothing_new():
     assert run.kernel.compilations == 1
 
 
+@pytest.mark.long
 def test_the_yardstick_in_c_solves_the_same_equations():
     try:
         c = opponents.c_program()

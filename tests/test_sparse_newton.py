@@ -169,6 +169,7 @@ def test_steps_that_are_rejected_free_their_factorisations_too(held):
     assert end.q[-1] == pytest.approx(exact, abs=1e-2)
 
 
+@pytest.mark.long
 def test_an_adaptive_run_ends_before_a_singular_tangent(held):
     run = adaptive(Failing(), 1.0, formulation="index3")
     analysis = set(held)
