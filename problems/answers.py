@@ -54,7 +54,7 @@ def refused(what: str, value: object, expected: str) -> FalseAnswer:
 
 
 def _seen(value: object) -> str:
-    """What came, in a few words."""
+    """The value that came, in a few words."""
     try:
         if isinstance(value, np.ndarray) and value.size != 1:
             return f"an array of {value.dtype} of shape {value.shape}"

@@ -6,8 +6,6 @@ import csv
 import io
 import math
 import re
-import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -397,13 +395,3 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
         store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
     text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     assert "Some errors of runs that reached the end are not finite" in text
-
-
-def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
-    code = (
-        "import sys, reports.pages.html_report, reports.pages.markdown_report; "
-        "never = ('jax', 'integrators', 'problems.scenes', 'problems.formulations', 'altair'); "
-        "print([m for m in never if m in sys.modules])"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"

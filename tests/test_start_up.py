@@ -149,3 +149,13 @@ def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
     assert (len(suite.cells), scenes) == (115, {"spring_mass", "pendulum"})
     assert controls == {"step", "tolerance"}
     assert suite.plan.samples == 9
+
+
+def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
+    code = (
+        "import sys, reports.pages.html_report, reports.pages.markdown_report; "
+        "never = ('jax', 'integrators', 'problems.scenes', 'problems.formulations', 'altair'); "
+        "print([m for m in never if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

@@ -119,7 +119,7 @@ def _text(value: object) -> str:
 
 
 def _flaw(value: object) -> str:
-    """What is wrong with a value that the types do not tell; empty if nothing is."""
+    """Fault of a value that its types do not tell; empty if there is none."""
     if isinstance(value, Record):
         wanted = ("rtol", "atol") if value.controls == "tolerance" else ("h",)
         lacking = [name for name in wanted if getattr(value, name) is None]

@@ -94,7 +94,7 @@ def scene_record(
 
 
 def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
-    """What the record says of the reference."""
+    """Fields of the record on the reference."""
     if reference.missing:
         return {"reference_method": reference.missing}
     t = np.linspace(scene.interval[0], reference.t_end, 301)
