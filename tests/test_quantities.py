@@ -7,7 +7,7 @@ import json
 
 import pandas as pd
 import pytest
-from test_store import a_record
+from small_stores import a_record
 
 from bench.results.csv_text import csv_text
 from bench.results.quantities import group_and_norm

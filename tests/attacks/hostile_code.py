@@ -1,0 +1,49 @@
+"""Pieces of hostile code, and the words that several plugins have in common."""
+
+from __future__ import annotations
+
+#: Reasons that several plugins have in common.
+SLEPT, BUSY = "it did nothing for", "s of processor time, its budget"
+#: A fate that depends on who meets the fault first.
+LOST = "lost or crashed"
+#: A fate that depends on the machine; the other cells are watched.
+ANY = "any"
+
+
+def deaf(action: str) -> str:
+    """Code that acts in a child that ignores signals and has left the session."""
+    return (
+        "if os.fork() == 0:\n"
+        "    os.setsid()\n"
+        "    for number in (1, 2, 3, 13, 15): signal.signal(number, signal.SIG_IGN)\n"
+        "    if os.fork() == 0:\n"
+        f"        {action}\n"
+        "    os._exit(0)"
+    )
+
+
+FD = "for fd in range(3, 256):\n    try: {0}\n    except (OSError, ValueError): pass"
+GARBAGE = "os.write(fd, bytes(range(256)) * 16)"
+#: The socket to the parent of a worker, found as a plugin would find it.
+PIPE = (
+    "import socket, struct, msgspec\n"
+    "def pipe():\n"
+    "    return next(o for o in gc.get_objects() if type(o) is socket.socket)\n"
+    "def forge(kind, content):\n"
+    "    pack = msgspec.msgpack.encode\n"
+    "    body = pack([kind, msgspec.Raw(pack(content))])\n"
+    "    pipe().sendall(struct.pack('<Q', len(body)) + body)\n"
+)
+LATER = (
+    "def later():\n    time.sleep({0})\n    {1}\n"
+    "threading.Thread(target=later, daemon=True).start()"
+)
+TWICE = (  # acts in each process but the first that loads it
+    "from pathlib import Path\nmark = Path(__file__).with_suffix('.loaded')\n"
+    "if mark.exists(): {0}\nmark.touch()"
+)
+CLASS = (
+    "class {0}(Integrator):\n    'Odd.'\n    formulation = 'ode'\n    def prepare(self, *a): 1 / 0"
+)
+HOLD = "ctypes.PyDLL(None).sleep(3600)"
+SPIN = "while True: pass"

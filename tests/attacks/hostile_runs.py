@@ -1,0 +1,188 @@
+"""Integrators whose runs are hostile."""
+
+from __future__ import annotations
+
+from hostile_code import BUSY, FD, GARBAGE, HOLD, PIPE, SLEPT, SPIN, deaf
+
+#: Place of the code, the code, fate, words of the reason.
+RUNS = {
+    "prepare_exits": ("prepare", "os._exit(2)", "crashed", "exit code 2"),
+    "prepare_raises": ("prepare", "raise GeneratorExit('x')", "crashed", "GeneratorExit"),
+    "prepare_none": ("prepare", "return None", "crashed", "prepare() is None"),
+    "measure_segv": ("measure", "ctypes.string_at(0)", "crashed", "SIGSEGV"),
+    "measure_abort": ("measure", "os.abort()", "crashed", "SIGABRT"),
+    "measure_exit": ("measure", "os._exit(0)", "crashed", "exit code 0"),
+    "measure_sys_exit": ("measure", "sys.exit(0)", "crashed", "SystemExit"),
+    "measure_killed": ("measure", "os.kill(os.getpid(), 9)", "interrupted", "SIGKILL"),
+    "measure_kills_keeper": (
+        "measure",
+        "os.kill(os.getppid(), 9); time.sleep(9)",
+        "interrupted",
+        "SIGKILL",
+    ),
+    "measure_kills_group": ("measure", "os.killpg(0, 9)", "interrupted", "SIGKILL"),
+    "measure_kills_all": (
+        "measure",
+        "os.kill(os.getppid(), 9); os.killpg(0, 9)",
+        "interrupted",
+        "SIGKILL",
+    ),
+    "measure_keyboard": ("measure", "raise KeyboardInterrupt", "crashed", "KeyboardInterrupt"),
+    "measure_memory": ("measure", "raise MemoryError('much')", "crashed", "MemoryError: much"),
+    "measure_group": ("measure", "raise ExceptionGroup('all', [ValueError(1)])", "crashed", "all"),
+    "measure_deep": ("measure", "f = lambda: f()\nf()", "crashed", "RecursionError"),
+    "measure_stop": ("measure", "raise StopIteration", "crashed", "StopIteration"),
+    "measure_hog": (
+        "measure",
+        "x = [np.ones(10**7) for _ in range(22)]; time.sleep(60)",
+        "budget_exceeded",
+        "budget",
+    ),
+    "measure_too_much": ("measure", "np.ones(10**14)", "crashed", "Unable to allocate"),
+    "measure_rows_claimed": (
+        "measure",
+        "run.t = np.lib.stride_tricks.as_strided(run.t, (10**9,), (0,))",
+        "budget_exceeded or crashed",
+        "",
+    ),
+    "measure_rows_many": (
+        "measure",
+        "n = 3 * 10**6\nt = np.linspace(0, self.t_end, n); none = np.zeros((n, 0))\n"
+        "run = Trajectory(t=t, lam=none, x=none, xdot=none, y=none, **Oscillator().exact(t))",
+        "any",
+        "",
+    ),
+    "measure_huge_note": (
+        "measure",
+        "run.message, run.status = 'x' * 10**9, 'diverged'",
+        "any",
+        "",
+    ),
+    "measure_garbage": ("measure", FD.format(GARBAGE), "crashed", "cannot be read"),
+    "measure_closes": ("measure", "os.closerange(0, 256)", "crashed", ""),
+    "measure_fork": ("measure", "os.fork()", "ok", ""),
+    "measure_forks_deaf": ("measure", deaf("time.sleep(3600)"), "ok", ""),
+    "measure_forks_and_dies": (
+        "measure",
+        deaf("time.sleep(3600)") + "\nos._exit(4)",
+        "crashed",
+        "exit code 4",
+    ),
+    "measure_clean_child": (
+        "measure",
+        "subprocess.Popen(['sleep', '3599'], env={}, start_new_session=True, close_fds=False)",
+        "ok",
+        "",
+    ),
+    "measure_child_holds_pipe": (
+        "measure",
+        "for fd in range(3, 64):\n"
+        "    try: os.set_inheritable(fd, True)\n    except OSError: pass\n"
+        "subprocess.Popen(['sleep', '3599'], close_fds=False, start_new_session=True)\n"
+        "os._exit(4)",
+        "crashed",
+        "exit code 4",
+    ),
+    "measure_threads": (
+        "measure",
+        "for _ in range(50): threading.Thread(target=time.sleep, args=(3600,)).start()",
+        "ok",
+        "",
+    ),
+    "measure_busy_thread": (
+        "measure",
+        "def busy():\n    " + SPIN + "\nthreading.Thread(target=busy, daemon=True).start()",
+        "ok or budget_exceeded",
+        "",
+    ),
+    "measure_flood": (
+        "measure",
+        deaf("while True: os.write(2, b'y\\n' * 9999)"),
+        "ok or budget_exceeded",
+        "",
+    ),
+    "measure_prints": ("measure", "print('\\x1b]0;title\\x07 hear me \\x9b2J')", "ok", ""),
+    "measure_pipe_flood": (
+        "measure",
+        PIPE + "while True: pipe().sendall(b'\\xff' * 10**6)",
+        "crashed",
+        "cannot be",
+    ),
+    "measure_pipe_long": (
+        "measure",
+        PIPE + "pipe().sendall(struct.pack('<Q', 2**31))\nwhile True: pipe().sendall(bytes(10**6))",
+        "crashed",
+        "cannot be read",
+    ),
+    "measure_forged_text": (
+        "measure",
+        PIPE + "forge('done', 'well')\ntime.sleep(9)",
+        "crashed",
+        "cannot be read",
+    ),
+    "measure_forged_kind": ("measure", PIPE + "forge('a', 'b')\ntime.sleep(9)", "crashed", ""),
+    "measure_forged_other": (
+        "measure",
+        PIPE + "import bench.running.worker as w\n"
+        "from bench.results.records import Record, Rows\n"
+        "key = 'spring_mass | newmark[beta=0.25,gamma=0.5] | h=0.1 x 1.0 | t_end=1.0'\n"
+        "forge('done', [Record(key=key, problem='oscillator', integrator='newmark', family='f',"
+        " formulation='ode', controls='step', t0=0.0, t_end=1.0, status='ok'),"
+        " Rows(t=[], values={})])\ntime.sleep(9)",
+        "crashed",
+        "",
+    ),
+    "measure_phases": (
+        "measure",
+        PIPE + "while True:\n    forge('phase', ['preparing', 'for ever'])\n"
+        "    for _ in range(10**6): pass",
+        "budget_exceeded",
+        BUSY,
+    ),
+    "execute_raises": ("execute", "raise ValueError('timed')", "ok", ""),
+    "execute_exits": ("execute", "os._exit(0)", "ok", ""),
+    "execute_killed": ("execute", "os.kill(os.getpid(), 9)", "ok", ""),
+    "execute_third": ("execute", "if self.calls == 3: os.abort()", "ok", ""),
+    "execute_differs": ("execute", "return 'nothing'", "ok", ""),
+    "execute_forged": ("execute", PIPE + "forge('done', float('nan'))\ntime.sleep(9)", "ok", ""),
+    "execute_negative": ("execute", PIPE + "forge('done', -1.0)\ntime.sleep(9)", "ok", ""),
+    "bill_raises": ("run", "def bill(self, run): raise SystemExit", "ok", ""),
+    "bill_exits": ("run", "def bill(self, run): os._exit(7)", "crashed", "exit code 7"),
+    "patches_late": (
+        "measure",
+        "np.linalg.norm = np.max = lambda *a: 0.0",
+        "crashed",
+        "wrong results",
+    ),
+    "patches_when_timed": ("execute", "np.linalg.norm = lambda *a, **k: 0.0", "ok", ""),
+}
+#: Place of the code, the code, words of the reason; each hangs.
+RUN_HANGS = {
+    "prepare_sleeps": ("prepare", "time.sleep(3600)", SLEPT),
+    "measure_sleeps": ("measure", "time.sleep(3600)", SLEPT),
+    "measure_busy": ("measure", SPIN, BUSY),
+    "measure_holds": ("measure", HOLD, SLEPT),
+    "measure_stopped": (
+        "measure",
+        "os.kill(os.getpid(), signal.SIGSTOP)",
+        "a signal had halted it",
+    ),
+    "measure_waits_for_child": ("measure", "subprocess.run(['sleep', '3600'])", SLEPT),
+    "measure_busy_child": (
+        "measure",
+        "if os.fork() == 0:\n    " + SPIN + "\ntime.sleep(3600)",
+        BUSY,
+    ),
+    "measure_ignores": (
+        "measure",
+        "for n in (1, 2, 3, 15): signal.signal(n, signal.SIG_IGN)\ntime.sleep(3600)",
+        SLEPT,
+    ),
+    "bill_sleeps": ("run", "def bill(self, run): time.sleep(3600)", SLEPT),
+}
+#: As above; each hangs when it is timed.
+TIMED_HANGS = {
+    "execute_sleeps": ("execute", "time.sleep(3600)"),
+    "execute_busy": ("execute", SPIN),
+    "execute_third_sleeps": ("execute", "if self.calls == 3: time.sleep(3600)"),
+}

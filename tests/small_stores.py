@@ -1,0 +1,82 @@
+"""A store with one of everything, for tests that change it behind its back."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from bench.results.experiments import ExperimentResult
+from bench.results.records import (
+    Damping,
+    Environment,
+    Plan,
+    Record,
+    Rows,
+    SceneRecord,
+)
+from bench.results.store import FILE, Store
+
+NO_ROWS = Rows(t=[], values={})
+A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
+AN_EXPERIMENT = ExperimentResult(
+    name="e", number=1, title="", claim="", remedy="", source="", parts=[]
+)
+
+
+def a_record(key="k", **more):
+    given = {
+        "problem": "pendulum",
+        "integrator": "newmark",
+        "family": "f",
+        "formulation": "index3",
+        "controls": "step",
+        "h": 0.1,
+        "pattern": (0.3, 0.7),
+        "t0": 0.35,
+        "t_end": 1.35,
+        "status": "ok",
+        "errors": {"q": {"end": 1e-3, "max": None}},
+        "work": {"steps": 10},
+        "constraint": {"position": 1e-12},
+        "reference_error": {"q": {"end": 1e-15}},
+    } | more
+    return Record(key=key, **given)
+
+
+A_SCENE = SceneRecord(
+    problem="pendulum",
+    t_end=1.35,
+    title="A pendulum.",
+    description="",
+    source="",
+    parameters=[],
+    components={"q": ["X", "Y"]},
+    sizes={"nq": 2},
+    t0=0.35,
+    reference_method="closed form",
+    reference_error={"q": 1e-15},
+    reference=Rows(t=[0.35], values={"q": [[0.0, 1.0]]}),
+)
+
+
+def change(folder: Path, sql: str) -> None:
+    """Change a store behind its back."""
+    with closing(sqlite3.connect(folder / FILE)) as db, db:
+        db.execute(sql)
+
+
+def filled(folder: Path) -> Path:
+    """A folder with a store that has one of everything."""
+    machine = Environment(
+        date="", command="", cpu="", cores=1, memory_gib=1.0, platform="", versions={}
+    )
+    with Store(folder, create=True) as store:
+        store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
+        store.save_environment(machine)
+        store.save_scene(A_SCENE)
+        store.save_damping("newmark", A_DAMPING)
+        store.save_experiment(AN_EXPERIMENT)
+        store.save(a_record(), NO_ROWS)
+        store.add_sample("k", 0, 1.0)
+    return folder
