@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from problems.plain_text import named, said
+from problems.plain_text import clean, named, said
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
@@ -35,9 +35,8 @@ MOST_NOTES = 50
 #: Largest whole number: floats have all smaller ones.
 MOST_COUNT = 2**53
 
-#: Characters that steer a terminal or cannot be written as UTF-8; of a sentence also line ends.
-_CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069"
-_CONTROLS, _BREAKS = re.compile(f"[{_CONTROL}]"), re.compile(r"[\s\u2028\u2029]+")
+#: Ends of lines, and other space between words.
+_SPACE = re.compile(r"\s+")
 #: The same value is shown alike in every process.
 _ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 _SHOWN = reprlib.Repr()
@@ -65,8 +64,8 @@ def _seen(value: object) -> str:
 
 def tidy(words: str, most: int = MOST_SENTENCE) -> str:
     """Return text on one line without control characters, at most ``most`` characters long."""
-    line = _BREAKS.sub(" ", words[: 2 * most]).strip()
-    return _cut(_CONTROLS.sub("\N{REPLACEMENT CHARACTER}", line), most)
+    line = _SPACE.sub(" ", words[: 2 * most]).strip()
+    return _cut(clean(line), most)
 
 
 def _cut(words: str, most: int) -> str:
@@ -108,9 +107,7 @@ def paragraphs(value: object, what: str) -> str:
     """Return text of several lines without control characters."""
     if not isinstance(value, str):
         raise refused(what, value, "text")
-    return _cut(
-        _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", value[: 2 * MOST_DESCRIPTION]), MOST_DESCRIPTION
-    )
+    return _cut(clean(value[: 2 * MOST_DESCRIPTION]), MOST_DESCRIPTION)
 
 
 def one_of(value: object, what: str, known: Collection[str]) -> str:

@@ -9,10 +9,12 @@ LONGEST_LINE, LONGEST_WORD = 600, 200
 #: Most lines of a message.
 MOST_LINES = 20
 
-#: Control characters but tab and line feed, marks that turn the direction of writing, and lone
-#: surrogates, as of a path that is not UTF-8.
+#: Control characters but tab and line feed, marks that turn the direction of writing, lone
+#: surrogates, as of a path that is not UTF-8, and code points that are no characters. XML allows
+#: most of them nowhere, terminals take some as orders, and pages show others as what is not there.
 _HIDDEN = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+    "\ufffe\uffff]"
 )
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
@@ -23,6 +25,11 @@ def visible(text: str) -> str:
     The escapes are those of JSON, so that an answer in JSON means the same.
     """
     return _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def clean(text: str) -> str:
+    """Write U+FFFD in the place of each such character, for pages, pictures and files."""
+    return _HIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def shortened(text: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from bench.guard import limits, usage
+from bench.guard import process as process_module
 from bench.guard.limits import RUNNING, Limits, Meter
 from bench.guard.process import GuardedProcess, NoAnswer, Refused
 from bench.guard.usage import Usage
@@ -125,6 +126,15 @@ def test_children_of_a_dead_process_end_though_they_hold_its_pipes(guarded):
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+def test_a_keeper_that_somebody_has_halted_keeps_nothing_alive(guarded, monkeypatch):
+    monkeypatch.setattr(process_module, "_KEEPER_SECONDS", 0.2)
+    process = guarded()
+    assert process.ask(jobs.add, 1) == 11
+    os.kill(process._keeper.pid, signal.SIGSTOP)
+    process.end()
+    assert comes(lambda: not marked(process))
+
+
 def test_with_its_keeper_a_process_ends(guarded):
     process = guarded()
     assert process.ask(jobs.starts_a_child) == 1

@@ -30,6 +30,8 @@ from problems.spec import SpecError
 
 #: Time in s between two looks at the use of a process.
 _WATCH_SECONDS = 0.1
+#: A keeper needs less than this, in s, to end what it keeps.
+_KEEPER_SECONDS = 15.0
 #: Of the output of a job so many bytes are kept: the first ones, and the last ones.
 _KEPT_BYTES = 1000
 #: Size of the pipe for output: whoever prints much must not seem to be idle while we look around.
@@ -178,7 +180,12 @@ class GuardedProcess:
         self.alive = False
         self._listen()
         self._control.close()
-        if self._keeper.wait() < 0:  # it was killed itself, and could not clear up
+        try:
+            killed = self._keeper.wait(_KEEPER_SECONDS) < 0
+        except subprocess.TimeoutExpired:  # somebody has halted it
+            self._keeper.kill()
+            killed = self._keeper.wait() < 0
+        if killed:  # it could not clear up
             _kill_marked(self._mark)
         self._pipe.close()
         os.close(self._output)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
 
-from bench.results.clean_text import clean
 from bench.results.experiments import ExperimentResult
 from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store_file import (
@@ -28,6 +27,7 @@ from bench.results.store_file import (
 )
 from bench.results.store_file import StoreError as StoreError
 from bench.results.stored_values import Unreadable, crashed, decoded, encoded, storable, undescribed
+from problems.plain_text import clean
 
 if TYPE_CHECKING:
     from filelock import FileLock

@@ -7,8 +7,8 @@ import sqlite3
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.results.clean_text import clean
 from bench.results.records import SCHEMA
+from problems.plain_text import clean
 
 if TYPE_CHECKING:
     from filelock import FileLock

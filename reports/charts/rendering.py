@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from bench.guard.limits import Limits
 from bench.guard.process import GuardedProcess, NoAnswer
-from bench.results.clean_text import clean
+from problems.plain_text import clean
 from reports.charts.vega_lite import Spec, chart_json
 
 if TYPE_CHECKING:

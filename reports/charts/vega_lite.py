@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from bench.results.clean_text import clean, clean_json
 from bench.results.csv_text import csv_text
 from bench.results.quantities import NORM, NORM_NAMES, NORMS
+from bench.results.stored_values import clean_json
+from problems.plain_text import clean
 from reports.charts.line_styles import LineStyle
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 import jinja2
 from markupsafe import Markup
 
-from bench.results.clean_text import clean
+from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
 from reports.text.table import Table
 
