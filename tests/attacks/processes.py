@@ -51,8 +51,8 @@ class Started:
 
     @property
     def said(self) -> str:
-        """The last part of what it said, in one line."""
-        return " ".join(self._said.read_text(errors="replace")[-5000:].split())
+        """What it said, in one line; the last part of very much."""
+        return " ".join(self._said.read_text(errors="replace")[-100_000:].split())
 
     def family(self, role: str = "") -> list[int]:
         """All processes that it started, itself included, oldest first; or those of one role.
