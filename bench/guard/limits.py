@@ -11,10 +11,11 @@ from typing import NamedTuple
 from bench.guard.usage import Usage, usage
 
 #: Phases of a job; each has a budget of its own.
-LOADING, PREPARING, REFERENCE, RUNNING = "loading", "preparing", "reference", "running"
-#: Processor time in s for loading plugins, at least for tracing and compiling, and for a reference.
+LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
+RUNNING, MEASURING = "running", "measuring"
+#: Processor time in s for loading plugins, and at least for each phase but that and a run.
 LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
-#: Tracing, compiling and references may take so many budgets of a run.
+#: Each phase but loading and running may take so many budgets of a run.
 _MORE = 5
 #: A process may be idle for so many budgets of a run, or at least so long, in s.
 _IDLE, _LEAST_IDLE = 2, 10.0
@@ -34,8 +35,8 @@ class Limits:
     Parameters
     ----------
     budget_s
-        Processor time of a run in s. Tracing and compiling, and the reference of a scene, may
-        take five times as long, but at least `LEAST_SECONDS`.
+        Processor time of a run in s. Tracing and compiling, the reference of a scene, and the
+        measurement of errors may each take five times as long, but at least `LEAST_SECONDS`.
     memory_gib
         Resident memory.
     processors

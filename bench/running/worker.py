@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.guard.limits import PREPARING, REFERENCE, RUNNING
+from bench.guard.limits import MEASURING, PREPARING, REFERENCE, RUNNING
 from bench.guard.serve import Notify
 from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
 from bench.plugins.registry import Registry, why
@@ -92,7 +92,7 @@ class Worker:
             if not reference.missing:
                 reference.error  # noqa: B018 - made now, where the runner knows what takes so long
             self._references[key] = reference
-            self.notify(RUNNING, "measuring")
+            self.notify(MEASURING, "measuring")
         return self._references[key]
 
     def measure(self, cell: Cell, errors: bool = True, lacking: str = "") -> CellResult:
@@ -100,8 +100,10 @@ class Worker:
 
         No reference is made without ``errors``, or if ``lacking`` says why there is none.
         """
+        self.notify(PREPARING, "tracing and compiling")
         scene = self.problem(cell.problem)
         trajectory, compile_s = self._run(cell)
+        self.notify(MEASURING, "measuring")
         facts = (
             scene_facts(self.registry, cell.problem, {}),
             method_facts(self.registry, cell.integrator),
@@ -162,7 +164,6 @@ class Worker:
             jax.clear_caches()
         if wrong := self._wrong():
             return Trajectory.failed("crashed", wrong), None
-        self.notify(PREPARING, "tracing and compiling")
         try:
             answers.facts(integrator)
             if reason := answers.refusal(integrator, scene):
@@ -200,7 +201,9 @@ class Worker:
     def time(self, cell: Cell) -> float:
         """Return seconds per bare run, averaged over as many runs as fit a sample."""
         if cell.key not in self.prepared:
+            self.notify(PREPARING, "tracing and compiling")
             self._run(cell)
+            self.notify(RUNNING, "running")
         run = self.prepared[cell.key]
         if self._seconds.get(cell.key, 0.0) < _LONG_SECONDS:
             run.execute()  # warms caches after whatever ran in between
@@ -215,6 +218,7 @@ class Worker:
 
     def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
         """Make the record of a scene; without a reference if ``lacking`` says why."""
+        self.notify(MEASURING, "describing the scene")
         scene = self.problem(problem)
         record = scene_record(scene, t_end, lambda: self._reference(scene, t_end), lacking)
         record.stopped = REFERENCE if lacking else ""
@@ -222,6 +226,7 @@ class Worker:
 
     def pictures(self, problem: str, t_end: float, count: int) -> list[dict[str, Any]]:
         """Draw a scene at ``count`` times of its reference up to t_end in s."""
+        self.notify(MEASURING, "drawing the scene")
         scene = self.problem(problem)
         return drawings(scene, self._reference(scene, t_end), count)
 
