@@ -70,7 +70,8 @@ def solve_ensemble(
     if out and out.suffix not in (".csv", ".json"):
         raise SpecError(f"{out.name} is no table; give a name that ends in .csv or .json.")
     task = request, count, vary, seed or 0
-    result = options.guarded(ensemble_job, sources, request.budget, task, threads=True)
+    about = f"{request.integrator} on {request.problem}"
+    result = options.guarded(about, ensemble_job, sources, request.budget, task, threads=True)
     rows, statuses = result.rows(), result.statuses()
     if as_json:
         answer = {

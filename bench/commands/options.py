@@ -140,6 +140,7 @@ def say_printed(label: str, text: str) -> None:
 
 
 def guarded(
+    about: str,
     job: Callable[..., Any],
     sources: Sources,
     budget_s: float,
@@ -148,7 +149,8 @@ def guarded(
 ) -> Any:
     """Do a job of a worker in a process of its own, with plugins and within a budget in s.
 
-    A job that watches the budget itself, as sweeps do, is given half as much again to end by it.
+    A message on its failure begins with the words ``about`` it. A job that watches the budget
+    itself, as sweeps do, is given half as much again to end by it.
 
     Raises
     ------
@@ -165,7 +167,7 @@ def guarded(
         processors=processors,
         advice="give it less to do, or a larger --budget",
     )
-    return ask_once(start_worker, (sources, threads), limits, job, *arguments)
+    return ask_once(about, start_worker, (sources, threads), limits, job, *arguments)
 
 
 # ---- options -----------------------------------------------------------------------------

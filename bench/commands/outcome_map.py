@@ -109,9 +109,9 @@ def map_(
     from bench.sweeps.jobs import SweepRequest, map_job
 
     request = SweepRequest(problem, settings, integrator, given, t_end, budget)
-    plain = options.guarded(
-        map_job, sources, budget, (request, names, ranges, counts, error, threshold), threads=True
-    )
+    task = request, names, ranges, counts, error, threshold
+    about = f"{integrator} on {problem}"
+    plain = options.guarded(about, map_job, sources, budget, task, threads=True)
     if as_json:
         click.echo(json.dumps(plain, allow_nan=False))
         return

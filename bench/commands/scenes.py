@@ -46,10 +46,8 @@ def show(
     end = options.end_time(scene, t_end)
     path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
     task = scene.spec, end, _FRAMES if animate else GHOSTS
-    try:
-        pictures = options.guarded(Worker.pictures, scene.sources, budget, task)
-    except SpecError as error:
-        raise SpecError(f"{scene.spec} cannot be shown: {error}") from error
+    about = f"{scene.spec} cannot be shown"
+    pictures = options.guarded(about, Worker.pictures, scene.sources, budget, task)
     written = view("animation" if animate else "still")(scene.spec, pictures, path)
     click.echo(f"Picture: {written}")
 

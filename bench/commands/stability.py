@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -79,21 +80,28 @@ def stability(
     if twice:
         raise SpecError(f"{twice} is named twice.")
 
-    from bench.commands.terminal import show
-    from bench.commands.terminal_tables import stability_tables
     from bench.stability.analysis import analysis_job
 
-    results = [
-        options.guarded(
-            analysis_job,
-            method.sources,
-            budget,
-            (method.spec, system, zeta, pattern or (1.0,), at or (), ratios),
-        )
-        for method in methods
-    ]
+    results, faults = [], []
+    for method in methods:
+        task = method.spec, system, zeta, pattern or (1.0,), at or (), ratios
+        try:
+            found = options.guarded(method.spec, analysis_job, method.sources, budget, task)
+            results.append(found)
+        except SpecError as error:
+            faults.append(str(error))
+    if results:
+        _show(results, out, as_json)
+    if faults:
+        raise click.ClickException(" ".join(faults))
+
+
+def _show(results: list[dict[str, Any]], out: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(results, indent=2, allow_nan=False))
         return
+    from bench.commands.terminal import show
+    from bench.commands.terminal_tables import stability_tables
+
     show(stability_tables(results))
     click.echo(f"Page: {view('stability')(results, out)}")

@@ -274,6 +274,7 @@ def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
 
 
 def ask_once(
+    about: str,
     prepare: Callable[..., Any],
     arguments: tuple,
     limits: Limits,
@@ -285,7 +286,7 @@ def ask_once(
     Raises
     ------
     SpecError
-        If the job refuses its arguments, or has no answer.
+        If the job refuses its arguments, or has no answer; then the message begins with ``about``.
     """
     process = GuardedProcess(prepare, arguments, limits)
     try:
@@ -294,8 +295,10 @@ def ask_once(
             print(printed, file=sys.stderr)
     finally:
         process.end()
-    if isinstance(answer, NoAnswer):
+    if isinstance(answer, Refused):
         raise SpecError(answer.message)
+    if isinstance(answer, NoAnswer):
+        raise SpecError(f"{about}: {answer.message}")
     return answer
 
 

@@ -43,7 +43,7 @@ UNDRAWN = ("c_draw_exits", "c_draw_raises", "c_draw_huge")
 #: Commands that run a method on a scene of this project.
 WITH_METHOD = {
     "solve": "solve oscillator {} --step 0.1 --t-end 1",
-    "order": "order oscillator {} --steps 0.1,0.05 --t-end 1",
+    "order": "order oscillator {} --steps 0.1,0.05,0.025 --t-end 1",
     "stability": "stability {}",
     "map": "map oscillator {} --over h,q0 --range h:0.01..0.1 --grid 3x3",
     "ensemble": "solve oscillator {} --step 0.1 --ensemble 3 --vary q0:1..2",
@@ -53,7 +53,7 @@ WITH_METHOD = {
 #: Commands that run a method of this project on a scene.
 WITH_SCENE = {
     "solve": "solve {} newmark --step 0.1 --t-end 1",
-    "order": "order {} newmark --steps 0.1,0.05 --t-end 1",
+    "order": "order {} newmark --steps 0.1,0.05,0.025 --t-end 1",
     "show": "show {}",
     "animate": "show {} --animate",
     "map": "map {} newmark --over h,beta --range h:0.01..0.1 --grid 3x3",
