@@ -21,6 +21,8 @@ PROMISED_SECONDS = 4.0
 #: All commands of a test, whose `end_all` ends what failed.
 STARTED: list[Started] = []
 PHRASES = ("Interrupted.", "Stopped.")
+#: Behind `nohup` this process would ignore it, and so would all commands.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def parent_of(process: int) -> int:
