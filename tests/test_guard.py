@@ -14,7 +14,7 @@ import pytest
 
 from bench.guard import limits, usage
 from bench.guard import process as process_module
-from bench.guard.limits import RUNNING, Limits, Meter
+from bench.guard.limits import PREPARING, RUNNING, Limits, Meter
 from bench.guard.process import GuardedProcess, NoAnswer, Refused
 from bench.guard.usage import Usage
 from bench.guard.wire import BrokenMessage, Inbox, decode, encode, message
@@ -203,6 +203,17 @@ def test_a_halt_of_this_process_counts_a_second(monkeypatch):
     meter = running(Limits(budget_s=3.0))
     clock.now += 3600.0
     assert meter.excess(1) is None
+
+
+def test_who_announces_a_phase_again_and_again_gains_no_time(monkeypatch):
+    clock, meter = Clock(monkeypatch), running(Limits(budget_s=3.0))
+    for _ in range(1250):
+        clock.now += 0.1
+        clock.use = clock.use._replace(computed_s=clock.use.computed_s + 0.1)
+        meter.begin(PREPARING, 1)
+    found = meter.excess(1)
+    assert found is not None
+    assert "more than 120 s of processor time" in found.reason
 
 
 def test_use_of_this_process_and_its_children_is_seen():

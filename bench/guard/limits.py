@@ -99,13 +99,13 @@ class Meter:
         self._looked = time.monotonic()
 
     def begin(self, phase: str, process: int | None = None) -> None:
-        """Go on to a phase."""
+        """Go on to a phase; the use so far belongs to the one before."""
+        if process:
+            self._count(process)
         self.phase = phase
-        self._looked = time.monotonic()
-        self._last = (usage(process) if process else None) or self._last
 
-    def excess(self, process: int) -> Excess | None:
-        """Look at a process; return the limit that it has passed, if any."""
+    def _count(self, process: int) -> Usage | None:
+        """Add the use since the last look to the phase; None if the process is gone."""
         now, use = time.monotonic(), usage(process)
         if use is None:
             return None
@@ -120,6 +120,13 @@ class Meter:
             used.stopped_s += passed
         else:
             used.idle_s += max(0.0, passed - computed - queued)
+        return use
+
+    def excess(self, process: int) -> Excess | None:
+        """Look at a process; return the limit that it has passed, if any."""
+        if (use := self._count(process)) is None:
+            return None
+        used = self._used[self.phase]
         allowed = self._limits.seconds(self.phase)
         if used.computed_s > allowed:
             return Excess(
