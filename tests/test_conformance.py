@@ -149,7 +149,7 @@ def test_a_check_without_an_object_says_why(registry):
 
 @pytest.mark.parametrize(
     ("how", "budget", "sentence"),
-    [("hangs", 2.0, "It did not end within 2 s"), ("exits", 60.0, "The process died")],
+    [*long(("hangs", 2.0, "It did not end within 2 s")), ("exits", 60.0, "The process died")],
 )
 def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     monkeypatch, how, budget, sentence

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import random
-import signal
 import sqlite3
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 from helpers import long
 
@@ -109,31 +107,3 @@ def test_a_finished_run_measures_nothing_again(tmp_path, undisturbed):
     output, _ = process.communicate(timeout=240)
     assert f"{CELLS} measured now, 0 kept" in output
     assert table(tmp_path / "out") == undisturbed
-
-
-def test_ctrl_c_is_one_sentence_and_leaves_no_process(tmp_path):
-    process = start(tmp_path)
-    while rows(tmp_path / "out") < 2 and process.poll() is None:
-        time.sleep(0.01)
-    workers = psutil.Process(process.pid).children(recursive=True)
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "Interrupted. Finished runs are stored" in output
-    assert "Traceback" not in output
-    _, alive = psutil.wait_procs(workers, timeout=10)
-    assert not alive
-    assert len(table(tmp_path / "out")) >= 1
-
-
-@pytest.mark.long
-def test_a_killed_parent_leaves_no_worker_behind(tmp_path):
-    process = start(tmp_path)
-    while rows(tmp_path / "out") < 2 and process.poll() is None:
-        time.sleep(0.01)
-    workers = psutil.Process(process.pid).children(recursive=True)
-    assert workers
-    process.kill()
-    process.communicate()
-    _, alive = psutil.wait_procs(workers, timeout=10)
-    assert not alive

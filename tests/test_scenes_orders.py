@@ -43,7 +43,7 @@ def largest_errors(method, scene, t_end, coarsest):
 
 @pytest.mark.parametrize(
     ("scene", "t_end", "coarsest"),
-    [SMOOTH[0], SMOOTH[2], *long(SMOOTH[1], *MORE)],
+    [SMOOTH[0], *long(*SMOOTH[1:3], *MORE)],
     ids=lambda p: getattr(p, "name", ""),
 )
 def test_every_smooth_scene_shows_second_order_from_the_first_step(scene, t_end, coarsest):
