@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
-from bench.plugins.registry import PluginError, why
+from bench.plugins.reasons import PluginError, why
 from problems.answers import FalseAnswer
 from problems.plain_text import said
 from problems.spec import SpecError

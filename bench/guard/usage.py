@@ -7,8 +7,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-import psutil
-
 _PROC = Path("/proc")
 
 
@@ -36,7 +34,9 @@ class Usage(NamedTuple):
 def usage(process: int) -> Usage | None:
     """Measure a tree of processes by the number of the first; None if that is gone."""
     try:
-        found = _linux(process) if (_PROC / "self/stat").exists() else _elsewhere(process)
+        if not (_PROC / "self/stat").exists():
+            return _elsewhere(process)
+        found = _linux(process)
         for child in _children(process):
             if more := usage(child):
                 found = Usage(
@@ -46,7 +46,7 @@ def usage(process: int) -> Usage | None:
                     found.stopped,
                 )
         return found
-    except (OSError, ValueError, IndexError, psutil.Error):
+    except (OSError, ValueError, IndexError):
         return None
 
 
@@ -72,8 +72,14 @@ def _children(process: int) -> list[int]:
     return found
 
 
-def _elsewhere(process: int) -> Usage:
-    found = psutil.Process(process)
-    times = found.cpu_times()
-    stopped = found.status() == psutil.STATUS_STOPPED
-    return Usage(times.user + times.system, 0.0, found.memory_info().rss, stopped)
+def _elsewhere(process: int) -> Usage | None:
+    """Measure one process, as /proc is not there."""
+    import psutil
+
+    try:
+        found = psutil.Process(process)
+        times = found.cpu_times()
+        stopped = found.status() == psutil.STATUS_STOPPED
+        return Usage(times.user + times.system, 0.0, found.memory_info().rss, stopped)
+    except psutil.Error:
+        return None

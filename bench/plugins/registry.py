@@ -12,8 +12,6 @@ import hashlib
 import importlib.util
 import inspect
 import sys
-import sysconfig
-import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -22,24 +20,19 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from bench.plugins.reasons import PluginError, explain
 from integrators.contract import Integrator
 from problems import spec
-from problems.plain_text import named, said
+from problems.plain_text import said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: Folders of code that is not to blame for an exception.
-_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 #: Name of the package of this project.
 PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
 FILE_PREFIX = "stepbench_plugin_"
 #: The kinds of plugins, with their base classes.
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
-
-
-class PluginError(SpecError):
-    """A plugin that cannot be read or used; the message says why."""
 
 
 @dataclass
@@ -217,15 +210,6 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
     return list(dict.fromkeys(files))
 
 
-def explain(error: BaseException) -> str:
-    """Return one sentence on an exception, with the innermost line of code that is no library's."""
-    # A syntax error says its own line; it came from the importer's.
-    frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
-    frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
-    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{named(error)}{where}."
-
-
 def _resolved(path: str | Path) -> Path:
     try:
         return Path(path).resolve()
@@ -317,8 +301,3 @@ def _fault(kind: str, name: str, cls: Any) -> str:
     if bare:
         return f"{', '.join(bare)} is not an option yet: decorate {cls.__name__} with @dataclass."
     return ""
-
-
-def why(error: BaseException) -> str:
-    """Return the reason of a failure; that of a false answer needs no line of code."""
-    return f"{said(error)}." if isinstance(error, SpecError) else explain(error)

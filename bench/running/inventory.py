@@ -20,7 +20,8 @@ from bench.guard.process import GuardedProcess, NoAnswer, Refused, wait_for_any
 from bench.guard.serve import Notify
 from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
-from bench.plugins.registry import KINDS, PROJECT, PluginError, Registry, plugin_files, taken_name
+from bench.plugins.reasons import PluginError
+from bench.plugins.registry import KINDS, PROJECT, Registry, plugin_files, taken_name
 from bench.results.records import INTERRUPTED
 from problems import spec
 from problems.spec import SpecError

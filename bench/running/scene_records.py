@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
-from bench.plugins.registry import why
+from bench.plugins.reasons import why
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.plugins.registry import explain
+from bench.plugins.reasons import explain
 from bench.running.worker import Worker
 from bench.stability import patterns
 from bench.stability.matrices import matrices, steppable

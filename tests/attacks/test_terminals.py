@@ -14,7 +14,7 @@ import pytest
 from planted import everything, plant
 
 from bench.commands.standard_streams import LostOutput, PlainStream, plain_streams
-from bench.plugins.registry import explain
+from bench.plugins.reasons import explain
 from problems.plain_text import LONGEST_LINE, said, shortened, visible
 
 COMMAND = [sys.executable, "-c", "from bench.commands.main import main; main()"]
