@@ -50,6 +50,8 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
+#: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
+_LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
 _START_XLA = "import jax; jax.local_devices(backend='cpu')"
 
@@ -86,9 +88,10 @@ def _loaded(name: str) -> ModuleType:
     Raises
     ------
     RuntimeFault
-        If XLA refuses the user's flags, which would end the process.
+        If XLA refuses the user's flags, which would end the process, or has too little room.
     """
     if "jax" not in sys.modules:
+        _refuse_little_room()
         _leave_out_refused_flags()
         _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
@@ -190,6 +193,19 @@ def _users_settings() -> str:
         and value != _SETTINGS.get(name)
         and "CACHE" not in name
     )
+
+
+def _refuse_little_room() -> None:
+    try:
+        import resource
+    except ImportError:  # a system without such limits
+        return
+    room, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if 0 <= room < _LEAST_ADDRESSES:
+        raise RuntimeFault(
+            f"JAX needs {_LEAST_ADDRESSES / 2**30:g} GiB of virtual memory, and a process may have "
+            f"{room / 2**30:.3g} GiB; raise the limit by 'ulimit -v'."
+        )
 
 
 def _leave_out_refused_flags() -> None:

@@ -44,7 +44,8 @@ _OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SI
 _MARK = "STEPBENCH_KEPT"
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from bench.guard.serve import serve; serve(int(sys.argv[2]))"
+    "sys.tracebacklimit = 0; from bench.guard.serve import serve; del sys.tracebacklimit; "
+    "serve(int(sys.argv[2]))"
 )
 
 

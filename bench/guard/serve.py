@@ -64,3 +64,5 @@ def serve(descriptor: int) -> None:
             answer(job, state, *given, **named)
     except (EOFError, ConnectionError):
         os._exit(0)
+    except Exception as error:  # of what prepares; its last words are the reason
+        sys.exit(why(error))

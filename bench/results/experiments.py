@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
+from msgspec import Meta
 
 from bench.results.records import Name
 
@@ -41,7 +44,7 @@ class PartResult(msgspec.Struct, kw_only=True):
 
     text: Name
     quantity: Name
-    take: str
+    take: Annotated[str, Meta(pattern="^(slope|growth|largest|last)$")]
     healthy: tuple[float | None, float | None]
     show: Name = ""
     cases: list[CaseResult] = []

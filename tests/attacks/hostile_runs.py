@@ -137,7 +137,7 @@ RUNS = {
         PIPE + "while True:\n    forge('phase', ['preparing', 'for ever'])\n"
         "    for _ in range(10**6): pass",
         "budget_exceeded",
-        BUSY,
+        "Stopped while for ever",
     ),
     "execute_raises": ("execute", "raise ValueError('timed')", "ok", ""),
     "execute_exits": ("execute", "os._exit(0)", "ok", ""),

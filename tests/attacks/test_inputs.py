@@ -55,7 +55,10 @@ NEEDED = {
     **{f"solve {option}": MEMBERS for option in ("ensemble", "vary", "seed", "out")},
 }
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
-TOLD = re.compile(r"(list|check) plugins (text|binary)|check names (number|half)|solve seed many")
+TOLD = re.compile(
+    r"(list|check) plugins (text|binary)|run plugins binary|"
+    r"check names (number|half)|solve seed many"
+)
 
 ANY = {
     "empty": "",
