@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -179,6 +180,16 @@ def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
             for k, seconds in enumerate(samples):
                 store.add_sample(key, k, seconds)
     return copy
+
+
+def whole_report(folder: Path) -> str:
+    """The text of all pages of a report in one: the first, scenes in their order, the others."""
+    first = (folder / "report.html").read_text(encoding="utf-8")
+    named = re.findall(r'href="(report/[^"#]+)"', first)
+    files = dict.fromkeys(
+        [*named, *(f"report/{f.name}" for f in (folder / "report").glob("*.html"))]
+    )
+    return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
 
 
 class Document(HTMLParser):

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import msgspec
 import pytest
-from planted import ATTACK, STEPS, Document, everything, plant, planted
+from planted import ATTACK, STEPS, Document, everything, plant, planted, whole_report
 
 from bench.results.orders import fit_order
 from bench.results.quantities import NORMS
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(folder: Path) -> Document:
-    return Document((folder / "report.html").read_text(encoding="utf-8"))
+    return Document(whole_report(folder))
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,8 @@ def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
     with Store(tmp_path, create=True) as store:
         scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
         store.save_scene(msgspec.structs.replace(scene, t_end=2.0))
-    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
+    write_html_report(tmp_path)
+    page = Document(whole_report(tmp_path))
     assert page.words.count("A second paragraph.") == 2
     assert "The same scene as spring_mass, t_end=1 s, over another interval." in page.words
     assert sum(name.endswith("-scene") for name in page.charts) == 2
@@ -300,9 +301,7 @@ def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
 
 def test_a_table_of_all_runs_shows_each_with_its_ending(folder: Path, page: Document) -> None:
     tables = [rows for name, rows in page.tables if name == "All runs"]
-    assert len(re.findall(r'<tr id="run-', (folder / "report.html").read_text())) == len(
-        stored(folder)
-    )
+    assert len(re.findall(r'<tr id="run-', whole_report(folder))) == len(stored(folder))
     records = stored(folder)
     assert sum(len(rows) - 1 for rows in tables) == len(records)
     shown = {(row[1], row[2]) for rows in tables for row in rows[1:]}
@@ -361,7 +360,8 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
 ) -> None:
     planted_records = records() if callable(records) else records
     plant(tmp_path, planted_records, **how)
-    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
+    write_html_report(tmp_path)
+    page = Document(whole_report(tmp_path))
     assert said in page.words
     assert said.split(":")[0] in write_markdown_report(tmp_path).read_text(encoding="utf-8")
     shown = [row["message"] for row in page.rows("Runs that did not reach the end")] if any(
