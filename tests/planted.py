@@ -186,9 +186,8 @@ def whole_report(folder: Path) -> str:
     """The text of all pages of a report in one: the first, scenes in their order, the others."""
     first = (folder / "report.html").read_text(encoding="utf-8")
     named = re.findall(r'href="(report/[^"#]+)"', first)
-    files = dict.fromkeys(
-        [*named, *(f"report/{f.name}" for f in (folder / "report").glob("*.html"))]
-    )
+    others = sorted((folder / "report").glob("*.html"))
+    files = dict.fromkeys([*named, *(f"report/{file.name}" for file in others)])
     return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
 
 
@@ -201,7 +200,7 @@ class Document(HTMLParser):
         self.places: list[tuple[str, str]] = []
         self.charts: dict[str, dict] = {}
         self.words = ""
-        self.scripts = 0
+        self.scripts: list[str] = []
         self._caption = self._cell = self._chart = None
         self._hidden = False
         self.feed(text)
@@ -219,7 +218,8 @@ class Document(HTMLParser):
             self._caption = ""
         elif tag in ("script", "style"):
             self._hidden = True
-            self.scripts += tag == "script"
+            if tag == "script":
+                self.scripts.append(known.get("src") or known.get("type") or "inline")
             self._chart = known.get("data-chart")
 
     def handle_endtag(self, tag: str) -> None:
