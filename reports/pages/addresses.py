@@ -47,7 +47,9 @@ class Site:
         """The address of an anchor for a page: the anchor alone if it is on the same page."""
         place = self.places.get(anchor, "")
         file, _, _ = place.partition("#")
-        return root(here) + place if file and file != here else f"#{anchor}"
+        if not file or file == here:
+            return f"#{anchor}"
+        return place.removeprefix(FOLDER) if here.startswith(FOLDER) else place
 
 
 def root(here: str) -> str:

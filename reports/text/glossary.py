@@ -23,15 +23,15 @@ class Term:
 
 TERMS = (
     Term(
-        "Accuracy asked",
-        "The relative error that a run may have at most; the cheapest run below it wins.",
-        ("accuracy asked", "asked accuracy", "an accuracy"),
-    ),
-    Term(
         "Acceleration error",
         "The error of the accelerations of the equations of motion at the reported times; methods "
         "often lose an order there first.",
         ("error in a", "error in the acceleration"),
+    ),
+    Term(
+        "Accuracy asked",
+        "The relative error that a run may have at most; the cheapest run below it wins.",
+        ("accuracy asked", "asked accuracy", "an accuracy"),
     ),
     Term(
         "Constraint",
