@@ -36,7 +36,11 @@ from reports.text.winners import overall, verdicts
 
 @dataclass
 class Report:
-    """The content of a report, the same for HTML and Markdown."""
+    """The content of a report, the same for HTML and Markdown.
+
+    ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
+    labels.
+    """
 
     title: str
     state: str
@@ -55,6 +59,9 @@ class Report:
     environments: list[tuple[int, Environment]]
     method: list[str]
     atlas: AtlasChapter | None
+    series: dict[str, list[Series]]
+    scene_records: dict[str, SceneRecord]
+    styles: dict[str, LineStyle]
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
@@ -128,6 +135,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
+        series=series,
+        scene_records={names[k]: scenes[k] for k in keys if k in scenes},
+        styles=styles,
     )
 
 

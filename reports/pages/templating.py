@@ -19,7 +19,7 @@ from reports.text.table import Table
 POLICY = "content-security-policy"
 
 
-def html(name: str, assets: str | None = None, **values: object) -> str:
+def html(name: str, assets: str | None = None, linked: bool = False, **values: object) -> str:
     """Fill in a template of HTML; all values are escaped.
 
     The page states a policy for browsers: no network, and no script but those that the template
@@ -32,6 +32,8 @@ def html(name: str, assets: str | None = None, **values: object) -> str:
     assets
         Address of the folder of assets, relative to the page, with a slash at its end; None for a
         page that holds what it needs of them.
+    linked
+        Whether a page that holds its scripts links others of its own site, too.
     **values
         For the template.
     """
@@ -63,7 +65,7 @@ def html(name: str, assets: str | None = None, **values: object) -> str:
         "policy": POLICY,
     }
     text = clean(environment.get_template(name).render(**values))
-    own = [] if assets is None else ["'self'"]
+    own = ["'self'"] if linked or assets is not None else []
     policy = {
         "default-src": "'none'",
         "script-src": " ".join([*own, *digests]) or "'none'",
