@@ -16,6 +16,7 @@ from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
@@ -39,7 +40,7 @@ class Report:
     """The content of a report, the same for HTML and Markdown.
 
     ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
-    labels.
+    labels; ``run_ids`` are the anchors of records by key.
     """
 
     title: str
@@ -59,9 +60,12 @@ class Report:
     environments: list[tuple[int, Environment]]
     method: list[str]
     atlas: AtlasChapter | None
+    methods: list[MethodChapter]
+    failed: int
     series: dict[str, list[Series]]
     scene_records: dict[str, SceneRecord]
     styles: dict[str, LineStyle]
+    run_ids: dict[str, str]
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
@@ -108,6 +112,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
+    described = {names[k]: scenes[k] for k in keys if k in scenes}
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
@@ -126,7 +131,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         integrators=integrators_table(series, ranking, facts),
         damping=damping_table(
             {name: known[name] for name in facts if name in known},
-            [(names[k], scenes[k]) for k in keys if k in scenes],
+            list(described.items()),
         ),
         failures=failures_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
@@ -135,9 +140,12 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
+        methods=method_chapters(series, ranking, facts, known, described),
+        failed=sum(r.status != "ok" for r in runs),
         series=series,
-        scene_records={names[k]: scenes[k] for k in keys if k in scenes},
+        scene_records=described,
         styles=styles,
+        run_ids=ids,
     )
 
 

@@ -11,14 +11,12 @@ from reports.ranking import (
     RANKED_COSTS,
     RANKED_GROUPS,
     TARGET,
-    TARGETS,
     RankEntry,
     rank,
 )
 from reports.series import Series, step_or_tolerance
 from reports.text.winners import Verdict, overall, verdicts
 
-QUESTION_COSTS = RANKED_COSTS
 #: Group, target and cost of the page before a reader chooses others.
 FIRST = (GROUP, f"{TARGET:.0e}".replace("e-0", "e-"), "operations")
 #: Multiples of the best cost at which a performance profile is stated.
@@ -39,8 +37,8 @@ def answers_of(
 
     An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
     its multiple) and ``states`` of the methods that were tried; per filter ``sentences`` and
-    ``standings`` (method, alone, tied, reached, tried). A state is a letter – r reached, f far,
-    x failed, u reached at unknown cost –, the multiple of the best, and the place of the run.
+    ``standings`` (method, alone, tied, reached, tried). A state is a letter: r reached, f far,
+    x failed, u reached at unknown cost; then the multiple of the best, and the place of the run.
     """
     entries, scenes, place = rank(series), list(series), {s: k for k, s in enumerate(labels)}
     by_question: dict[tuple[str, float, str], list[RankEntry]] = {}

@@ -6,11 +6,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
 from bench.results.records import Record, SceneRecord
-from reports.formatting import file_name
+from reports.charts.line_styles import LineStyle
+from reports.names import short_names
+from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
-from reports.pages.site_answers import FIRST, QUESTION_COSTS, TARGETS, answers_of, question_key
+from reports.pages.site_answers import FIRST, answers_of, question_key
+from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
@@ -20,6 +23,8 @@ _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _NONE = "----"
 #: Units of the costs of a question.
 _UNITS = {"operations": "operations", "seconds": "s", "residuals": "evaluations"}
+#: Costs in the bar: "at the least time".
+_COST_WORDS = {"operations": "operations", "seconds": "time"}
 #: Most lines and points per line of a scene's little picture.
 _LINES, _POINTS = 40, 60
 
@@ -38,78 +43,90 @@ def _four_characters(value: float | None) -> str:
     return text if text != _NONE else "---_"
 
 
-def scene_page(name: str) -> str:
-    """File of a scene's page in the folder of the report."""
-    return f"scene-{file_name(name)}.html"
-
-
-def method_page(label: str) -> str:
-    """File of a method's page in the folder of the report."""
-    return f"method-{file_name(label)}.html"
-
-
-def site_data(report: Report, first_only: bool = False, scene: str | None = None) -> dict[str, Any]:
-    """The data of the pages.
-
-    Parameters
-    ----------
-    report
-        The content of the report.
-    first_only
-        Whether to leave out what the first question does not need.
-    scene
-        Leave out the runs of all scenes but this one.
-    """
-    labels = {s.label: s.family for series in report.series.values() for s in series}
-    names = list(labels)
-    groups = list(dict.fromkeys(g for s in report.series.values() for g in _groups(s)))
+def site_data(report: Report) -> dict[str, Any]:
+    """What the scripts are given: methods, scenes, runs, and the answers to all questions."""
+    families = {s.label: s.family for series in report.series.values() for s in series}
+    labels = list(families)
+    short = short_names(labels)
+    groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
     filters = scene_filters(report.series, report.scene_records)
-    group, _, cost = FIRST
-    shown_groups = [g for g in (group,) if g in groups] if first_only else groups
-    columns = (*shown_groups, *((cost,) if first_only else QUESTION_COSTS))
-    answers, profiles = answers_of(report.series, filters, names)
-    if first_only:
-        first = question_key(*FIRST)
-        answers = {first: answers[first]} if first in answers else {}
-        profiles = {key: p for key, p in profiles.items() if key == f"{group}|{cost}"}
-    records = [r for series in report.series.values() for s in series for r in s.records]
+    answers, profiles = answers_of(report.series, filters, labels)
     return {
         "title": report.title,
-        "runs": len(records),
-        "failed": sum(r.status != "ok" for r in records),
+        "runs": len(report.run_ids),
+        "failed": report.failed,
         "norm": NORM_NAMES[NORM],
         "group_names": {g: GROUP_NAMES[g] for g in groups},
-        "cost_names": {c: name for c, name in QUESTION_COSTS.items()},
+        "cost_names": RANKED_COSTS,
+        "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
         "units": _UNITS,
-        "targets": [f"{t:.0e}".replace("e-0", "e-") for t in TARGETS],
+        "targets": list(dict.fromkeys(key.split("|")[1] for key in answers)) or [FIRST[1]],
         "first": dict(zip(("group", "target", "cost"), FIRST, strict=True)),
         "filters": [
             {"id": name, "name": f"{name} scenes", "scenes": places}
             for name, places in filters.items()
         ],
         "methods": [
-            {
-                "label": label,
-                "short": label,
-                "family": family,
-                "light": report.styles[label].color,
-                "dark": report.styles[label].color,
-                "shape": report.styles[label].shape,
-                "dash": list(report.styles[label].dash),
-                "page": method_page(label),
-            }
-            for label, family in labels.items()
+            _method(label, short[label], family, report.styles[label])
+            for label, family in families.items()
         ],
         "scenes": [
             _scene(name, series, report.scene_records.get(name))
             for name, series in report.series.items()
         ],
         "runs_of": [
-            [_runs(s, names, columns) for s in series] if scene in (None, name) else []
-            for name, series in report.series.items()
+            [_runs(s, labels.index(s.label), (*groups, *RANKED_COSTS)) for s in series]
+            for series in report.series.values()
         ],
         "answers": answers,
         "profiles": profiles,
+    }
+
+
+def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of the data that the first question needs."""
+    group, _, cost = FIRST
+    key, columns = question_key(*FIRST), ("at", group, cost)
+    return {
+        **data,
+        "runs_of": [
+            [
+                runs | {"columns": {c: runs["columns"][c] for c in columns if c in runs["columns"]}}
+                for runs in own
+            ]
+            for own in data["runs_of"]
+        ],
+        "answers": {k: answer for k, answer in data["answers"].items() if k == key},
+        "profiles": {k: p for k, p in data["profiles"].items() if k == f"{group}|{cost}"},
+    }
+
+
+def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
+    """The part of the data that is about one scene."""
+    return {
+        **data,
+        "runs_of": [own if k == place else [] for k, own in enumerate(data["runs_of"])],
+        "answers": {
+            key: {
+                "scenes": [own if k == place else None for k, own in enumerate(answer["scenes"])],
+                "filters": {},
+            }
+            for key, answer in data["answers"].items()
+        },
+        "profiles": {},
+    }
+
+
+def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, Any]:
+    return {
+        "label": label,
+        "short": short,
+        "family": family,
+        "light": style.color,
+        "dark": style.dark,
+        "shape": style.shape,
+        "dash": list(style.dash),
+        "page": method_page(label),
     }
 
 
@@ -170,11 +187,11 @@ def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
     ]
 
 
-def _runs(series: Series, names: Sequence[str], columns: Sequence[str]) -> dict[str, Any]:
+def _runs(series: Series, place: int, columns: Sequence[str]) -> dict[str, Any]:
     """The runs of one method on one scene: numbers by column, endings as places in a list."""
     endings = list(dict.fromkeys(r.status for r in series.records))
     return {
-        "method": names.index(series.label),
+        "method": place,
         "n": len(series.records),
         "controls": "h" if series.controls == "step" else "rtol",
         "endings": endings,
@@ -189,7 +206,7 @@ def _runs(series: Series, names: Sequence[str], columns: Sequence[str]) -> dict[
 
 
 def _value(record: Record, name: str) -> float | None:
-    if name in QUESTION_COSTS:
+    if name in RANKED_COSTS:
         return cost_of(record, name)
     # An error of zero is drawn at the bottom of the chart.
     error = error_of(record, name, NORM) if record.status == "ok" else None

@@ -108,7 +108,7 @@
     const known = choices();
     fill(bar.elements.group, known.group, Object.values(data.group_names));
     fill(bar.elements.target, known.target, known.target);
-    fill(bar.elements.cost, known.cost, Object.values(data.cost_names));
+    fill(bar.elements.cost, known.cost, Object.values(data.cost_words));
     if (bar.elements.scenes) fill(bar.elements.scenes, known.scenes, data.filters.map((f) => `${f.name} (${f.scenes.length})`));
     fill(bar.elements.highlight, known.highlight, ["no method", ...data.methods.map((m) => m.short)]);
     bar.addEventListener("change", (event) => stepbench.ask({ [event.target.name]: event.target.value }));
