@@ -100,6 +100,12 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def scene_name(scene: str) -> str:
+    """A scene as a person reads it: `slider_crank[l1=2]` is `slider crank[l1=2]`."""
+    name, bracket, rest = scene.partition("[")
+    return name.replace("_", " ") + bracket + rest
+
+
 def _parts(label: str) -> tuple[str, Options, str]:
     """Name, options and pattern of steps; a label that is no specification is all name."""
     spec, _, steps = label.partition(" x ")
