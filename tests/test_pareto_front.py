@@ -87,7 +87,7 @@ def test_the_front_equals_its_definition_on_many_runs():
 
 
 def styles(records):
-    return line_styles((r.integrator, r.family) for r in records)
+    return line_styles(r.integrator for r in records)
 
 
 @pytest.mark.parametrize("interactive", [False, True])

@@ -305,7 +305,7 @@ def test_wins_and_ties_add_up_to_the_scenes_with_several_contestants(counts):
 
 def profile(found):
     """Points (tau, part) and the scenes tried, by integrator."""
-    labels = [(s.label, "alpha") for s in found]
+    labels = [s.label for s in found]
     spec = performance_profile(found, line_styles(labels), interactive=False)
     head, *rows = (line.split(",") for line in spec["datasets"]["profile"].splitlines())
     points: dict[str, list] = {}

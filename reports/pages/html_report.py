@@ -12,13 +12,18 @@ from pathlib import Path
 import platformdirs
 import vl_convert
 
+from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.report import read_report
-from reports.pages.site import Page, report_site, write_pages
+from reports.pages.site import QUESTION_SCRIPTS, Page, report_site, write_pages
+from reports.pages.site_data import for_first_question, site_data
 from reports.pages.templating import html
 
 FILE = FRONT
 LIBRARY = "vega.js"
+#: Answers to all questions but the first, which report.html holds.
+DATA = "data.js"
+FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "words.js", "heat.js", "profile.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -44,13 +49,16 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     folder = Path(folder)
     report = read_report(folder, interactive=True)
     site, pages = report_site(report, single_file)
+    data = site_data(report)
     if not single_file:
-        write_pages(report, folder)
+        write_pages(report, folder, data)
         (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
+        rest = f"stepbench.more({chart_json(data)});\n"
+        (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
     text = html(
         "page_of_report.html.j2",
-        assets=None if single_file else FOLDER,
         address=partial(site.address, here=FILE),
+        linked=not single_file,
         report=report,
         site=site,
         pages=[Page(FILE, "front.html.j2", report.title, "front"), *(pages if single_file else [])],
@@ -58,6 +66,10 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         here=FILE,
         single=single_file,
         library=javascript_library() if single_file else "",
+        data=data if single_file else for_first_question(data),
+        more="" if single_file else FOLDER + DATA,
+        scripts=FRONT_SCRIPTS,
+        pages_at="" if single_file else FOLDER,
     )
     path = folder / FILE
     path.write_text(text, encoding="utf-8")

@@ -86,7 +86,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
     with Store(folder) as store:
         plan, scenes, records = store.plan(), store.scenes(), store.records()
         runs = list(records.values())
-        styles = line_styles((label_of(r), r.family) for r in runs)
+        styles = line_styles(map(label_of, runs))
         keys = _scene_keys(plan, scenes, runs)
         names = _names(keys)
         ids = {key: f"run-{i}" for i, key in enumerate(records, 1)}

@@ -15,12 +15,15 @@ from reports.pages.addresses import FOLDER, Site, method_page, root, scene_page,
 from reports.pages.motion import motion
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
+from reports.pages.site_data import for_scene
 from reports.pages.templating import html
 from reports.ranking import COST, GROUP, TARGET, reaches
 from reports.series import cost_of
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
+#: Scripts of a page with a question, in the order in which they are needed.
+QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js")
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",
@@ -75,7 +78,7 @@ def report_site(report: Report, single: bool = False) -> tuple[Site, list[Page]]
     return site_of(report, anchors, single), made
 
 
-def write_pages(report: Report, folder: Path) -> None:
+def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
     """Write all pages but the first, and what they share, into the folder ``report/``.
 
     Parameters
@@ -84,6 +87,8 @@ def write_pages(report: Report, folder: Path) -> None:
         The content.
     folder
         The run folder.
+    data
+        What the scripts are given, for all scenes.
     """
     site, made = report_site(report)
     target = Path(folder) / FOLDER
@@ -101,6 +106,10 @@ def write_pages(report: Report, folder: Path) -> None:
             here=here,
             single=False,
             library="",
+            data=for_scene(data, page.values["place"]) if page.kind == "scene" else None,
+            more="",
+            scripts=QUESTION_SCRIPTS,
+            pages_at="",
         )
         (target / page.file).write_text(text, encoding="utf-8")
     kept = {page.file for page in made}

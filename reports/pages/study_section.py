@@ -208,7 +208,7 @@ class StudySections:
         if len({label_of(r) for r, _, _ in shown}) == len(shown):
             styles = {label: self.styles[label_of(r)] for r, label, _ in shown}
         else:
-            styles = line_styles((label, r.family) for r, label, _ in shown)
+            styles = line_styles(label for _, label, _ in shown)
         lines = [(label, rows) for _, label, rows in shown]
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]

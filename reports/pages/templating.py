@@ -28,6 +28,7 @@ def html(
     name: str,
     assets: str | None = None,
     address: Callable[[str], str] | None = None,
+    linked: bool = False,
     **values: object,
 ) -> str:
     """Fill in a template of HTML; all values are escaped.
@@ -45,6 +46,8 @@ def html(
     address
         Gives the address of an anchor, on another page of a report, too; None for a page without a
         glossary, whose anchors are its own.
+    linked
+        Whether a page that holds its scripts links others of its own site, too.
     **values
         For the template.
     """
@@ -82,7 +85,7 @@ def html(
         "file_name": file_name,
     }
     text = clean(environment.get_template(name).render(**values))
-    own = [] if assets is None else ["'self'"]
+    own = ["'self'"] if linked or assets is not None else []
     policy = {
         "default-src": "'none'",
         "script-src": " ".join([*own, *digests]) or "'none'",

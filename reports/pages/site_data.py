@@ -1,0 +1,213 @@
+"""What the scripts of the pages are given: plain data, numbers as columns of short text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
+from bench.results.records import Record, SceneRecord
+from reports.charts.line_styles import LineStyle
+from reports.names import short_names
+from reports.pages.addresses import method_page, scene_page
+from reports.pages.report import Report
+from reports.pages.site_answers import FIRST, answers_of, question_key
+from reports.ranking import RANKED_COSTS
+from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
+
+#: Columns hold log10 of a value in this range, in 24 bits.
+_LARGEST = 40.0
+_STEPS = (1 << 24) - 1
+_ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
+_NONE = "----"
+#: Units of the costs of a question.
+_UNITS = {"operations": "operations", "seconds": "s", "residuals": "evaluations"}
+#: Costs in the bar: "at the least time".
+_COST_WORDS = {"operations": "operations", "seconds": "time"}
+#: Most lines and points per line of a scene's little picture.
+_LINES, _POINTS = 40, 60
+
+
+def column(values: Iterable[float | None]) -> str:
+    """Positive numbers as text: four characters each, log10 to 3e-6; ``----`` for none."""
+    return "".join(map(_four_characters, values))
+
+
+def _four_characters(value: float | None) -> str:
+    if value is None or not 0 < value < math.inf:
+        return _NONE
+    place = (math.log10(value) + _LARGEST) / (2 * _LARGEST)
+    bits = round(min(max(place, 0.0), 1.0) * _STEPS)
+    text = "".join(_ALPHABET[bits >> shift & 63] for shift in (18, 12, 6, 0))
+    return text if text != _NONE else "---_"
+
+
+def site_data(report: Report) -> dict[str, Any]:
+    """What the scripts are given: methods, scenes, runs, and the answers to all questions."""
+    families = {s.label: s.family for series in report.series.values() for s in series}
+    labels = list(families)
+    short = short_names(labels)
+    groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
+    filters = scene_filters(report.series, report.scene_records)
+    answers, profiles = answers_of(report.series, filters, labels)
+    return {
+        "title": report.title,
+        "runs": len(report.run_ids),
+        "failed": report.failed,
+        "norm": NORM_NAMES[NORM],
+        "group_names": {g: GROUP_NAMES[g] for g in groups},
+        "cost_names": RANKED_COSTS,
+        "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
+        "units": _UNITS,
+        "targets": list(dict.fromkeys(key.split("|")[1] for key in answers)) or [FIRST[1]],
+        "first": dict(zip(("group", "target", "cost"), FIRST, strict=True)),
+        "filters": [
+            {"id": name, "name": f"{name} scenes", "scenes": places}
+            for name, places in filters.items()
+        ],
+        "methods": [
+            _method(label, short[label], family, report.styles[label])
+            for label, family in families.items()
+        ],
+        "scenes": [
+            _scene(name, series, report.scene_records.get(name))
+            for name, series in report.series.items()
+        ],
+        "runs_of": [
+            [_runs(s, labels.index(s.label), (*groups, *RANKED_COSTS)) for s in series]
+            for series in report.series.values()
+        ],
+        "answers": answers,
+        "profiles": profiles,
+    }
+
+
+def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of the data that the first question needs."""
+    group, _, cost = FIRST
+    key, columns = question_key(*FIRST), ("at", group, cost)
+    return {
+        **data,
+        "runs_of": [
+            [
+                runs | {"columns": {c: runs["columns"][c] for c in columns if c in runs["columns"]}}
+                for runs in own
+            ]
+            for own in data["runs_of"]
+        ],
+        "answers": {k: answer for k, answer in data["answers"].items() if k == key},
+        "profiles": {k: p for k, p in data["profiles"].items() if k == f"{group}|{cost}"},
+    }
+
+
+def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
+    """The part of the data that is about one scene."""
+    return {
+        **data,
+        "runs_of": [own if k == place else [] for k, own in enumerate(data["runs_of"])],
+        "answers": {
+            key: {
+                "scenes": [own if k == place else None for k, own in enumerate(answer["scenes"])],
+                "filters": {},
+            }
+            for key, answer in data["answers"].items()
+        },
+        "profiles": {},
+    }
+
+
+def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, Any]:
+    return {
+        "label": label,
+        "short": short,
+        "family": family,
+        "light": style.color,
+        "dark": style.dark,
+        "shape": style.shape,
+        "dash": list(style.dash),
+        "page": method_page(label),
+    }
+
+
+def scene_filters(
+    series: Mapping[str, Sequence[Series]], scenes: Mapping[str, SceneRecord]
+) -> dict[str, list[int]]:
+    """Places of the scenes that a reader may choose: all, and those of each tag.
+
+    A tag that all scenes have, or only one, chooses nothing.
+    """
+    names, tags = list(series), {}
+    for place, name in enumerate(names):
+        for tag in scenes[name].tags if name in scenes else ():
+            tags.setdefault(tag, []).append(place)
+    common = sorted(tags.items(), key=lambda item: -len(item[1]))
+    chosen = {tag: places for tag, places in common if 1 < len(places) < len(names)}
+    return {"all": list(range(len(names)))} | chosen
+
+
+def _groups(series: Sequence[Series]) -> list[str]:
+    return groups_of(r for s in series for r in s.ok)
+
+
+def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> dict[str, Any]:
+    groups, ok = _groups(series), [r for s in series for r in s.ok]
+    floors = {g: trusted_error(ok, g, NORM) for g in groups}
+    return {
+        "id": name,
+        "name": name.replace("_", " "),
+        "about": " · ".join(scene.tags[:3]) if scene else "",
+        "page": scene_page(name),
+        "groups": groups,
+        "picture": little_picture(scene) if scene else [],
+        "floor": {g: float(f"{floor:.3g}") for g, floor in floors.items() if floor > 0},
+    }
+
+
+def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
+    """The last drawing of a scene as lines of whole numbers between 0 and 100, y downwards."""
+    drawn = scene.drawings[-1]["lines"][:_LINES] if scene.drawings else []
+    lines = [
+        [
+            (x, y)
+            for x, y in line[:: max(1, len(line) // _POINTS)]
+            if x is not None and y is not None
+        ]
+        for line in drawn
+    ]
+    points = [point for line in lines for point in line]
+    if not points:
+        return []
+    (x0, x1), (y0, y1) = ((min(p[i] for p in points), max(p[i] for p in points)) for i in (0, 1))
+    if not all(map(math.isfinite, (extent := max(x1 - x0, y1 - y0, 1e-9), x0, x1, y0, y1))):
+        return []
+    scale, x, y = 100 / extent, (x0 + x1) / 2, (y0 + y1) / 2
+    return [
+        [[round(50 + scale * (p - x)), round(50 - scale * (q - y))] for p, q in ln] for ln in lines
+    ]
+
+
+def _runs(series: Series, place: int, columns: Sequence[str]) -> dict[str, Any]:
+    """The runs of one method on one scene: numbers by column, endings as places in a list."""
+    endings = list(dict.fromkeys(r.status for r in series.records))
+    return {
+        "method": place,
+        "n": len(series.records),
+        "controls": "h" if series.controls == "step" else "rtol",
+        "endings": endings,
+        "status": "".join(chr(65 + endings.index(r.status)) for r in series.records)
+        if len(endings) > 1
+        else "",
+        "columns": {
+            "at": column(step_or_tolerance(r) for r in series.records),
+            **{name: column(_value(r, name) for r in series.records) for name in columns},
+        },
+    }
+
+
+def _value(record: Record, name: str) -> float | None:
+    if name in RANKED_COSTS:
+        return cost_of(record, name)
+    # An error of zero is drawn at the bottom of the chart.
+    error = error_of(record, name, NORM) if record.status == "ok" else None
+    return 1e-40 if error == 0 else error
