@@ -14,11 +14,16 @@ from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
+from reports.names import short_names
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
+from reports.questions.answers import answer
+from reports.questions.phrases import plain
+from reports.questions.question import FIRST
+from reports.questions.sentences import Words, sentences
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
@@ -32,7 +37,7 @@ from reports.text.measurement import (
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table
 from reports.text.table import Table
-from reports.text.winners import overall, verdicts
+from reports.text.winners import verdicts
 
 
 @dataclass
@@ -111,6 +116,8 @@ def read_report(folder: Path, interactive: bool) -> Report:
             )
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
+    tags = {names[k]: scenes[k].tags for k in keys if k in scenes}
+    words = Words(short_names(s.label for own in series.values() for s in own), tags)
     ranking, facts = rank(series), plan.integrators if plan else {}
     described = {names[k]: scenes[k] for k in keys if k in scenes}
     return Report(
@@ -121,7 +128,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *missing_data(plan, scenes, records, keys, environments),
         ],
         winners=winners_table(verdicts(ranking), ids),
-        overall=overall(ranking),
+        overall=[plain(said) for said in sentences(answer(series, FIRST), words)],
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),

@@ -29,7 +29,7 @@ TABS = {
     "cost": "Orders and cost",
     "time": "Errors over time",
     "drift": "Constraints and energy",
-    "steps": "Steps and γ",  # noqa: RUF001
+    "steps": "Steps and γ",
     "runs": "All runs",
 }
 

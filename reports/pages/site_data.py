@@ -9,10 +9,12 @@ from typing import Any
 from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
-from reports.names import short_names
+from reports.names import scene_name, short_names
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
-from reports.pages.site_answers import FIRST, answers_of, question_key
+from reports.pages.site_answers import answers_of
+from reports.questions.question import FIRST, TARGETS, Question, filters, tag_name
+from reports.questions.sentences import Words
 from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
 
@@ -47,10 +49,11 @@ def site_data(report: Report) -> dict[str, Any]:
     """What the scripts are given: methods, scenes, runs, and the answers to all questions."""
     families = {s.label: s.family for series in report.series.values() for s in series}
     labels = list(families)
-    short = short_names(labels)
+    names, places = short_names(labels), list(report.series)
+    tags = {k: report.scene_records[k].tags if k in report.scene_records else [] for k in places}
     groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
-    filters = scene_filters(report.series, report.scene_records)
-    answers, profiles = answers_of(report.series, filters, labels)
+    chosen = filters(tags)
+    answers, profiles = answers_of(report, chosen, Words(names, tags))
     return {
         "title": report.title,
         "runs": len(report.run_ids),
@@ -60,14 +63,14 @@ def site_data(report: Report) -> dict[str, Any]:
         "cost_names": RANKED_COSTS,
         "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
         "units": _UNITS,
-        "targets": list(dict.fromkeys(key.split("|")[1] for key in answers)) or [FIRST[1]],
-        "first": dict(zip(("group", "target", "cost"), FIRST, strict=True)),
+        "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
+        "first": {"group": FIRST.group, "target": FIRST.accuracy, "cost": FIRST.cost},
         "filters": [
-            {"id": name, "name": f"{name} scenes", "scenes": places}
-            for name, places in filters.items()
+            {"id": f.key, "name": f.name, "scenes": [places.index(k) for k in f.scenes]}
+            for f in chosen
         ],
         "methods": [
-            _method(label, short[label], family, report.styles[label])
+            _method(label, names[label], family, report.styles[label])
             for label, family in families.items()
         ],
         "scenes": [
@@ -85,8 +88,8 @@ def site_data(report: Report) -> dict[str, Any]:
 
 def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
     """The part of the data that the first question needs."""
-    group, _, cost = FIRST
-    key, columns = question_key(*FIRST), ("at", group, cost)
+    columns = ("at", FIRST.group, FIRST.cost)
+    key = f"{FIRST.group}|{FIRST.cost}"
     return {
         **data,
         "runs_of": [
@@ -96,8 +99,8 @@ def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
             ]
             for own in data["runs_of"]
         ],
-        "answers": {k: answer for k, answer in data["answers"].items() if k == key},
-        "profiles": {k: p for k, p in data["profiles"].items() if k == f"{group}|{cost}"},
+        "answers": {k: answer for k, answer in data["answers"].items() if k == FIRST.key},
+        "profiles": {k: p for k, p in data["profiles"].items() if k == key},
     }
 
 
@@ -130,22 +133,6 @@ def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, 
     }
 
 
-def scene_filters(
-    series: Mapping[str, Sequence[Series]], scenes: Mapping[str, SceneRecord]
-) -> dict[str, list[int]]:
-    """Places of the scenes that a reader may choose: all, and those of each tag.
-
-    A tag that all scenes have, or only one, chooses nothing.
-    """
-    names, tags = list(series), {}
-    for place, name in enumerate(names):
-        for tag in scenes[name].tags if name in scenes else ():
-            tags.setdefault(tag, []).append(place)
-    common = sorted(tags.items(), key=lambda item: -len(item[1]))
-    chosen = {tag: places for tag, places in common if 1 < len(places) < len(names)}
-    return {"all": list(range(len(names)))} | chosen
-
-
 def _groups(series: Sequence[Series]) -> list[str]:
     return groups_of(r for s in series for r in s.ok)
 
@@ -155,8 +142,8 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
     floors = {g: trusted_error(ok, g, NORM) for g in groups}
     return {
         "id": name,
-        "name": name.replace("_", " "),
-        "about": " · ".join(scene.tags[:3]) if scene else "",
+        "name": scene_name(name),
+        "about": " · ".join(tag_name(tag) for tag in scene.tags[:3]) if scene else "",
         "page": scene_page(name),
         "groups": groups,
         "picture": little_picture(scene) if scene else [],

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 from bench.results.records import SceneRecord
 
 #: Words of the contract that have a symbol; a dot or an arrow above is an accent.
-_SYMBOLS = {"Phi": "Φ", "lam": "λ", "gamma": "γ", "omega": "ω"}  # noqa: RUF001
+_SYMBOLS = {"Phi": "Φ", "lam": "λ", "gamma": "γ", "omega": "ω"}
 _TOKEN = re.compile(r"[A-Za-z]+|\d+(?:\.\d+)?|\S")
 _NAMES = {
     "nq": ("coordinates", "q"),

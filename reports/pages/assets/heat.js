@@ -5,12 +5,12 @@
   const table = document.getElementById("heat");
   if (!table) return;
   const STATES = {
-    r: ["reached", "", "the accuracy is reached"],
-    u: ["unknown", "?", "the accuracy is reached at a cost that was not measured"],
-    f: ["far", "–", "runs reached the end, none reached the accuracy"],
-    x: ["failed", "✕", "no run reached the end"],
-    n: ["untried", "", "not tried"],
-    j: ["unjudged", "·", "this accuracy cannot be judged on this scene"],
+    reached: ["", "the accuracy is reached"],
+    unknown: ["?", "the accuracy is reached at a cost that was not measured"],
+    far: ["–", "runs reached the end, none reached the accuracy"],
+    failed: ["✕", "no run reached the end"],
+    untried: ["", "not tried"],
+    unjudged: ["·", "this accuracy cannot be judged on this scene"],
   };
   // The darkest cell is the cheapest; from this multiple on it is the lightest.
   const MOST = 100;
@@ -33,11 +33,12 @@
   const cell = (method, index, answer) => {
     const scene = data.scenes[index], own = answer?.scenes[index];
     const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
-    const [letter, ratio, k] = own?.states[data.methods.indexOf(method)] || [tried ? "j" : "n"];
-    const [state, sign, meaning] = STATES[letter];
-    const text = letter === "r" ? stepbench.times(ratio) : sign;
-    const lines = [`${method.short} on ${scene.name}`, letter === "r" ? `${stepbench.times(ratio)} times the cheapest` : meaning];
-    if (letter === "r") {
+    const known = own?.states[data.methods.indexOf(method)] ?? (tried ? "unjudged" : "untried");
+    const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
+    const [sign, meaning] = STATES[state];
+    const text = reached ? stepbench.times(ratio) : sign;
+    const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.times(ratio)} times the cheapest` : meaning];
+    if (reached) {
       const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
       const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k], at = stepbench.columnOf(runs, "at")[k];
       if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${runs.controls}=${Number(at.toPrecision(4))}`);
@@ -51,7 +52,7 @@
     for (const [event, what] of [["pointerenter", show], ["focus", show], ["pointerleave", stepbench.tip.hide], ["blur", stepbench.tip.hide]])
       link.addEventListener(event, what);
     const node = html("td", { class: state }, link);
-    if (letter === "r") {
+    if (reached) {
       const near = 1 - Math.min(Math.log(ratio) / Math.log(MOST), 1);
       node.style.setProperty("--near", `${Math.round(8 + 92 * near)}%`);
       node.classList.toggle("deep", near > .45);
@@ -88,10 +89,10 @@
   });
 
   const legend = document.getElementById("heat-legend");
-  legend.append(...["r", "f", "x", "u", "n"].map((letter) => {
-    const [state, sign, meaning] = STATES[letter];
-    const sample = html("i", { class: state, "aria-hidden": "true" }, letter === "r" ? "1.0" : sign);
+  legend.append(...["reached", "far", "failed", "unknown", "untried"].map((state) => {
+    const [sign, meaning] = STATES[state], reached = state === "reached";
+    const sample = html("i", { class: state, "aria-hidden": "true" }, reached ? "1.0" : sign);
     sample.style.setProperty("--near", "100%");
-    return html("span", {}, sample, letter === "r" ? "multiple of the cheapest: the darker, the cheaper" : meaning);
+    return html("span", {}, sample, reached ? "multiple of the cheapest: the darker, the cheaper" : meaning);
   }));
 })();

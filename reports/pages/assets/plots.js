@@ -152,7 +152,7 @@
   // What a chart says, from its data.
   const words = (scene, curves, question, answer) => {
     const failed = curves.reduce((n, c) => n + c.points.filter((p) => p.failed).length, 0);
-    const reach = answer ? Object.values(answer.states).filter(([state]) => "ru".includes(state)).length : 0;
+    const reach = answer ? Object.values(answer.states).filter((state) => Array.isArray(state) || state === "unknown").length : 0;
     const first = answer?.first.map((m) => data.methods[m].short) || [];
     return `${scene.name}: error in ${data.group_names[question.group]} (${data.norm}) against ${stepbench.costName(question)}, ` +
       `${curves.length} methods, ${curves.reduce((n, c) => n + c.points.length, 0)} runs, ${failed} of them failed. ` +
@@ -241,7 +241,7 @@
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
-      const [state, , k] = answer?.states[item.index] || [], run = state === "r" ? item.points[k] : null;
+      const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
       if (run?.shown) {
         const ring = svg("circle", { class: "winner", cx: run.x, cy: run.y, r: fits.mark + 4 });
         ring.style.stroke = stepbench.colour(item.method);
