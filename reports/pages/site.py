@@ -23,7 +23,7 @@ from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
 #: Scripts of a page with a question, in the order in which they are needed.
-QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js")
+QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",

@@ -61,6 +61,12 @@ TERMS = (
         ("drift",),
     ),
     Term(
+        "Error",
+        "The distance from the reference, divided by the component's largest absolute value there; "
+        "of a group the worst component counts.",
+        ("relative error", "Relative error"),
+    ),
+    Term(
         "Floor",
         "A hundred times the reference's own error: below it an error says nothing.",
         ("floor",),
@@ -132,12 +138,6 @@ TERMS = (
         "The solution with which runs are compared: a closed form, or a computation that is far "
         "more accurate than the runs and knows its own error.",
         ("reference",),
-    ),
-    Term(
-        "Relative error",
-        "The distance from the reference, divided by the component's largest absolute value there; "
-        "of a group the worst component counts.",
-        ("relative error",),
     ),
     Term(
         "Residual evaluation",
