@@ -54,7 +54,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         write_pages(report, folder, data)
         (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
         data = for_front(data)
-        rest = f"stepbench.more({chart_json(data)});\n"
+        rest = f"stepbench.more({chart_json(data, separators=(',', ':'))});\n"
         (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
     text = html(
         "page_of_report.html.j2",

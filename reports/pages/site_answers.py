@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -67,7 +68,7 @@ def answers_of(
             found[question.key]["filters"][chosen.key] = {
                 "sentences": [[part(p) for p in said] for said in sentences(part_of, words)],
                 "standings": [
-                    [place[s.label], s.alone, s.tied, s.reached, s.tried]
+                    [place[s.label], s.alone, s.tied, int(s.reached), s.tried]
                     for s in standings(part_of)
                 ],
             }
@@ -101,7 +102,7 @@ def _of_scene(
 
 
 def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any]:
-    """Per method and family the part of the pairs (scene, target) within each of `MULTIPLES`."""
+    """Thousandths of the pairs (scene, target) within each of `MULTIPLES`, by method and family."""
     pairs = [scene.entries.values() for answer in found for scene in answer.scenes.values()]
     methods: dict[int, list[float]] = {}
     families: dict[str, list[float]] = {}
@@ -116,8 +117,9 @@ def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any
         for family, ratio in best.items():
             families[family].append(ratio)
 
-    def parts(ratios: Sequence[float]) -> list[float]:
-        return [round(sum(r <= m for r in ratios) / len(pairs), 4) for m in MULTIPLES]
+    def parts(ratios: list[float]) -> list[int]:
+        ratios.sort()
+        return [round(1000 * bisect_right(ratios, m) / len(pairs)) for m in MULTIPLES]
 
     return {
         "multiples": MULTIPLES,

@@ -13,7 +13,7 @@ from reports.names import scene_name, short_names
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.pages.site_answers import answers_of
-from reports.questions.question import FIRST, TARGETS, Question, filters, tag_name
+from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
 from reports.questions.sentences import Words
 from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
@@ -54,6 +54,11 @@ def site_data(report: Report) -> dict[str, Any]:
     groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
     chosen = filters(tags)
     answers, profiles = answers_of(report, chosen, Words(names, tags))
+    columns, resolutions = [*groups, *RANKED_COSTS], {}
+    runs_of = [
+        [_runs(s, labels.index(s.label), columns, resolutions) for s in series]
+        for series in report.series.values()
+    ]
     return {
         "title": report.title,
         "runs": len(report.run_ids),
@@ -77,10 +82,9 @@ def site_data(report: Report) -> dict[str, Any]:
             _scene(name, series, report.scene_records.get(name))
             for name, series in report.series.items()
         ],
-        "runs_of": [
-            [_runs(s, labels.index(s.label), (*groups, *RANKED_COSTS)) for s in series]
-            for series in report.series.values()
-        ],
+        "columns": columns,
+        "resolutions": list(resolutions),
+        "runs_of": runs_of,
         "answers": answers,
         "profiles": profiles,
     }
@@ -88,19 +92,17 @@ def site_data(report: Report) -> dict[str, Any]:
 
 def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
     """The part of the data that the first question needs."""
-    columns = ("at", FIRST.group, FIRST.cost)
-    key = f"{FIRST.group}|{FIRST.cost}"
+    kept = [k for k, name in enumerate(data["columns"]) if name in (FIRST.group, FIRST.cost)]
+    profiles = data["profiles"].get(f"{FIRST.group}|{FIRST.cost}", {})
     return {
         **data,
+        "columns": [data["columns"][k] for k in kept],
         "runs_of": [
-            [
-                runs | {"columns": {c: runs["columns"][c] for c in columns if c in runs["columns"]}}
-                for runs in own
-            ]
+            [runs | {"columns": [runs["columns"][k] for k in kept]} for runs in own]
             for own in data["runs_of"]
         ],
         "answers": {k: answer for k, answer in data["answers"].items() if k == FIRST.key},
-        "profiles": {k: p for k, p in data["profiles"].items() if k == key},
+        "profiles": {f"{FIRST.group}|{FIRST.cost}": {ALL: profiles[ALL]}} if profiles else {},
     }
 
 
@@ -185,22 +187,25 @@ def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
     ]
 
 
-def _runs(series: Series, place: int, columns: Sequence[str]) -> dict[str, Any]:
-    """The runs of one method on one scene: numbers by column, endings as places in a list."""
-    endings = list(dict.fromkeys(r.status for r in series.records))
-    return {
+def _runs(
+    series: Series, place: int, columns: Sequence[str], resolutions: dict[str, int]
+) -> dict[str, Any]:
+    """The runs of one method on one scene, from coarse to fine: numbers by column, and endings.
+
+    Most methods have the same steps or tolerances: these are kept once, in ``resolutions``.
+    """
+    control = "h" if series.controls == "step" else "rtol"
+    at = f"{control}{column(step_or_tolerance(r) for r in series.records)}"
+    found = {
         "method": place,
-        "n": len(series.records),
-        "controls": "h" if series.controls == "step" else "rtol",
-        "endings": endings,
-        "status": "".join(chr(65 + endings.index(r.status)) for r in series.records)
-        if len(endings) > 1
-        else "",
-        "columns": {
-            "at": column(step_or_tolerance(r) for r in series.records),
-            **{name: column(_value(r, name) for r in series.records) for name in columns},
-        },
+        "at": resolutions.setdefault(at, len(resolutions)),
+        "columns": [column(_value(r, name) for r in series.records) for name in columns],
     }
+    endings = list(dict.fromkeys(r.status for r in series.records))
+    if endings != ["ok"]:
+        found["endings"] = endings
+        found["status"] = [endings.index(r.status) for r in series.records]
+    return found
 
 
 def _value(record: Record, name: str) -> float | None:

@@ -155,7 +155,8 @@ def _environment(autoescape: bool) -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": {}}
+    compact = {"separators": (",", ":")}
+    environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": compact}
     return environment
 
 

@@ -40,8 +40,8 @@
     const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.times(ratio)} times the cheapest` : meaning];
     if (reached) {
       const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
-      const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k], at = stepbench.columnOf(runs, "at")[k];
-      if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${runs.controls}=${Number(at.toPrecision(4))}`);
+      const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k];
+      if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${stepbench.resolutionOf(runs, k)}`);
     }
     const link = html("a", { "aria-label": lines.join(": ") }, text);
     link.href = stepbench.page(scene.page);

@@ -2,7 +2,6 @@
 "use strict";
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
-  const dark = matchMedia("(prefers-color-scheme: dark)");
   const SHAPES = {
     "circle": (r) => `m${-r} 0a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`,
     "square": (r) => `m${-.9 * r} ${-.9 * r}h${1.8 * r}v${1.8 * r}h${-1.8 * r}z`,
@@ -53,6 +52,11 @@
   const errorText = (value) => value < 1e-35 ? "0" : value.toExponential(1).replace("e+", "e");
   const times = (value) => value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
 
+  // Names in a margin: cut if they are long, and the room that they take.
+  const LONGEST = 30;
+  const cut = (name) => name.length > LONGEST ? `${name.slice(0, LONGEST - 1)}…` : name;
+  const room = (names) => Math.ceil(7.6 * Math.max(6, ...names.map((name) => cut(name).length)));
+
   // One note for the whole page; screen readers hear it when it comes by keyboard.
   const note = html("div", { class: "tip", role: "status", hidden: "" });
   document.body.append(note);
@@ -73,5 +77,5 @@
   };
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
 
-  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, dark });
+  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, cut, room });
 })();

@@ -3,18 +3,18 @@
 (() => {
   const { svg, html, data } = stepbench;
   const SMALL = { high: 236, left: 46, right: 14, top: 12, bottom: 34, mark: 2.6, ticks: 5 };
-  const LARGE = { high: 480, left: 64, right: 150, top: 16, bottom: 48, mark: 4.2, ticks: 10 };
+  const LARGE = { high: 480, left: 64, right: 0, top: 16, bottom: 48, mark: 4.2, ticks: 10 };
   // Errors above this are drawn at the upper edge, so that a wild run does not press the others flat.
   const MOST = 100;
 
   // All runs of a scene as points; failed runs keep their cost only.
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
-    const at = stepbench.columnOf(runs, "at"), points = [];
-    for (let k = 0; k < runs.n; k++) {
+    const points = [];
+    for (let k = 0; k < runs.columns[0].length / 4; k++) {
       const ending = stepbench.endingOf(runs, k);
       points.push({
-        k, ending, failed: ending !== "ok", resolution: `${runs.controls}=${Number(at[k].toPrecision(4))}`,
+        k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),
         error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN,
       });
     }
@@ -84,13 +84,13 @@
     return [lines, texts];
   };
 
-  const curve = ({ method, points }, size, kind) => {
+  const curve = ({ method, points, kind }, size) => {
     const ok = points.filter((p) => p.shown && !p.failed), failed = points.filter((p) => p.shown && p.failed);
     const mark = size.mark * (kind === "first" ? 1.35 : 1);
     const group = svg("g", { class: `curve ${kind}` });
     group.style.setProperty("--own", stepbench.colour(method));
     const line = svg("path", { class: "line", d: ok.map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join("") });
-    if (kind !== "first" && method.dash.some(Boolean) && size === LARGE && method.dash[1] > 0) line.setAttribute("stroke-dasharray", method.dash.join(" "));
+    if (method.dash[1] > 0) line.setAttribute("stroke-dasharray", method.dash.join(" "));
     const marks = (own) => own.map((p) => `M${p.x.toFixed(1)} ${p.y.toFixed(1)}${stepbench.shape(method, mark)}`).join("");
     group.append(line, svg("path", { class: "marks", d: marks(ok) }));
     if (failed.length) group.append(svg("path", { class: "marks open", d: marks(failed) }));
@@ -135,7 +135,7 @@
       const node = svg("g", { class: "entry", tabindex: 0, role: "button", "aria-label": `show ${item.method.short} alone` });
       node.append(
         svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }),
-        label(item.method, item.method.short, x, item.at + 4),
+        label(item.method, stepbench.cut(item.method.short), x, item.at + 4),
         svg("title", {}, item.method.label));
       const light = (on) => {
         group.parentNode.classList.toggle("one", on);
@@ -217,12 +217,13 @@
   stepbench.draw = (place, index, { large = false, wide: known = 0 } = {}) => {
     const size = large ? LARGE : SMALL, scene = data.scenes[index], { question } = stepbench;
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
-    const fits = large && wide < 560 ? { ...size, right: 14, left: 50, high: 380 } : size;
-    const answer = stepbench.answer()?.scenes[index];
-    const curves = pointsOf(index, question), floor = scene.floor[question.group];
+    const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
+    const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
+      : names ? { ...size, right: 26 + stepbench.room(curves.map((c) => c.method.short)) } : size;
+    const answer = stepbench.answer()?.scenes[index], floor = scene.floor[question.group];
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
-      class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 12 ? " many" : ""}`,
+      class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,
       viewBox: `0 0 ${wide} ${fits.high}`, width: wide, height: fits.high,
       role: "img", tabindex: 0, "aria-label": words(scene, curves, question, answer),
     });
@@ -237,7 +238,7 @@
     const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
-    for (const item of drawn) chart.append(item.node = curve(item, fits, item.kind));
+    for (const item of drawn) chart.append(item.node = curve(item, fits));
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
@@ -248,11 +249,11 @@
         chart.append(ring);
       }
       const p = run?.shown ? run : item.points.filter((o) => o.shown).at(-1);
-      if (!p || (large && fits === LARGE && !run)) continue;
+      if (!p || (names && !run)) continue;
       const spot = placed(item.method.short, p, at, all, taken);
       if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
-    if (large && fits === LARGE) chart.append(legend(drawn, at, wide));
+    if (names) chart.append(legend(drawn, at, wide));
     if (!all.length) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
       curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));

@@ -25,15 +25,21 @@
     return found;
   };
 
-  // The runs of one method on one scene: a function that gives a column's numbers.
-  const columnOf = (runs, name) => {
-    const text = runs.columns[name];
-    if (text === undefined) return null;
+  const decode = (text) => {
     if (!decoded.has(text)) decoded.set(text, numbers(text));
     return decoded.get(text);
   };
-
-  const endingOf = (runs, k) => runs.endings[runs.status ? runs.status.charCodeAt(k) - 65 : 0];
+  // The numbers of a column for the runs of one method on one scene, if the page has them.
+  const columnOf = (runs, name) => {
+    const k = data.columns.indexOf(name);
+    return k < 0 ? null : decode(runs.columns[k]);
+  };
+  const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
+  // The step or tolerance of a run in words.
+  const resolutionOf = (runs, k) => {
+    const [, control, text] = data.resolutions[runs.at].match(/^(h|rtol)(.*)$/);
+    return `${control}=${Number(decode(text)[k].toPrecision(4))}`;
+  };
 
   const choices = () => ({
     group: Object.keys(data.group_names),
@@ -60,7 +66,7 @@
     "#" + new URLSearchParams(NAMES.filter((name) => question[name]).map((name) => [name, question[name]]));
 
   const stepbench = {
-    data, columnOf, endingOf, address,
+    data, columnOf, endingOf, resolutionOf, address,
     question: asked(),
     // Call a function with the question, now and whenever it or the data change.
     onChange(follower) {
@@ -69,13 +75,8 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      const runs = data.runs_of;
-      rest.runs_of.forEach((own, scene) => own.forEach((of, k) => {
-        Object.assign(runs[scene][k].columns, of.columns);
-      }));
-      for (const name of ["answers", "profiles"]) Object.assign(data[name], rest[name]);
+      for (const name of ["columns", "resolutions", "runs_of", "answers", "profiles"]) data[name] = rest[name];
       data.complete = true;
-      if (!complete(asked())) return;
       follow();
     },
     ask(change) {
@@ -89,10 +90,6 @@
     costName: (question = stepbench.question) => data.cost_names[question.cost],
   };
   window.stepbench = stepbench;
-
-  // Whether the data that a question needs have come.
-  const complete = (question) => data.complete || data.runs_of.every((own) => own.every(
-    (runs) => question.cost in runs.columns));
 
   const follow = () => {
     stepbench.question = asked();

@@ -59,7 +59,7 @@
 
   stepbench.onChange((question) => {
     const own = stepbench.answer()?.filters[question.scenes];
-    const title = `Which integrator, for an error in ${data.group_names[question.group]} of at most ${question.target}?`;
+    const title = `Which integrator, for an error in ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     document.querySelector("main h1").textContent = title;
     card.replaceChildren(...(own ? own.sentences.map((parts) => html("p", {}, ...parts.map(part)))
       : [html("p", {}, data.complete
