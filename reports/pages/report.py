@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
-from bench.results.records import Environment, Plan, Record, SceneRecord
+from bench.results.records import Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
@@ -18,7 +18,12 @@ from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
+from reports.questions.answers import answer
+from reports.questions.phrases import plain
+from reports.questions.question import FIRST
+from reports.questions.sentences import sentences, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
+from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
 from reports.text.lost_orders import lost_orders_table
@@ -31,7 +36,7 @@ from reports.text.measurement import (
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table
 from reports.text.table import Table
-from reports.text.winners import overall, verdicts
+from reports.text.winners import verdicts
 
 
 @dataclass
@@ -76,8 +81,8 @@ def read_report(folder: Path, interactive: bool) -> Report:
         plan, scenes, records = store.plan(), store.scenes(), store.records()
         runs = list(records.values())
         styles = line_styles(map(label_of, runs))
-        keys = _scene_keys(plan, scenes, runs)
-        names = _names(keys)
+        keys = scene_keys(plan, scenes, runs)
+        names = scene_titles(keys)
         ids = {key: f"run-{i}" for i, key in enumerate(records, 1)}
         chapters, series = [], {}
         for i, key in enumerate(keys, 1):
@@ -101,6 +106,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
+    tags = {names[key]: scene.tags for key, scene in scenes.items() if key in names}
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
@@ -109,7 +115,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *missing_data(plan, scenes, records, keys, environments),
         ],
         winners=winners_table(verdicts(ranking), ids),
-        overall=overall(ranking),
+        overall=[plain(s) for s in sentences(answer(series, FIRST), words_of(series, tags))],
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
@@ -183,25 +189,6 @@ def _cost_by_size(
         )
         for kind, chart in size_charts(records, scenes, styles).items()
     ]
-
-
-def _scene_keys(
-    plan: Plan | None, scenes: Iterable[tuple[str, float]], records: Iterable[Record]
-) -> list[tuple[str, float]]:
-    keys = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
-    keys += [(r.problem, r.t_end) for r in records]
-    return list(dict.fromkeys([*keys, *scenes]))
-
-
-def _names(keys: Sequence[tuple[str, float]]) -> dict[tuple[str, float], str]:
-    """A scene's name, with its interval where it has several."""
-    problems = [problem for problem, _ in keys]
-    return {
-        (problem, t_end): problem
-        if problems.count(problem) == 1
-        else f"{problem}, t_end={t_end:g} s"
-        for problem, t_end in keys
-    }
 
 
 def _same(one: SceneRecord | None, other: SceneRecord | None) -> bool:
