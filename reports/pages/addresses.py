@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from reports.formatting import file_name
+from reports.names import scene_name
 from reports.pages.report import Report
 
 #: The front page, and the folder of all others.
@@ -78,7 +79,7 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
         Link("Methods", page("methods.html"), len(report.methods)),
         Link("Failures", page("failures.html"), report.failed),
     ]
-    scenes = [Link(s.name.replace("_", " "), page(scene_page(s.name))) for s in report.scenes]
+    scenes = [Link(scene_name(s.name), page(scene_page(s.name))) for s in report.scenes]
     why = [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
     why += [
         Link("How it was measured", page("measured.html")),

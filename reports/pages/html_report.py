@@ -59,6 +59,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     text = html(
         "page_of_report.html.j2",
         address=partial(site.address, here=FILE),
+        names=report.names,
         linked=not single_file,
         report=report,
         site=site,

@@ -8,7 +8,7 @@ from typing import Any
 
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
-from reports.questions.answers import Answer, SceneAnswer, answers, standings
+from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.phrases import Part
 from reports.questions.question import Filter
 from reports.questions.sentences import Words, scene_sentence, sentences
@@ -25,8 +25,8 @@ def answers_of(
 
     An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
     its multiple) and ``states`` of the methods that were tried: the multiple and the place of the
-    run, or one of `reports.ranking.STATES`; per scene its verdict, a sentence; per filter ``sentences`` and ``standings`` (method,
-    alone, tied, reached, tried).
+    run, or one of `reports.ranking.STATES`. There are ``verdicts``, a sentence per
+    scene, and per filter ``sentences`` and ``standings`` (method, alone, tied, reached, tried).
     """
     scenes = report.series
     labels = dict.fromkeys(s.label for series in scenes.values() for s in series)
@@ -69,7 +69,7 @@ def answers_of(
                 "sentences": [[part(p) for p in said] for said in sentences(part_of, words)],
                 "standings": [
                     [place[s.label], s.alone, s.tied, int(s.reached), s.tried]
-                    for s in standings(part_of)
+                    for s in part_of.standings
                 ],
             }
     profiles = {
