@@ -143,7 +143,7 @@ def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
     page: Document,
 ) -> None:
     assert (
-        "good[rho_inf=0.8], good[rho_inf=0.5]: in the last quarter, second order in "
+        "good 0.8, good 0.5: in the last quarter, second order in "
         "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over time of the error in "
         "lam is only first order (1.00): the start transient." in page.words
     )
@@ -151,7 +151,7 @@ def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
 
 def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: str) -> None:
     text = "does not converge in lam (error 0.3 at the coarsest step, 0.3 at the finest)"
-    assert f"ringing[rho_inf=1]: in the last quarter, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
+    assert f"ringing 1: in the last quarter, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
     assert text in paper
 
 
@@ -179,7 +179,9 @@ def test_a_step_pattern_is_a_line_of_its_own() -> None:
     assert "first order" in text[("m x 0.3/0.7",)]
 
 
-def test_failures_are_listed_with_their_reason_and_do_no_harm(page: Document, paper: str) -> None:
+def test_failures_are_listed_with_their_reason_and_do_no_harm(
+    folder: Path, page: Document, paper: str
+) -> None:
     rows = page.rows("Runs that did not reach the end")
     assert [row["message"] for row in rows] == [ATTACK, ATTACK]
     assert [row["resolution"] for row in rows] == ["h=0.1", "h=0.05"]
@@ -187,7 +189,11 @@ def test_failures_are_listed_with_their_reason_and_do_no_harm(page: Document, pa
     assert "fragile: 2 of 2 runs did not reach the end: 2 newton_failed (h=0.1; h=0.05)." in page.words  # fmt: skip  # noqa: E501
     # Linked scripts of the report and data: no script of the store.
     own = {file.name for file in (resources.files("reports.pages") / "assets").iterdir()}
-    programs = {name.removeprefix("report/") for name in page.scripts} - {"application/json"}
+    programs = {name.removeprefix("report/") for name in page.scripts}
+    programs -= {"application/json", "inline"}
+    texts = re.findall(r"<script>(.*?)</script>", whole_report(folder), flags=re.S)
+    assert len(texts) == page.scripts.count("inline")
+    assert all(text.startswith("// ") and '"use strict"' in text for text in texts)
     assert "tabs.js" in programs
     assert programs <= {*own, "vega.js"}
     assert page.scripts.count("application/json") >= len(page.charts)
