@@ -20,8 +20,8 @@ from bench.results.store import Store
 from reports.formatting import milliseconds, number
 from reports.pages import html_report
 from reports.pages.html_report import FRONT_SCRIPTS, write_html_report
-from reports.pages.site import QUESTION_SCRIPTS
 from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.site import QUESTION_SCRIPTS
 from reports.series import series_of
 from reports.text.observations import observations
 from reports.text.ranking_tables import targets_table
