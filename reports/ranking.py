@@ -173,11 +173,16 @@ def rank(
         series = [s for s in all_series if any(r.status != UNSUPPORTED for r in s.records)]
         runs, firsts = ok_runs(series), contestants(series)
         present = groups_of(runs)
+        costs = {
+            s.label: [(r, {cost: cost_of(r, cost) for cost in RANKED_COSTS}) for r in s.ok]
+            for s in series
+            if s.label == firsts[s.label]
+        }
         for group in groups:
             if group not in present:
                 continue
             trusted = trusted_error(runs, group, NORM)
-            ladders = {s.label: _Ladder(s, group) for s in series if s.label in firsts.values()}
+            ladders = {label: _Ladder(own, group) for label, own in costs.items()}
             for target in targets:
                 if trusted > target:
                     continue
@@ -189,18 +194,17 @@ def rank(
 class _Ladder:
     """The runs of an integrator from accurate to coarse, and the cheapest up to each of them."""
 
-    def __init__(self, series: Series, group: str) -> None:
-        judged = [(e, r) for r in series.ok if (e := error_of(r, group, NORM)) is not None]
+    def __init__(self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str):
+        judged = [(e, r, costs) for r, costs in runs if (e := error_of(r, group, NORM)) is not None]
         judged.sort(key=itemgetter(0))
-        self.errors = [error for error, _ in judged]
+        self.errors = [error for error, *_ in judged]
         self.cheapest: dict[str, list[tuple[float, Record] | None]] = {}
         for cost in RANKED_COSTS:
             best: tuple[float, Record] | None = None
             steps = self.cheapest[cost] = []
-            for _, r in judged:
-                value = cost_of(r, cost)
+            for _, r, costs in judged:
                 # Of two runs at the same cost the coarser one counts.
-                if value and (best is None or value <= best[0]):
+                if (value := costs[cost]) and (best is None or value <= best[0]):
                     best = value, r
                 steps.append(best)
 

@@ -192,7 +192,10 @@ def whole_report(folder: Path) -> str:
 
 
 class Document(HTMLParser):
-    """Tables by caption, attributes that name a place, scripts, and the visible text."""
+    """Tables by caption, attributes that name a place, scripts, and the visible text.
+
+    Of an integrator a cell has the full name, which is a hint on the page.
+    """
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -202,12 +205,14 @@ class Document(HTMLParser):
         self.words = ""
         self.scripts: list[str] = []
         self._caption = self._cell = self._chart = None
-        self._hidden = False
+        self._hidden = self._named = False
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = dict(attrs)
         self.places += [(tag, v or "") for k, v in attrs if k in ("src", "href", "action", "data")]
+        if known.get("class") == "method" and self._cell is not None:
+            self._cell, self._named = known["title"], True
         if tag == "table":
             self.tables.append(("", []))
         elif tag == "tr":
@@ -223,6 +228,8 @@ class Document(HTMLParser):
             self._chart = known.get("data-chart")
 
     def handle_endtag(self, tag: str) -> None:
+        if tag == "a":
+            self._named = False
         if tag in ("td", "th"):
             self.tables[-1][1][-1].append(self._cell)
             self._cell = None
@@ -237,7 +244,7 @@ class Document(HTMLParser):
             self.charts[self._chart] = json.loads(data)
         elif not self._hidden:
             self.words += data
-        if self._cell is not None:
+        if self._cell is not None and not self._named:
             self._cell += data
         if self._caption is not None:
             self._caption += data

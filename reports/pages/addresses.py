@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from reports.formatting import file_name
+from reports.names import scene_name
 from reports.pages.report import Report
 
 #: The front page, and the folder of all others.
@@ -47,7 +48,9 @@ class Site:
         """The address of an anchor for a page: the anchor alone if it is on the same page."""
         place = self.places.get(anchor, "")
         file, _, _ = place.partition("#")
-        return root(here) + place if file and file != here else f"#{anchor}"
+        if not file or file == here:
+            return f"#{anchor}"
+        return place.removeprefix(FOLDER) if here.startswith(FOLDER) else place
 
 
 def root(here: str) -> str:
@@ -76,7 +79,7 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
         Link("Methods", page("methods.html"), len(report.methods)),
         Link("Failures", page("failures.html"), report.failed),
     ]
-    scenes = [Link(s.name.replace("_", " "), page(scene_page(s.name))) for s in report.scenes]
+    scenes = [Link(scene_name(s.name), page(scene_page(s.name))) for s in report.scenes]
     why = [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
     why += [
         Link("How it was measured", page("measured.html")),

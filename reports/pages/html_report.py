@@ -16,14 +16,14 @@ from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.report import read_report
 from reports.pages.site import QUESTION_SCRIPTS, Page, report_site, write_pages
-from reports.pages.site_data import for_first_question, site_data
+from reports.pages.site_data import for_first_question, for_front, site_data
 from reports.pages.templating import html
 
 FILE = FRONT
 LIBRARY = "vega.js"
 #: Answers to all questions but the first, which report.html holds.
 DATA = "data.js"
-FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "words.js", "heat.js", "profile.js")
+FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -53,11 +53,13 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     if not single_file:
         write_pages(report, folder, data)
         (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
+        data = for_front(data)
         rest = f"stepbench.more({chart_json(data, separators=(',', ':'))});\n"
         (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
     text = html(
         "page_of_report.html.j2",
         address=partial(site.address, here=FILE),
+        names=report.names,
         linked=not single_file,
         report=report,
         site=site,

@@ -9,6 +9,10 @@ from dataclasses import dataclass, replace
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import Damping, IntegratorFacts, SceneRecord
 from reports.formatting import NO_VALUE, number, order_text
+from reports.questions.answers import Answer
+from reports.questions.method_card import card
+from reports.questions.phrases import Sentence
+from reports.questions.sentences import Words
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
@@ -23,6 +27,7 @@ class MethodChapter:
     label: str
     family: str
     title: str
+    card: list[Sentence]
     facts: list[tuple[str, str]]
     scenes: Table
     orders: Table | None
@@ -37,6 +42,8 @@ def method_chapters(
     known: Mapping[str, IntegratorFacts],
     damping: Mapping[str, Damping],
     records: Mapping[str, SceneRecord],
+    answer: Answer,
+    words: Words,
 ) -> list[MethodChapter]:
     """The chapters of all integrators.
 
@@ -50,6 +57,8 @@ def method_chapters(
         Statements and damping of integrators, by printed name.
     records
         Records of the scenes.
+    answer, words
+        The answer to the first question, and the names that its sentences use.
     """
     asked = {
         (e.scene, e.label): e
@@ -71,6 +80,7 @@ def method_chapters(
                 label=label,
                 family=first.family,
                 title=facts.title.rstrip(".") if facts else "",
+                card=card(label, answer, scenes, words),
                 facts=_facts(name, first, facts),
                 scenes=_scenes_table(label, by_scene, asked),
                 orders=_orders_table(by_scene, facts.orders if facts else {}),

@@ -41,4 +41,4 @@ def motion(drawings: Sequence[Mapping[str, Any]]) -> Motion | None:
 
 def _points(line: Sequence[Sequence[float | None]]) -> list[list[float]]:
     known = ((short(x), short(y)) for x, y in line)
-    return [[x, -y] for x, y in known if x is not None and y is not None]
+    return [[x, 0.0 - y] for x, y in known if x is not None and y is not None]

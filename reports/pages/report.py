@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
-from bench.results.records import Environment, Plan, Record, SceneRecord
+from bench.results.records import Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
-from reports.names import short_names
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.method_chapter import MethodChapter, method_chapters
@@ -23,8 +22,9 @@ from reports.pages.study_section import StudySections
 from reports.questions.answers import answer
 from reports.questions.phrases import plain
 from reports.questions.question import FIRST
-from reports.questions.sentences import Words, sentences
+from reports.questions.sentences import sentences, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
+from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
 from reports.text.lost_orders import lost_orders_table
@@ -45,7 +45,7 @@ class Report:
     """The content of a report, the same for HTML and Markdown.
 
     ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
-    labels; ``run_ids`` are the anchors of records by key.
+    labels; ``run_ids`` are the anchors of records by key, ``names`` short names by label.
     """
 
     title: str
@@ -71,6 +71,7 @@ class Report:
     scene_records: dict[str, SceneRecord]
     styles: dict[str, LineStyle]
     run_ids: dict[str, str]
+    names: dict[str, str]
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
@@ -92,8 +93,8 @@ def read_report(folder: Path, interactive: bool) -> Report:
         plan, scenes, records = store.plan(), store.scenes(), store.records()
         runs = list(records.values())
         styles = line_styles(map(label_of, runs))
-        keys = _scene_keys(plan, scenes, runs)
-        names = _names(keys)
+        keys = scene_keys(plan, scenes, runs)
+        names = scene_titles(keys)
         ids = {key: f"run-{i}" for i, key in enumerate(records, 1)}
         chapters, series = [], {}
         for i, key in enumerate(keys, 1):
@@ -116,10 +117,10 @@ def read_report(folder: Path, interactive: bool) -> Report:
             )
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
-    tags = {names[k]: scenes[k].tags for k in keys if k in scenes}
-    words = Words(short_names(s.label for own in series.values() for s in own), tags)
     ranking, facts = rank(series), plan.integrators if plan else {}
     described = {names[k]: scenes[k] for k in keys if k in scenes}
+    words = words_of(series, {name: scene.tags for name, scene in described.items()})
+    first = answer(series, FIRST)
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
@@ -128,7 +129,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *missing_data(plan, scenes, records, keys, environments),
         ],
         winners=winners_table(verdicts(ranking), ids),
-        overall=[plain(said) for said in sentences(answer(series, FIRST), words)],
+        overall=[plain(said) for said in sentences(first, words)],
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
@@ -147,7 +148,8 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
-        methods=method_chapters(series, ranking, facts, known, described),
+        methods=method_chapters(series, ranking, facts, known, described, first, words),
+        names=dict(words.names),
         failed=sum(r.status != "ok" for r in runs),
         series=series,
         scene_records=described,
@@ -208,25 +210,6 @@ def _cost_by_size(
         )
         for kind, chart in size_charts(records, scenes, styles).items()
     ]
-
-
-def _scene_keys(
-    plan: Plan | None, scenes: Iterable[tuple[str, float]], records: Iterable[Record]
-) -> list[tuple[str, float]]:
-    keys = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
-    keys += [(r.problem, r.t_end) for r in records]
-    return list(dict.fromkeys([*keys, *scenes]))
-
-
-def _names(keys: Sequence[tuple[str, float]]) -> dict[tuple[str, float], str]:
-    """A scene's name, with its interval where it has several."""
-    problems = [problem for problem, _ in keys]
-    return {
-        (problem, t_end): problem
-        if problems.count(problem) == 1
-        else f"{problem}, t_end={t_end:g} s"
-        for problem, t_end in keys
-    }
 
 
 def _same(one: SceneRecord | None, other: SceneRecord | None) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.results.records import Record
+from reports.names import scene_name
 from reports.pages.addresses import FOLDER, Site, method_page, root, scene_page, site_of
 from reports.pages.motion import motion
 from reports.pages.report import Report
@@ -23,7 +24,7 @@ from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
 #: Scripts of a page with a question, in the order in which they are needed.
-QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js")
+QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",
@@ -56,8 +57,8 @@ def pages(report: Report) -> Iterator[Page]:
     for i, chapter in enumerate(report.scenes):
         yield _scene(report, i, chapter)
     for m in report.methods:
-        file = method_page(m.label)
-        yield Page(file, "method.html.j2", m.label, "method", {"method": m})
+        title = report.names[m.label]
+        yield Page(method_page(m.label), "method.html.j2", title, "method", {"method": m})
     yield Page("methods.html", "methods.html.j2", "Methods", "methods")
     yield Page("failures.html", "failures.html.j2", "Failures", "failures")
     if report.atlas:
@@ -99,6 +100,7 @@ def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
             "page_of_report.html.j2",
             assets="",
             address=partial(site.address, here=here),
+            names=report.names,
             report=report,
             site=site,
             pages=[page],
@@ -135,7 +137,7 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
-    title = chapter.name.replace("_", " ")
+    title = scene_name(chapter.name)
     return Page(scene_page(chapter.name), "scene.html.j2", title, "scene", values, anchors)
 
 

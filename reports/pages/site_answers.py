@@ -8,10 +8,10 @@ from typing import Any
 
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
-from reports.questions.answers import Answer, SceneAnswer, answers, standings
+from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.phrases import Part
 from reports.questions.question import Filter
-from reports.questions.sentences import Words, sentences
+from reports.questions.sentences import Words, scene_sentence, sentences
 from reports.series import Series
 
 #: Multiples of the best cost at which a performance profile is stated.
@@ -25,8 +25,8 @@ def answers_of(
 
     An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
     its multiple) and ``states`` of the methods that were tried: the multiple and the place of the
-    run, or one of `reports.ranking.STATES`; per filter ``sentences`` and ``standings`` (method,
-    alone, tied, reached, tried).
+    run, or one of `reports.ranking.STATES`. There are ``verdicts``, a sentence per
+    scene, and per filter ``sentences`` and ``standings`` (method, alone, tied, reached, tried).
     """
     scenes = report.series
     labels = dict.fromkeys(s.label for series in scenes.values() for s in series)
@@ -42,7 +42,9 @@ def answers_of(
         if isinstance(item, str):
             return item
         pages = {"method": method_page, "scene": scene_page, "run": runs.__getitem__}
-        page = pages[item.kind](item.key) if item.kind in pages else f"glossary.html#{item.key}"
+        page = (
+            pages[item.kind](item.key) if item.kind in pages else f"glossary.html#term-{item.key}"
+        )
         return {"kind": item.kind, "key": item.key, "text": item.text, "page": page}
 
     found, by_cost = {}, {}
@@ -53,6 +55,12 @@ def answers_of(
                 _of_scene(answer.scenes[name], series, place) if name in answer.scenes else None
                 for name, series in scenes.items()
             ],
+            "verdicts": [
+                [part(p) for p in scene_sentence(question, name, answer.scenes[name], words)]
+                if name in answer.scenes
+                else None
+                for name in scenes
+            ],
             "filters": {},
         }
         for chosen in filters:
@@ -61,7 +69,7 @@ def answers_of(
                 "sentences": [[part(p) for p in said] for said in sentences(part_of, words)],
                 "standings": [
                     [place[s.label], s.alone, s.tied, int(s.reached), s.tried]
-                    for s in standings(part_of)
+                    for s in part_of.standings
                 ],
             }
     profiles = {

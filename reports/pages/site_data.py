@@ -114,11 +114,22 @@ def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
         "answers": {
             key: {
                 "scenes": [own if k == place else None for k, own in enumerate(answer["scenes"])],
+                "verdicts": [
+                    own if k == place else None for k, own in enumerate(answer["verdicts"])
+                ],
                 "filters": {},
             }
             for key, answer in data["answers"].items()
         },
         "profiles": {},
+    }
+
+
+def for_front(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of the data that the front page needs: all but the verdicts on single scenes."""
+    return {
+        **data,
+        "answers": {k: answer | {"verdicts": []} for k, answer in data["answers"].items()},
     }
 
 

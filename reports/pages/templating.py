@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
+from types import MappingProxyType
 
 import jinja2
 from markupsafe import Markup, escape
@@ -28,6 +29,7 @@ def html(
     name: str,
     assets: str | None = None,
     address: Callable[[str], str] | None = None,
+    names: Mapping[str, str] = MappingProxyType({}),
     linked: bool = False,
     **values: object,
 ) -> str:
@@ -48,6 +50,8 @@ def html(
         glossary, whose anchors are its own.
     linked
         Whether a page that holds its scripts links others of its own site, too.
+    names
+        Short names of integrators by label, which stand for them in tables and lists.
     **values
         For the template.
     """
@@ -77,6 +81,7 @@ def html(
         "program": program,
         "style": style,
         "policy": POLICY,
+        "names": names,
         "address": address or "#{}".format,
     }
     environment.filters |= {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,32 +36,15 @@ class SceneAnswer:
         """The multiple of the least cost by label, or one of `reports.ranking.STATES`."""
         return {label: entry.state for label, entry in self.entries.items()}
 
+    @property
+    def several(self) -> bool:
+        """Whether several contestants were tried."""
+        return len(self.verdict.names) > 1
+
     @cached_property
     def reached(self) -> bool:
         """Whether anybody reaches the accuracy."""
         return any(entry.reached for entry in self.entries.values())
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The answer to one question on all scenes that have the group.
-
-    ``unjudged`` are scenes with the reference's own error there: the target is below a hundred
-    times that.
-    """
-
-    question: Question
-    scenes: dict[str, SceneAnswer]
-    unjudged: dict[str, float]
-
-    def on(self, scenes: Iterable[str]) -> Answer:
-        """The answer on some of the scenes."""
-        chosen = set(scenes)
-        return Answer(
-            self.question,
-            {k: v for k, v in self.scenes.items() if k in chosen},
-            {k: v for k, v in self.unjudged.items() if k in chosen},
-        )
 
 
 @dataclass(frozen=True)
@@ -77,6 +59,42 @@ class Standing:
     tied: int
     reached: int
     tried: int
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one question on all scenes that have the group.
+
+    ``unjudged`` are scenes with the reference's own error there: the target is below a hundred
+    times that.
+    """
+
+    question: Question
+    scenes: dict[str, SceneAnswer]
+    unjudged: dict[str, float]
+
+    @cached_property
+    def standings(self) -> list[Standing]:
+        """One row per integrator, the most successful first: first places, wins, scenes reached."""
+        rows: dict[str, list[int]] = {}
+        for scene in self.scenes.values():
+            for label, entry in scene.entries.items():
+                row = rows.setdefault(label, [0, 0, 0, 0])
+                row[2] += entry.reached
+                row[3] += 1
+            for label in scene.first if scene.verdict.votes else ():
+                rows[label][len(scene.verdict.first) > 1] += 1
+        found = [Standing(label, *row) for label, row in rows.items()]
+        return sorted(found, key=lambda s: (-s.alone - s.tied, -s.alone, -s.reached, s.tried))
+
+    def on(self, scenes: Iterable[str]) -> Answer:
+        """The answer on some of the scenes."""
+        chosen = set(scenes)
+        return Answer(
+            self.question,
+            {k: v for k, v in self.scenes.items() if k in chosen},
+            {k: v for k, v in self.unjudged.items() if k in chosen},
+        )
 
 
 def answers(
@@ -112,21 +130,6 @@ def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer
     """The answer to one question; it is empty if no scene has the group."""
     found = answers(scenes, [question.group], [question.target])
     return found.get(question, Answer(question, {}, {}))
-
-
-def standings(found: Answer) -> list[Standing]:
-    """One row per integrator, the most successful first: wins, first places, scenes reached."""
-    counts: dict[str, Counter[str]] = {}
-    for scene in found.scenes.values():
-        for label, entry in scene.entries.items():
-            counts.setdefault(label, Counter()).update(tried=1, reached=entry.reached)
-        for label in scene.first if scene.verdict.votes else ():
-            counts[label]["tied" if len(scene.verdict.first) > 1 else "alone"] += 1
-    rows = [
-        Standing(label, n["alone"], n["tied"], n["reached"], n["tried"])
-        for label, n in counts.items()
-    ]
-    return sorted(rows, key=lambda s: (-s.alone - s.tied, -s.alone, -s.reached, s.tried))
 
 
 def _nearest(series: Sequence[Series], group: str) -> tuple[float, Record] | None:

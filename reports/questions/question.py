@@ -12,7 +12,7 @@ TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
 #: Name of the filter that takes all scenes.
 ALL = "all"
 #: Tags by which nobody chooses a mechanism: they tell how a scene serves the bench.
-_OF_THE_BENCH = {"conformance", "benchmark", "closed form", "scalable"}
+OF_THE_BENCH = {"conformance", "benchmark", "closed form", "scalable"}
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
 
@@ -72,7 +72,7 @@ def filters(tags: Mapping[str, Sequence[str]]) -> list[Filter]:
     having: dict[str, list[str]] = {}
     for scene, own in tags.items():
         for tag in own:
-            if tag not in _OF_THE_BENCH:
+            if tag not in OF_THE_BENCH:
                 having.setdefault(tag, []).append(scene)
     found = [Filter(ALL, "all scenes", tuple(tags))]
     seen: set[tuple[str, ...]] = {tuple(tags)}

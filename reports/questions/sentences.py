@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from bench.results.records import Record
 from reports.formatting import number, number_range
-from reports.names import scene_name, short_name
-from reports.questions.answers import Answer, SceneAnswer, standings
+from reports.names import scene_name, short_names
+from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Part, Ref, Sentence, listed
-from reports.questions.question import Question, tag_name
-from reports.series import label_of
+from reports.questions.question import OF_THE_BENCH, Question, tag_name
+from reports.series import Series, label_of
 from reports.text.winners import cost_text, times
 
 #: What the cheapest does: alone, and with others.
@@ -38,7 +38,7 @@ class Words:
 
     def method(self, label: str) -> Ref:
         """A reference to an integrator."""
-        return Ref("method", label, self.names.get(label) or short_name(label))
+        return Ref("method", label, self.names[label])
 
     def run(self, record: Record, text: str) -> Ref:
         """A reference to a run."""
@@ -47,6 +47,11 @@ class Words:
     def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
         """References to integrators as a list."""
         return listed(([self.method(label)] for label in labels), most)
+
+
+def words_of(scenes: Mapping[str, Sequence[Series]], tags: Mapping[str, Sequence[str]]) -> Words:
+    """The words of a report: short names of all its integrators, and the tags of its scenes."""
+    return Words(short_names(s.label for series in scenes.values() for s in series), tags)
 
 
 def scene_ref(scene: str) -> Ref:
@@ -99,7 +104,7 @@ def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: W
         ]
     return [
         "Nobody reaches ",
-        *_accuracy(question),
+        *accuracy(question),
         " on ",
         scene_ref(scene),
         *_near(answer, words),
@@ -107,12 +112,14 @@ def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: W
     ]
 
 
-def _accuracy(question: Question) -> Sentence:
-    return [f"{question.accuracy} in {question.quantity}"]
+def accuracy(question: Question) -> Sentence:
+    """The accuracy with its norm: '1e-4 in acceleration (largest over all steps)'."""
+    norm = Ref("term", "error", "largest over all steps")
+    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
 
 
 def _aim(question: Question) -> Sentence:
-    return ["To ", *_accuracy(question), " (", Ref("term", "error", "largest over all steps"), ")"]
+    return ["To ", *accuracy(question)]
 
 
 def _on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
@@ -198,6 +205,8 @@ def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -
         return []
     for tag in words.tags.get(own[0], ()):
         having = [k for k in voting if tag in words.tags.get(k, ())]
+        if tag in OF_THE_BENCH:
+            continue
         if set(own) <= set(having) and len(having) < len(voting):
             every = "all" if len(having) > len(own) else "the"
             return [f", {every} {tag_name(tag)} ones"]
@@ -221,7 +230,7 @@ def _families(found: Answer, voting: Mapping[str, SceneAnswer]) -> list[Sentence
 
 def _reached(found: Answer, words: Words) -> list[Sentence]:
     """Who reaches the accuracy on the most scenes; nothing for one scene."""
-    rows = standings(found)
+    rows = found.standings
     if len(found.scenes) < 2 or not (most := max(s.reached for s in rows)):
         return []
     if all(s.reached == s.tried for s in rows):
@@ -243,10 +252,10 @@ def _nobody(found: Answer, words: Words) -> list[Sentence]:
     missed = {name: s for name, s in found.scenes.items() if not s.reached}
     if not missed:
         return []
-    it = "it" if len(missed) < len(found.scenes) else "".join(map(str, _accuracy(found.question)))
+    it = ["it"] if len(missed) < len(found.scenes) else accuracy(found.question)
     where = listed([scene_ref(name), *_near(s, words)] for name, s in missed.items())
-    count = f"{len(missed)} scenes: " if len(missed) > 3 else ""
-    return [[f"Nobody reaches {it} on {count}", *where, "."]]
+    count = [f"{len(missed)} scenes: "] if len(missed) > 3 else []
+    return [["Nobody reaches ", *it, " on ", *count, *where, "."]]
 
 
 def _near(answer: SceneAnswer, words: Words) -> Sentence:

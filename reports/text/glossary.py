@@ -23,15 +23,15 @@ class Term:
 
 TERMS = (
     Term(
-        "Accuracy asked",
-        "The relative error that a run may have at most; the cheapest run below it wins.",
-        ("accuracy asked", "asked accuracy", "an accuracy"),
-    ),
-    Term(
         "Acceleration error",
         "The error of the accelerations of the equations of motion at the reported times; methods "
         "often lose an order there first.",
         ("error in a", "error in the acceleration"),
+    ),
+    Term(
+        "Accuracy asked",
+        "The relative error that a run may have at most; the cheapest run below it wins.",
+        ("accuracy asked", "asked accuracy", "an accuracy"),
     ),
     Term(
         "Constraint",
@@ -59,6 +59,12 @@ TERMS = (
         "The growth of what should stay constant: the constraint residual, or the energy of a "
         "system that conserves it.",
         ("drift",),
+    ),
+    Term(
+        "Error",
+        "The distance from the reference, divided by the component's largest absolute value there; "
+        "of a group the worst component counts.",
+        ("relative error", "Relative error"),
     ),
     Term(
         "Floor",
@@ -132,12 +138,6 @@ TERMS = (
         "The solution with which runs are compared: a closed form, or a computation that is far "
         "more accurate than the runs and knows its own error.",
         ("reference",),
-    ),
-    Term(
-        "Relative error",
-        "The distance from the reference, divided by the component's largest absolute value there; "
-        "of a group the worst component counts.",
-        ("relative error",),
     ),
     Term(
         "Residual evaluation",

@@ -50,6 +50,8 @@ def _token(word: str) -> Markup:
         return Markup('<mover accent="true">{}<mo>˙</mo></mover>').format(_token(word[:-3]))
     if word[0].isdigit():
         return Markup("<mn>{}</mn>").format(word)
+    if word == "T":  # of a transpose, upright
+        return Markup('<mi mathvariant="normal">T</mi>')
     if word[0].isalpha():
         return Markup("<mi>{}</mi>").format(_SYMBOLS.get(word, word))
     return Markup("<mo>{}</mo>").format({"-": "−", "*": "·"}.get(word, word))  # noqa: RUF001

@@ -11,6 +11,7 @@
   const data = JSON.parse(source.textContent);
   data.root = source.dataset.root || "";
   data.complete = !source.dataset.more;
+  const single = source.dataset.single !== undefined;
 
   // Numbers of a column, four characters each; NaN for none.
   const numbers = (text) => {
@@ -85,7 +86,8 @@
     },
     answer: () => data.answers[["group", "target", "cost"].map((name) => stepbench.question[name]).join("|")],
     chosen: () => data.filters.find((filter) => filter.id === stepbench.question.scenes).scenes,
-    page: (file) => data.root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    // The address of a page; one file that holds all pages has anchors instead.
+    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : data.root + encodeURI(file) + (file.includes("#") ? "" : address()),
     costName: (question = stepbench.question) => data.cost_names[question.cost],
   };
   window.stepbench = stepbench;

@@ -2,9 +2,6 @@
 "use strict";
 (() => {
   const { html, data } = stepbench;
-  const card = document.getElementById("answer"), table = document.getElementById("standings");
-  if (!card) return;
-
   // A part of a sentence is text, or names something that has a place in the report.
   const part = (item) => {
     if (typeof item === "string") return item;
@@ -16,6 +13,10 @@
     if (method) node.style.color = `color-mix(in oklab, ${stepbench.colour(method)} 70%, var(--ink))`;
     return node;
   };
+  stepbench.part = part;
+
+  const card = document.getElementById("answer"), table = document.getElementById("standings");
+  if (!card) return;
 
   const bar = (alone, tied, reached, of, method) => {
     const track = html("span", { class: "track", "aria-hidden": "true" });
