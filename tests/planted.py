@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 from bench.results.quantities import NORMS
 from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, Study
@@ -181,6 +183,23 @@ def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
     return copy
 
 
+def whole_report(folder: Path) -> str:
+    """The text of all pages of a report in one: the first, scenes in their order, the others."""
+    first = (folder / "report.html").read_text(encoding="utf-8")
+    named = re.findall(r'href="(report/[^"#]+)"', first)
+    others = sorted((folder / "report").glob("*.html"))
+    files = dict.fromkeys([*named, *(f"report/{file.name}" for file in others)])
+    return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
+
+
+def whole_markdown(folder: Path) -> str:
+    """The text of report.md and of its scenes in one, with addresses from the run folder."""
+    index = (folder / "report.md").read_text(encoding="utf-8")
+    files = dict.fromkeys(re.findall(r"\]\((report/scene-[^)#]+\.md)\)", index))
+    parts = [(folder / unquote(file)).read_text(encoding="utf-8") for file in files]
+    return index + "".join(part.replace("](../", "](") for part in parts)
+
+
 class Document(HTMLParser):
     """Tables by caption, attributes that name a place, scripts, and the visible text."""
 
@@ -190,7 +209,7 @@ class Document(HTMLParser):
         self.places: list[tuple[str, str]] = []
         self.charts: dict[str, dict] = {}
         self.words = ""
-        self.scripts = 0
+        self.scripts: list[str] = []
         self._caption = self._cell = self._chart = None
         self._hidden = False
         self.feed(text)
@@ -208,7 +227,8 @@ class Document(HTMLParser):
             self._caption = ""
         elif tag in ("script", "style"):
             self._hidden = True
-            self.scripts += tag == "script"
+            if tag == "script":
+                self.scripts.append(known.get("src") or known.get("type") or "inline")
             self._chart = known.get("data-chart")
 
     def handle_endtag(self, tag: str) -> None:

@@ -16,12 +16,12 @@ from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
-from reports.questions.answers import answer
-from reports.questions.phrases import plain
+from reports.questions.answers import Answer, answer
 from reports.questions.question import FIRST
-from reports.questions.sentences import sentences, words_of
+from reports.questions.sentences import Words, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
@@ -41,13 +41,18 @@ from reports.text.winners import verdicts
 
 @dataclass
 class Report:
-    """The content of a report, the same for HTML and Markdown."""
+    """The content of a report, the same for HTML and Markdown.
+
+    ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
+    labels; ``run_ids`` are the anchors of records by key.
+    """
 
     title: str
     state: str
     missing: list[str]
     winners: Table | None
-    overall: list[str]
+    answer: Answer
+    words: Words
     overview: list[CaptionedCharts]
     pareto: Table | None
     scenes: list[SceneChapter]
@@ -60,6 +65,12 @@ class Report:
     environments: list[tuple[int, Environment]]
     method: list[str]
     atlas: AtlasChapter | None
+    methods: list[MethodChapter]
+    failed: int
+    series: dict[str, list[Series]]
+    scene_records: dict[str, SceneRecord]
+    styles: dict[str, LineStyle]
+    run_ids: dict[str, str]
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
@@ -105,8 +116,10 @@ def read_report(folder: Path, interactive: bool) -> Report:
             )
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
+    tags = {names[k]: scenes[k].tags for k in keys if k in scenes}
+    words = words_of(series, tags)
     ranking, facts = rank(series), plan.integrators if plan else {}
-    tags = {names[key]: scene.tags for key, scene in scenes.items() if key in names}
+    described = {names[k]: scenes[k] for k in keys if k in scenes}
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
@@ -114,8 +127,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *filter(None, [set_aside_text(set_aside)]),
             *missing_data(plan, scenes, records, keys, environments),
         ],
-        winners=winners_table(verdicts(ranking), ids),
-        overall=[plain(s) for s in sentences(answer(series, FIRST), words_of(series, tags))],
+        winners=winners_table(verdicts(ranking), ids, words.names),
+        answer=answer(series, FIRST),
+        words=words,
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
@@ -125,7 +139,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         integrators=integrators_table(series, ranking, facts),
         damping=damping_table(
             {name: known[name] for name in facts if name in known},
-            [(names[k], scenes[k]) for k in keys if k in scenes],
+            list(described.items()),
         ),
         failures=failures_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
@@ -134,6 +148,12 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
+        methods=method_chapters(series, ranking, facts, known, described),
+        failed=sum(r.status != "ok" for r in runs),
+        series=series,
+        scene_records=described,
+        styles=styles,
+        run_ids=ids,
     )
 
 
