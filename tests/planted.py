@@ -203,7 +203,7 @@ def whole_markdown(folder: Path) -> str:
 class Document(HTMLParser):
     """Tables by caption, attributes that name a place, scripts, and the visible text.
 
-    Of an integrator a cell has the full name, which is a hint on the page.
+    Of an integrator or a scene a cell has the full name, which is a hint on the page.
     """
 
     def __init__(self, text: str) -> None:
@@ -220,7 +220,7 @@ class Document(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = dict(attrs)
         self.places += [(tag, v or "") for k, v in attrs if k in ("src", "href", "action", "data")]
-        if known.get("class") == "method" and self._cell is not None:
+        if known.get("class") == "named" and self._cell is not None:
             self._cell, self._named = known["title"], True
         if tag == "table":
             self.tables.append(("", []))

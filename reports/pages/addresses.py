@@ -75,7 +75,7 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
         return f"#{file.removesuffix('.html')}" if single else FOLDER + file
 
     answer = [
-        Link("Overview", "#report" if single else FRONT),
+        Link("Overview", "#main" if single else FRONT),
         Link("Methods", page("methods.html"), len(report.methods)),
         Link("Failures", page("failures.html"), report.failed),
     ]

@@ -15,7 +15,7 @@ import vl_convert
 from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.report import read_report
-from reports.pages.site import QUESTION_SCRIPTS, Page, report_site, write_pages
+from reports.pages.site import QUESTION_SCRIPTS, Page, named, report_site, write_pages
 from reports.pages.site_data import for_first_question, for_front, site_data
 from reports.pages.templating import html
 
@@ -59,7 +59,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     text = html(
         "page_of_report.html.j2",
         address=partial(site.address, here=FILE),
-        names=report.names,
+        names=named(report),
         linked=not single_file,
         report=report,
         site=site,

@@ -79,6 +79,14 @@ def report_site(report: Report, single: bool = False) -> tuple[Site, list[Page]]
     return site_of(report, anchors, single), made
 
 
+def named(report: Report) -> dict[str, tuple[str, str]]:
+    """Anchors and short names of the integrators and scenes that have a page."""
+    methods = {k: (method_page(k), name) for k, name in report.names.items()}
+    scenes = {s.name: (scene_page(s.name), scene_name(s.name)) for s in report.scenes}
+    both = methods | scenes
+    return {key: (file.removesuffix(".html"), name) for key, (file, name) in both.items()}
+
+
 def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
     """Write all pages but the first, and what they share, into the folder ``report/``.
 
@@ -100,7 +108,7 @@ def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
             "page_of_report.html.j2",
             assets="",
             address=partial(site.address, here=here),
-            names=report.names,
+            names=named(report),
             report=report,
             site=site,
             pages=[page],

@@ -29,7 +29,7 @@ def html(
     name: str,
     assets: str | None = None,
     address: Callable[[str], str] | None = None,
-    names: Mapping[str, str] = MappingProxyType({}),
+    names: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     linked: bool = False,
     **values: object,
 ) -> str:
@@ -51,7 +51,7 @@ def html(
     linked
         Whether a page that holds its scripts links others of its own site, too.
     names
-        Short names of integrators by label, which stand for them in tables and lists.
+        Anchors and short names of integrators and scenes, which stand for them in tables.
     **values
         For the template.
     """
