@@ -99,7 +99,11 @@ def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
             [runs | {"columns": [runs["columns"][k] for k in kept]} for runs in own]
             for own in data["runs_of"]
         ],
-        "answers": {k: answer for k, answer in data["answers"].items() if k == FIRST.key},
+        "answers": {
+            key: {name: part for name, part in answer.items() if name != "verdicts"}
+            for key, answer in data["answers"].items()
+            if key == FIRST.key
+        },
         "profiles": {f"{FIRST.group}|{FIRST.cost}": {ALL: profiles[ALL]}} if profiles else {},
     }
 

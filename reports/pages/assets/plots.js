@@ -221,7 +221,7 @@
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
-      : names ? { ...size, right: 26 + stepbench.room(curves.map((c) => c.method.short)) } : size;
+      : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
     const answer = stepbench.answer()?.scenes[index], floor = scene.floor[question.group];
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
@@ -236,12 +236,15 @@
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
     chart.append(svg("path", { class: "asked", d: `M${at.inside.x0} ${y}H${at.inside.x1}` }));
-    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x0 + 6, y: y - 5 }, `asked: ${question.target}`));
+    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x1 - 4, y: y - 5, "text-anchor": "end" }, `asked: ${question.target}`));
     const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
     for (const item of drawn) chart.append(item.node = curve(item, fits));
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
+    // Names keep away from lines, too.
+    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.failed).flatMap((p, k, own) =>
+      [0, .25, .5, .75].map((part) => ({ x: p.x + part * ((own[k + 1] || p).x - p.x), y: p.y + part * ((own[k + 1] || p).y - p.y) }))));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
       const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
@@ -252,7 +255,7 @@
       }
       const p = run?.shown ? run : item.points.filter((o) => o.shown).at(-1);
       if (!p || (names && !run)) continue;
-      const spot = placed(item.method.short, p, at, all, taken);
+      const spot = placed(item.method.short, p, at, busy, taken);
       if (spot?.far > 20) chart.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
       if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
