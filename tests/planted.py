@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 from bench.results.quantities import NORMS
 from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, Study
@@ -189,6 +190,14 @@ def whole_report(folder: Path) -> str:
     others = sorted((folder / "report").glob("*.html"))
     files = dict.fromkeys([*named, *(f"report/{file.name}" for file in others)])
     return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
+
+
+def whole_markdown(folder: Path) -> str:
+    """The text of report.md and of its scenes in one, with addresses from the run folder."""
+    index = (folder / "report.md").read_text(encoding="utf-8")
+    files = dict.fromkeys(re.findall(r"\]\((report/scene-[^)#]+\.md)\)", index))
+    parts = [(folder / unquote(file)).read_text(encoding="utf-8") for file in files]
+    return index + "".join(part.replace("](../", "](") for part in parts)
 
 
 class Document(HTMLParser):

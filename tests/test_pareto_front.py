@@ -10,7 +10,7 @@ import random
 import altair
 import pytest
 import vl_convert
-from planted import Document, everything, plant, planted, whole_report
+from planted import Document, everything, plant, planted, whole_markdown, whole_report
 
 from bench.results.quantities import NORMS
 from bench.results.store import Store
@@ -118,7 +118,7 @@ def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
     plant(tmp_path, everything())
     write_html_report(tmp_path)
     page = Document(whole_report(tmp_path))
-    paper = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    paper = whole_markdown(write_markdown_report(tmp_path).parent)
     rows = page.rows("Not beaten in acceleration and cost at once")
     assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
     with Store(tmp_path) as store:

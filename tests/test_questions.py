@@ -233,15 +233,21 @@ def test_parts_become_text_or_links():
 def test_a_profile_counts_scenes_and_accuracies():
     records = [run("s", "one", 10, 1e-2), run("s", "one", 40, 1e-4, h=0.005)]
     records += [run("s", "two", 20, 1e-3), run("s", "two", 200, 1e-9, h=0.005)]
-    found = answers(scenes_of(records))
-    rows = profiles(found, "a", "residuals", ["s"])
+    records.append(run("lonely", "one", 1))
+    dark = [run("s", "dark", None, work={"residuals": None})]
+    found = profiles(
+        answer(scenes_of(records + dark), Question("a", float(f"1e-{k}"), "residuals"))
+        for k in range(1, 10)
+    )
+    rows = found.methods
     # one solves 1e-1, 1e-2 (first), 1e-3 (40 to 20), 1e-4 (first) of nine.
-    assert rows["one"].ratios == (1.0, 1.0, 1.0, 2.0)
-    assert rows["two"].ratios == (1.0,) * 6 + (2.0, 2.0, 5.0)
-    assert (rows["one"].pairs, rows["two"].pairs) == (9, 9)
+    assert rows["one"].ratios == [1.0, 1.0, 1.0, 2.0]
+    assert rows["two"].ratios == [1.0] * 6 + [2.0, 2.0, 5.0]
     assert rows["one"].part(1) == pytest.approx(3 / 9)
     assert rows["two"].part(2) == pytest.approx(8 / 9)
-    assert profiles(found, "a", "residuals", []) == {}
+    assert (found.pairs, rows["one"].pairs, rows["two"].pairs) == (9, 9, 9)
+    assert rows["dark"].pairs == 4  # 1e-6 to 1e-9, which it does not solve; else its cost is open
+    assert found.families["family of one"] == rows["one"]
 
 
 def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):

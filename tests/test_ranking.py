@@ -184,7 +184,7 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     assert "vague" not in said  # the reference is no better than the target
     assert "alone" not in said
     ids = {key: f"at {key}" for key in records}
-    table = winners_table(said, ids)
+    table = winners_table(said, ids, {})
     assert [row[0] for row in table.rows] == list(said)
     assert table.links[0, 1] == [ids[key] for key in runs["operations"]]
     assert table.links[1, 1] == []

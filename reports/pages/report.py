@@ -19,10 +19,9 @@ from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
-from reports.questions.answers import answer
-from reports.questions.phrases import plain
+from reports.questions.answers import Answer, answer
 from reports.questions.question import FIRST
-from reports.questions.sentences import sentences, words_of
+from reports.questions.sentences import Words, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
@@ -52,7 +51,8 @@ class Report:
     state: str
     missing: list[str]
     winners: Table | None
-    overall: list[str]
+    answer: Answer
+    words: Words
     overview: list[CaptionedCharts]
     pareto: Table | None
     scenes: list[SceneChapter]
@@ -128,8 +128,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *filter(None, [set_aside_text(set_aside)]),
             *missing_data(plan, scenes, records, keys, environments),
         ],
-        winners=winners_table(verdicts(ranking), ids),
-        overall=[plain(said) for said in sentences(first, words)],
+        winners=winners_table(verdicts(ranking), ids, words.names),
+        answer=first,
+        words=words,
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,17 +9,16 @@ from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.phrases import Part
+from reports.questions.profile import Profile, profiles
 from reports.questions.question import Filter
-from reports.questions.sentences import Words, scene_sentence, sentences
+from reports.questions.sentences import scene_sentence, sentences
 from reports.series import Series
 
 #: Multiples of the best cost at which a performance profile is stated.
 MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
 
 
-def answers_of(
-    report: Report, filters: Sequence[Filter], words: Words
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def answers_of(report: Report, filters: Sequence[Filter]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The answers by question, and the performance profiles by group and cost.
 
     An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
@@ -56,7 +54,7 @@ def answers_of(
                 for name, series in scenes.items()
             ],
             "verdicts": [
-                [part(p) for p in scene_sentence(question, name, answer.scenes[name], words)]
+                [part(p) for p in scene_sentence(question, name, answer.scenes[name], report.words)]
                 if name in answer.scenes
                 else None
                 for name in scenes
@@ -66,19 +64,19 @@ def answers_of(
         for chosen in filters:
             part_of = answer.on(chosen.scenes)
             found[question.key]["filters"][chosen.key] = {
-                "sentences": [[part(p) for p in said] for said in sentences(part_of, words)],
+                "sentences": [[part(p) for p in said] for said in sentences(part_of, report.words)],
                 "standings": [
                     [place[s.label], s.alone, s.tied, int(s.reached), s.tried]
                     for s in part_of.standings
                 ],
             }
-    profiles = {
+    by_group = {
         f"{group}|{cost}": {
             chosen.key: _profile([a.on(chosen.scenes) for a in own], place) for chosen in filters
         }
         for (group, cost), own in by_cost.items()
     }
-    return found, profiles
+    return found, by_group
 
 
 def _of_scene(
@@ -103,27 +101,14 @@ def _of_scene(
 
 def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any]:
     """Thousandths of the pairs (scene, target) within each of `MULTIPLES`, by method and family."""
-    pairs = [scene.entries.values() for answer in found for scene in answer.scenes.values()]
-    methods: dict[int, list[float]] = {}
-    families: dict[str, list[float]] = {}
-    for entries in pairs:
-        best: dict[str, float] = {}
-        for entry in entries:
-            own = methods.setdefault(place[entry.label], [])
-            families.setdefault(entry.family, [])
-            if entry.ratio is not None:
-                own.append(entry.ratio)
-                best[entry.family] = min(best.get(entry.family, entry.ratio), entry.ratio)
-        for family, ratio in best.items():
-            families[family].append(ratio)
+    own = profiles(found)
 
-    def parts(ratios: list[float]) -> list[int]:
-        ratios.sort()
-        return [round(1000 * bisect_right(ratios, m) / len(pairs)) for m in MULTIPLES]
+    def parts(profile: Profile) -> list[int]:
+        return [round(1000 * profile.part(m)) for m in MULTIPLES]
 
     return {
         "multiples": MULTIPLES,
-        "pairs": len(pairs),
-        "methods": {k: parts(ratios) for k, ratios in methods.items()},
-        "families": {family: parts(ratios) for family, ratios in families.items()},
+        "pairs": own.pairs,
+        "methods": {place[label]: parts(profile) for label, profile in own.methods.items()},
+        "families": {family: parts(profile) for family, profile in own.families.items()},
     }

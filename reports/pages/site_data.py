@@ -9,12 +9,11 @@ from typing import Any
 from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
-from reports.names import scene_name, short_names
+from reports.names import scene_name
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.pages.site_answers import answers_of
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
-from reports.questions.sentences import Words
 from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
 
@@ -49,11 +48,10 @@ def site_data(report: Report) -> dict[str, Any]:
     """What the scripts are given: methods, scenes, runs, and the answers to all questions."""
     families = {s.label: s.family for series in report.series.values() for s in series}
     labels = list(families)
-    names, places = short_names(labels), list(report.series)
-    tags = {k: report.scene_records[k].tags if k in report.scene_records else [] for k in places}
+    names, places = report.words.names, list(report.series)
     groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
-    chosen = filters(tags)
-    answers, profiles = answers_of(report, chosen, Words(names, tags))
+    chosen = filters({k: report.words.tags.get(k, ()) for k in places})
+    answers, profiles = answers_of(report, chosen)
     columns, resolutions = [*groups, *RANKED_COSTS], {}
     runs_of = [
         [_runs(s, labels.index(s.label), columns, resolutions) for s in series]
@@ -101,7 +99,11 @@ def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
             [runs | {"columns": [runs["columns"][k] for k in kept]} for runs in own]
             for own in data["runs_of"]
         ],
-        "answers": {k: answer for k, answer in data["answers"].items() if k == FIRST.key},
+        "answers": {
+            key: {name: part for name, part in answer.items() if name != "verdicts"}
+            for key, answer in data["answers"].items()
+            if key == FIRST.key
+        },
         "profiles": {f"{FIRST.group}|{FIRST.cost}": {ALL: profiles[ALL]}} if profiles else {},
     }
 

@@ -3,49 +3,61 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 from reports.questions.answers import Answer
-from reports.questions.question import Question
 
 
-@dataclass(frozen=True)
+@dataclass
 class Profile:
-    """The multiples of the least cost at which an integrator solves its pairs (scene, accuracy).
+    """The multiples of the least cost at which pairs (scene, accuracy) are solved.
 
-    ``pairs`` counts those on which it was tried and whose cost is known if it solved them;
-    ``ratios`` has a number for each that it solved, in rising order.
+    ``pairs`` counts those that were tried and whose cost is known if they were solved; ``ratios``
+    has a number for each that was solved, in rising order.
     """
 
-    pairs: int
-    ratios: tuple[float, ...]
+    pairs: int = 0
+    ratios: list[float] = field(default_factory=list)
 
     def part(self, multiple: float) -> float:
-        """The part of the pairs that it solves within a multiple of the least cost."""
-        return bisect_right(self.ratios, multiple) / self.pairs
+        """The part of the pairs that is solved within a multiple of the least cost."""
+        return bisect_right(self.ratios, multiple) / self.pairs if self.pairs else 0.0
+
+    def add(self, states: Iterable[float | str]) -> None:
+        """Count a pair by the best of its states."""
+        known = list(states)
+        if ratios := [state for state in known if isinstance(state, float)]:
+            self.ratios.append(min(ratios))
+        self.pairs += bool(ratios) or "unknown" not in known
 
 
-def profiles(
-    found: Mapping[Question, Answer], group: str, cost: str, scenes: Collection[str]
-) -> dict[str, Profile]:
-    """The profile of each integrator over all accuracies that can be judged on the scenes.
+@dataclass
+class Profiles:
+    """A profile per integrator and per family, and how many pairs there are."""
 
-    Counted are scenes with several contestants.
+    pairs: int
+    methods: dict[str, Profile]
+    families: dict[str, Profile]
+
+
+def profiles(found: Iterable[Answer]) -> Profiles:
+    """The profiles over answers that differ in their accuracy.
+
+    Counted are accuracies that can be judged, on scenes with several contestants; a family solves
+    a pair as its best member does.
     Source: Dolan & More (2002), doi:10.1007/s101070100263; Hansen et al. (2021), COCO,
     doi:10.1080/10556788.2020.1808977.
     """
-    ratios: dict[str, list[float]] = {}
-    pairs: dict[str, int] = {}
-    for question, answer in found.items():
-        if (question.group, question.cost) != (group, cost):
-            continue
-        for name, scene in answer.scenes.items():
-            if name not in scenes or not scene.several:
-                continue
-            for label, state in scene.states.items():
-                own = ratios.setdefault(label, [])
-                pairs[label] = pairs.get(label, 0) + (state != "unknown")
-                if isinstance(state, float):
-                    own.append(state)
-    return {k: Profile(pairs[k], tuple(sorted(own))) for k, own in ratios.items() if pairs[k]}
+    scenes = [s for answer in found for s in answer.scenes.values() if s.several]
+    result = Profiles(len(scenes), {}, {})
+    for scene in scenes:
+        by_family: dict[str, list[float | str]] = {}
+        for label, entry in scene.entries.items():
+            result.methods.setdefault(label, Profile()).add([entry.state])
+            by_family.setdefault(entry.family, []).append(entry.state)
+        for family, states in by_family.items():
+            result.families.setdefault(family, Profile()).add(states)
+    for profile in (*result.methods.values(), *result.families.values()):
+        profile.ratios.sort()
+    return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bench.results.records import Record
@@ -46,29 +46,34 @@ class Verdict:
         shown = [*self.first, self.second] if len(self.first) == 1 else self.first
         return [s.run for s in shown if s and s.run]
 
-    def name_of(self, entry: RankEntry) -> str:
-        """The contestant with the integrators that do the same on the scene: 'a = b'."""
-        return " = ".join(self.names[entry.label])
-
     @property
     def text(self) -> str:
-        """The verdict in words."""
+        """The verdict in words, with printed names."""
+        return self.worded({})
+
+    def worded(self, names: Mapping[str, str]) -> str:
+        """The verdict with these names by label; integrators that do the same: 'a = b'."""
+
+        def name_of(entry: RankEntry) -> str:
+            return " = ".join(names.get(label, label) for label in self.names[entry.label])
+
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"
         least = min((s.value for s in self.first if s.value is not None), default=None)
         shown = cost_text(least, self.cost)
-        labels = [self.name_of(s) for s in self.first]
-        if len(labels) > 1:
-            said = f"{named(labels)} tie ({shown})"
+        firsts = [name_of(s) for s in self.first]
+        if len(firsts) > 1:
+            said = f"{named(firsts)} tie ({shown})"
         elif self.second:
-            second = self.name_of(self.second)
-            said = f"{labels[0]} ({shown}; next: {second}, {times(self.second.ratio)})"
+            said = (
+                f"{firsts[0]} ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
+            )
         elif self.unknown:
-            said = f"{labels[0]} ({shown})"
+            said = f"{firsts[0]} ({shown})"
         else:
-            said = f"{labels[0]} alone reaches it ({shown})"
+            said = f"{firsts[0]} alone reaches it ({shown})"
         if self.unknown:
-            said += f"; not measured: {named(map(self.name_of, self.unknown))}"
+            said += f"; not measured: {named(map(name_of, self.unknown))}"
         return said
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from planted import Document, everything, plant, whole_report
+from planted import Document, everything, plant, whole_markdown, whole_report
 from stores import PLACES, change
 
 from bench.results.records import Record, Rows
@@ -91,7 +91,7 @@ def pages(folder: Path) -> Iterator[str]:
     """Both pages of a store."""
     write_html_report(folder)
     yield whole_report(folder)
-    yield write_markdown_report(folder).read_text(encoding="utf-8")
+    yield whole_markdown(write_markdown_report(folder).parent)
 
 
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:

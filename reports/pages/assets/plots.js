@@ -6,6 +6,8 @@
   const LARGE = { high: 480, left: 64, right: 0, top: 16, bottom: 48, mark: 4.2, ticks: 10 };
   // Errors above this are drawn at the upper edge, so that a wild run does not press the others flat.
   const MOST = 100;
+  // Errors that are so many times smaller than what the reference can judge are drawn at the lower one.
+  const BELOW = 30;
 
   // All runs of a scene as points; failed runs keep their cost only.
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
@@ -50,7 +52,7 @@
   // Where points are on the chart; ``null`` axes of a chart without points.
   const layoutOf = (curves, size, wide, question, floor) => {
     const ok = curves.flatMap((curve) => curve.points.filter((p) => p.error > 0 && p.cost > 0));
-    const errors = ok.filter((p) => p.error > 1e-35).map((p) => Math.min(p.error, MOST));
+    const errors = ok.filter((p) => p.error > 1e-35).map((p) => Math.max(Math.min(p.error, MOST), (floor || 0) / BELOW));
     const y = range([...errors, Number(question.target)], .05);
     const x = range(ok.map((p) => p.cost), .04);
     const inside = { x0: size.left, x1: wide - size.right, y0: size.top, y1: size.high - size.bottom };
@@ -101,13 +103,13 @@
   const placed = (text, p, at, points, taken) => {
     const wide = 7.2 * text.length, high = 15;
     let best = null;
-    for (const far of [9, 16, 26]) for (const [dx, dy] of [[1, -.5], [1, .5], [-1, -.5], [-1, .5], [0, -1], [0, 1]]) {
+    for (const far of [9, 16, 26, 44, 70]) for (const [dx, dy] of [[1, -.5], [1, .5], [-1, -.5], [-1, .5], [0, -1], [0, 1]]) {
       const left = p.x + dx * far - (dx < 0 ? wide : dx ? 0 : wide / 2), top = p.y + dy * (far + 4) - high / 2;
       const out = left < at.inside.x0 || left + wide > at.inside.x1 + 8 || top < at.inside.y0 - 4 || top + high > at.inside.y1;
       const hits = points.filter((o) => o.x > left - 3 && o.x < left + wide + 3 && o.y > top - 2 && o.y < top + high + 2).length;
       const over = taken.some((o) => left < o.left + o.wide && o.left < left + wide && top < o.top + o.high && o.top < top + high);
-      const cost = hits + far / 20 + (out ? 500 : 0) + (over ? 1000 : 0);
-      if (!best || cost < best.cost) best = { left, top, wide, high, cost };
+      const cost = hits + far / 15 + (out ? 500 : 0) + (over ? 1000 : 0);
+      if (!best || cost < best.cost) best = { left, top, wide, high, cost, far, near: { x: Math.max(left, Math.min(p.x, left + wide)), y: top + high / 2 - dy * 6 } };
     }
     if (best.cost >= 1000) return null;
     taken.push(best);
@@ -219,7 +221,7 @@
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
-      : names ? { ...size, right: 26 + stepbench.room(curves.map((c) => c.method.short)) } : size;
+      : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
     const answer = stepbench.answer()?.scenes[index], floor = scene.floor[question.group];
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
@@ -234,12 +236,15 @@
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
     chart.append(svg("path", { class: "asked", d: `M${at.inside.x0} ${y}H${at.inside.x1}` }));
-    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x0 + 6, y: y - 5 }, `asked: ${question.target}`));
+    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x1 - 4, y: y - 5, "text-anchor": "end" }, `asked: ${question.target}`));
     const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
     for (const item of drawn) chart.append(item.node = curve(item, fits));
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
+    // Names keep away from lines, too.
+    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.failed).flatMap((p, k, own) =>
+      [0, .25, .5, .75].map((part) => ({ x: p.x + part * ((own[k + 1] || p).x - p.x), y: p.y + part * ((own[k + 1] || p).y - p.y) }))));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
       const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
@@ -250,7 +255,8 @@
       }
       const p = run?.shown ? run : item.points.filter((o) => o.shown).at(-1);
       if (!p || (names && !run)) continue;
-      const spot = placed(item.method.short, p, at, all, taken);
+      const spot = placed(item.method.short, p, at, busy, taken);
+      if (spot?.far > 20) chart.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
       if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
     if (names) chart.append(legend(drawn, at, wide));

@@ -38,7 +38,8 @@
   // The step or tolerance of a run in words.
   const resolutionOf = (runs, k) => {
     const [, control, text] = data.resolutions[runs.at].match(/^(h|rtol)(.*)$/);
-    return `${control}=${Number(decode(text)[k].toPrecision(4))}`;
+    const value = Number(decode(text)[k].toPrecision(4));
+    return `${control}=${value < 1e-3 ? value.toExponential() : value}`;
   };
 
   const choices = () => ({
