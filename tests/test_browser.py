@@ -267,6 +267,42 @@ def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, folder):
     assert "Content Security Policy" in said[0]["message"]
 
 
+def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, folder):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.ui import Select
+
+    browser.get(scene_page(folder) + "#group=q&target=1e-2&cost=residuals&scenes=all")
+    with Store(folder) as store:
+        records = [r for r in store.records().values() if r.problem == "pendulum"]
+    for group, target in (("q", "1e-2"), ("v", "1e-3")):
+        for name, value in (("group", group), ("target", target)):
+            Select(browser.find_element(By.NAME, name)).select_by_value(value)
+        able = [r for r in records if r.status == "ok" and r.errors[group]["max"] <= float(target)]
+        least = min(r.work["residuals"] for r in able)
+        words = browser.find_element(By.CSS_SELECTOR, "[data-verdict]").text
+        assert words.startswith(f"To {target} in {'position' if group == 'q' else 'velocity'} ")
+        assert str(least) in words
+        rows = browser.find_elements(By.CSS_SELECTOR, "table.methods tbody tr")
+        assert len(rows) == len({r.integrator for r in records})
+        assert f" {least} 1.0 × " in rows[0].text  # noqa: RUF001
+        assert sum("×" in row.text for row in rows) == len({r.integrator for r in able})  # noqa: RUF001
+        assert "fragile no run reached the end" in [row.text for row in rows]
+    assert browser.get_log("browser") == []
+
+
+def test_one_file_shows_every_page(browser, folder, tmp_path):
+    from selenium.webdriver.common.by import By
+
+    shutil.copytree(folder, tmp_path / "one", ignore=shutil.ignore_patterns("report*"))
+    browser.get(write_html_report(tmp_path / "one", single_file=True).as_uri())
+    browser.find_element(By.LINK_TEXT, "pendulum").click()
+    assert browser.find_element(By.CSS_SELECTOR, "#scene-pendulum h1").is_displayed()
+    assert browser.execute_script("return scrollY") > 500
+    assert browser.find_element(By.ID, "question").is_displayed()
+    assert len(browser.find_elements(By.CSS_SELECTOR, ".chart.large svg")) == 2
+    assert browser.get_log("browser") == []
+
+
 def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, folder):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
