@@ -12,7 +12,16 @@ from xml.etree import ElementTree
 
 import msgspec
 import pytest
-from planted import ATTACK, STEPS, Document, everything, plant, planted, whole_report
+from planted import (
+    ATTACK,
+    STEPS,
+    Document,
+    everything,
+    plant,
+    planted,
+    whole_markdown,
+    whole_report,
+)
 
 from bench.results.orders import fit_order
 from bench.results.quantities import NORMS
@@ -43,7 +52,7 @@ def page(folder: Path) -> Document:
 
 @pytest.fixture(scope="module")
 def paper(folder: Path) -> str:
-    return (folder / "report.md").read_text(encoding="utf-8")
+    return whole_markdown(folder)
 
 
 def stored(folder: Path) -> list[Record]:
@@ -261,7 +270,7 @@ def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> 
     figures.mkdir()
     for name in ("scene-9-1-convergence-max.svg", "mine.txt"):
         (figures / name).write_text("old", encoding="utf-8")
-    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
     shown = {Path(name).name for name in re.findall(r"\]\(([^)]+\.svg)\)", text)}
     assert shown
     assert {file.name for file in figures.iterdir()} == shown | {"mine.txt"}
@@ -347,8 +356,8 @@ def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
         for record in records[:4]:
             store.add_sample(record.key, 1, 1.0)
         store.add_sample(records[5].key, 1, 1e-6 * records[5].work["residuals"])
-    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
-    head, _, rest = text.partition("## Summary")
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
+    head, _, rest = text.partition("## Answer")
     assert "The machine was noisy" in head  # before the first verdict
     assert "The machine was noisy" in rest
     assert "4 of 5 timed runs spread by more than 50%" in text
@@ -381,7 +390,7 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
     write_html_report(tmp_path)
     page = Document(whole_report(tmp_path))
     assert said in page.words
-    assert said.split(":")[0] in write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    assert said.split(":")[0] in whole_markdown(write_markdown_report(tmp_path).parent)
     shown = [row["message"] for row in page.rows("Runs that did not reach the end")] if any(
         r.status != "ok" for r in planted_records
     ) else []  # fmt: skip
@@ -398,11 +407,11 @@ def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
         more = msgspec.structs.replace(first, cells=[*first.cells, "later 1", "later 2"])
         new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
         store.save_plan(msgspec.structs.replace(plan, studies=[more, *others, new]))
-    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
     assert "3 of 10 planned runs are not measured yet." in text
     assert "2 of 7 runs are not measured yet." in text
     assert "The scene arm (t\\_end=2 s) has no description" in text
-    assert "### To come" in text
+    assert "## To come" in text
 
 
 def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) -> None:
@@ -411,5 +420,5 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
     plant(tmp_path, [wild])
     with Store(tmp_path, create=True) as store:
         store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
-    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
     assert "Some errors of runs that reached the end are not finite" in text
