@@ -7,13 +7,23 @@ do the same on a scene are one contestant there, and share its numbers.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES
-from bench.results.records import Record
+from bench.results.records import UNSUPPORTED, Record
 from bench.results.timings import quotient
-from reports.series import Series, cost_of, error_of, ok_runs, step_or_tolerance, trusted_error
+from reports.series import (
+    Series,
+    cost_of,
+    error_of,
+    groups_of,
+    ok_runs,
+    step_or_tolerance,
+    trusted_error,
+)
 
 #: Groups, relative errors (in the norm `NORM`) and costs by which integrators are ranked.
 RANKED_GROUPS = ("q", "a", "lam")
@@ -26,6 +36,12 @@ LEAST_COST = {
 }
 #: Group and target of a page before a reader chooses others.
 GROUP, TARGET = "a", 1e-4
+#: An integrator that was tried on a scene and has no cost there.
+STATES = {
+    "far": "reached the end, but not this accuracy",
+    "failed": "no run reached the end",
+    "unknown": "reached, at a cost that is not measured",
+}
 #: Bills of operations are told apart from this quotient on: the cost model is no more exact.
 LEAST_OPERATIONS = 1.1
 #: Errors of the same method in two programs differ by rounding, relative to them.
@@ -39,6 +55,7 @@ class RankEntry:
     ``contestant`` is the first integrator that does the same on the scene (itself, as a rule).
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
     is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's.
+    ``ended`` says whether any run reached the end.
     """
 
     scene: str
@@ -52,6 +69,16 @@ class RankEntry:
     run: Record | None = None
     value: float | None = None
     ratio: float | None = None
+    ended: bool = True
+
+    @property
+    def state(self) -> float | str:
+        """The multiple of the cheapest contestant's cost, or one of `STATES` if there is none."""
+        if self.ratio is not None:
+            return self.ratio
+        if self.reached:
+            return "unknown"
+        return "far" if self.ended else "failed"
 
 
 def accuracy_text(group: str, target: float) -> str:
@@ -132,45 +159,85 @@ def _same_error(one: float | None, two: float | None, trusted: float) -> bool:
     return max(one, two) <= trusted or math.isclose(one, two, rel_tol=_ROUNDING)
 
 
-def rank(scenes: Mapping[str, Sequence[Series]]) -> list[RankEntry]:
-    """Rank the integrators of every scene for every target and cost that can be judged."""
+def rank(
+    scenes: Mapping[str, Sequence[Series]],
+    groups: Sequence[str] = RANKED_GROUPS,
+    targets: Sequence[float] = TARGETS,
+) -> list[RankEntry]:
+    """Rank the integrators of every scene for every target and cost that can be judged.
+
+    One that does not support a scene was not tried there.
+    """
     entries = []
-    for scene, series in scenes.items():
+    for scene, all_series in scenes.items():
+        series = [s for s in all_series if any(r.status != UNSUPPORTED for r in s.records)]
         runs, firsts = ok_runs(series), contestants(series)
-        for group in RANKED_GROUPS:
-            if not any(group in r.errors for r in runs):
+        present = groups_of(runs)
+        costs = {
+            s.label: [(r, {cost: cost_of(r, cost) for cost in RANKED_COSTS}) for r in s.ok]
+            for s in series
+            if s.label == firsts[s.label]
+        }
+        for group in groups:
+            if group not in present:
                 continue
-            for target in TARGETS:
-                if trusted_error(runs, group, NORM) > target:
+            trusted = trusted_error(runs, group, NORM)
+            ladders = {label: _Ladder(own, group) for label, own in costs.items()}
+            for target in targets:
+                if trusted > target:
                     continue
                 for cost in RANKED_COSTS:
-                    entries += _entries(scene, series, firsts, group, target, cost)
+                    entries += _entries(scene, series, firsts, ladders, group, target, cost)
     return entries
+
+
+class _Ladder:
+    """The runs of an integrator from accurate to coarse, and the cheapest up to each of them."""
+
+    def __init__(self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str):
+        judged = [(e, r, costs) for r, costs in runs if (e := error_of(r, group, NORM)) is not None]
+        judged.sort(key=itemgetter(0))
+        self.errors = [error for error, *_ in judged]
+        self.cheapest: dict[str, list[tuple[float, Record] | None]] = {}
+        for cost in RANKED_COSTS:
+            best: tuple[float, Record] | None = None
+            steps = self.cheapest[cost] = []
+            for _, r, costs in judged:
+                # Of two runs at the same cost the coarser one counts.
+                if (value := costs[cost]) and (best is None or value <= best[0]):
+                    best = value, r
+                steps.append(best)
+
+    def reaching(self, target: float) -> int:
+        """How many runs reach the target."""
+        return bisect_right(self.errors, target)
 
 
 def _entries(
     scene: str,
     series: Sequence[Series],
     firsts: Mapping[str, str],
+    ladders: Mapping[str, _Ladder],
     group: str,
     target: float,
     cost: str,
 ) -> list[RankEntry]:
-    able = {s.label: [r for r in s.ok if reaches(r, group, target)] for s in series}
-    cheapest: dict[str, tuple[float, Record]] = {}
-    for label in dict.fromkeys(firsts.values()):
-        if known := [(value, r) for r in able[label] if (value := cost_of(r, cost))]:
-            cheapest[label] = min(known, key=lambda pair: pair[0])
+    able = {label: ladder.reaching(target) for label, ladder in ladders.items()}
+    cheapest = {
+        label: found
+        for label, ladder in ladders.items()
+        if able[label] and (found := ladder.cheapest[cost][able[label] - 1])
+    }
     best = min((value for value, _ in cheapest.values()), default=None)
     entries = []
     for s in series:
         first = firsts[s.label]
         value, run = cheapest.get(first, (None, None))
         ratio = value / best if value is not None and best is not None else None
-        reached = bool(able[first])
         entries.append(
             RankEntry(
-                scene, s.label, first, s.family, group, target, cost, reached, run, value, ratio
+                scene, s.label, first, s.family, group, target, cost,
+                bool(able[first]), run, value, ratio, bool(s.ok),
             )
-        )
+        )  # fmt: skip
     return entries

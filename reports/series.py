@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from bench.results.orders import Fit, fit_orders
 from bench.results.quantities import GROUPS, TRUST
@@ -26,7 +27,7 @@ class Series:
     records: tuple[Record, ...]
     _fits: dict[tuple[str, str], Fit] = field(default_factory=dict, repr=False, compare=False)
 
-    @property
+    @cached_property
     def ok(self) -> list[Record]:
         """The runs that reached the end."""
         return [r for r in self.records if r.status == "ok"]

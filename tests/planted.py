@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 from bench.results.quantities import NORMS
 from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, Study
@@ -181,8 +183,28 @@ def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
     return copy
 
 
+def whole_report(folder: Path) -> str:
+    """The text of all pages of a report in one: the first, scenes in their order, the others."""
+    first = (folder / "report.html").read_text(encoding="utf-8")
+    named = re.findall(r'href="(report/[^"#]+)"', first)
+    others = sorted((folder / "report").glob("*.html"))
+    files = dict.fromkeys([*named, *(f"report/{file.name}" for file in others)])
+    return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
+
+
+def whole_markdown(folder: Path) -> str:
+    """The text of report.md and of its scenes in one, with addresses from the run folder."""
+    index = (folder / "report.md").read_text(encoding="utf-8")
+    files = dict.fromkeys(re.findall(r"\]\((report/scene-[^)#]+\.md)\)", index))
+    parts = [(folder / unquote(file)).read_text(encoding="utf-8") for file in files]
+    return index + "".join(part.replace("](../", "](") for part in parts)
+
+
 class Document(HTMLParser):
-    """Tables by caption, attributes that name a place, scripts, and the visible text."""
+    """Tables by caption, attributes that name a place, scripts, and the visible text.
+
+    Of an integrator or a scene a cell has the full name, which is a hint on the page.
+    """
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -190,14 +212,16 @@ class Document(HTMLParser):
         self.places: list[tuple[str, str]] = []
         self.charts: dict[str, dict] = {}
         self.words = ""
-        self.scripts = 0
+        self.scripts: list[str] = []
         self._caption = self._cell = self._chart = None
-        self._hidden = False
+        self._hidden = self._named = False
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = dict(attrs)
         self.places += [(tag, v or "") for k, v in attrs if k in ("src", "href", "action", "data")]
+        if known.get("class") == "named" and self._cell is not None:
+            self._cell, self._named = known["title"], True
         if tag == "table":
             self.tables.append(("", []))
         elif tag == "tr":
@@ -208,10 +232,13 @@ class Document(HTMLParser):
             self._caption = ""
         elif tag in ("script", "style"):
             self._hidden = True
-            self.scripts += tag == "script"
+            if tag == "script":
+                self.scripts.append(known.get("src") or known.get("type") or "inline")
             self._chart = known.get("data-chart")
 
     def handle_endtag(self, tag: str) -> None:
+        if tag == "a":
+            self._named = False
         if tag in ("td", "th"):
             self.tables[-1][1][-1].append(self._cell)
             self._cell = None
@@ -226,7 +253,7 @@ class Document(HTMLParser):
             self.charts[self._chart] = json.loads(data)
         elif not self._hidden:
             self.words += data
-        if self._cell is not None:
+        if self._cell is not None and not self._named:
             self._cell += data
         if self._caption is not None:
             self._caption += data

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import shutil
 import time
-from pathlib import Path
 
 import pytest
 from planted import everything, plant
@@ -46,13 +45,24 @@ def browser(folder, downloads):
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    driver.get((folder / "report.html").as_uri())
+    driver.get(scene_page(folder))
     yield driver
     driver.quit()
 
 
+def scene_page(folder):
+    return (folder / "report" / "scene-pendulum.html").as_uri()
+
+
 def chart(browser, name):
-    """Scroll to a chart and wait until it is drawn."""
+    """Scroll to a chart, in its tab, and wait until it is drawn."""
+    browser.execute_script(
+        """
+        const tab = document.getElementById(arguments[0]).closest(".tab");
+        if (tab) document.getElementById(tab.id + "-tab").click();
+        """,
+        name,
+    )
     browser.execute_script("document.getElementById(arguments[0]).scrollIntoView()", name)
     return waited(
         lambda: browser.execute_script(
@@ -202,31 +212,39 @@ def test_the_data_of_a_chart_can_be_taken_along(browser, folder, downloads):
     }
 
 
+def pages(folder):
+    return [folder / "report.html", *sorted((folder / "report").glob("*.html"))]
+
+
 def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, folder):
-    browser.get((folder / "report.html").as_uri())
     browser.get_log("browser")
-    names = browser.execute_script(
-        "return [...document.querySelectorAll('.chart')].map(node => node.id)"
-    )
-    for name in names:
-        chart(browser, name)
-    complaints = browser.get_log("browser")
-    assert [entry["message"] for entry in complaints] == []
-    for name in names:
-        assert browser.execute_async_script(CHOOSE_ALL, name) == "done"
-    assert [entry["message"] for entry in browser.get_log("browser")] == []
+    for page in pages(folder):
+        browser.get(page.as_uri())
+        names = browser.execute_script(
+            "return [...document.querySelectorAll('[data-chart]')].map(n => n.dataset.chart)"
+        )
+        for name in names:
+            chart(browser, name)
+        assert [entry["message"] for entry in browser.get_log("browser")] == []
+        for name in names:
+            assert browser.execute_async_script(CHOOSE_ALL, name) == "done"
+        assert [entry["message"] for entry in browser.get_log("browser")] == []
+        width = browser.execute_script("return document.documentElement.scrollWidth - innerWidth")
+        assert width <= 0, page.name
     asked = [
         entry["message"]
         for entry in browser.get_log("performance")
         if '"Network.requestWillBeSent"' in entry["message"] and '"url":"http' in entry["message"]
     ]
     assert asked == []
-    assert Path(folder / "report.html").stat().st_size < 3_000_000
 
 
 def test_charts_far_below_wait_until_they_come_near(browser, folder):
-    browser.get((folder / "report.html").as_uri())
-    drawn = "return [...document.querySelectorAll('.chart')].map(n => Boolean(n.dataset.drawn))"
+    browser.get(scene_page(folder))
+    drawn = (
+        "return [...document.querySelectorAll('[data-chart]')]"
+        ".map(n => Boolean(document.getElementById(n.dataset.chart).dataset.drawn))"
+    )
     states = browser.execute_script(drawn)
     assert not all(states)
     browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
@@ -247,6 +265,61 @@ def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, folder):
     said = waited(lambda: browser.get_log("browser"))
     assert browser.execute_script("return window.came === undefined")
     assert "Content Security Policy" in said[0]["message"]
+
+
+def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, folder):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.ui import Select
+
+    browser.get(scene_page(folder) + "#group=q&target=1e-2&cost=residuals&scenes=all")
+    with Store(folder) as store:
+        records = [r for r in store.records().values() if r.problem == "pendulum"]
+    for group, target in (("q", "1e-2"), ("v", "1e-3")):
+        for name, value in (("group", group), ("target", target)):
+            Select(browser.find_element(By.NAME, name)).select_by_value(value)
+        able = [r for r in records if r.status == "ok" and r.errors[group]["max"] <= float(target)]
+        least = min(r.work["residuals"] for r in able)
+        words = browser.find_element(By.CSS_SELECTOR, "[data-verdict]").text
+        assert words.startswith(f"To {target} in {'position' if group == 'q' else 'velocity'} ")
+        assert str(least) in words
+        rows = browser.find_elements(By.CSS_SELECTOR, "table.methods tbody tr")
+        assert len(rows) == len({r.integrator for r in records})
+        assert f" {least} 1.0 × " in rows[0].text  # noqa: RUF001
+        assert sum("×" in row.text for row in rows) == len({r.integrator for r in able})  # noqa: RUF001
+        assert "fragile no run reached the end" in [row.text for row in rows]
+    assert browser.get_log("browser") == []
+
+
+def test_one_file_shows_every_page(browser, folder, tmp_path):
+    from selenium.webdriver.common.by import By
+
+    shutil.copytree(folder, tmp_path / "one", ignore=shutil.ignore_patterns("report*"))
+    browser.get(write_html_report(tmp_path / "one", single_file=True).as_uri())
+    browser.find_element(By.LINK_TEXT, "pendulum").click()
+    assert browser.find_element(By.CSS_SELECTOR, "#scene-pendulum h1").is_displayed()
+    assert browser.execute_script("return scrollY") > 500
+    assert browser.find_element(By.ID, "question").is_displayed()
+    assert len(browser.find_elements(By.CSS_SELECTOR, ".chart.large svg")) == 2
+    assert browser.get_log("browser") == []
+
+
+def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, folder):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    browser.get(scene_page(folder))
+    shown = "return [...document.querySelectorAll('.tab')].filter(t => !t.hidden).map(t => t.id)"
+    assert browser.execute_script(shown) == ["scene-2-cost"]
+    browser.find_element(By.ID, "scene-2-cost-tab").send_keys(Keys.ARROW_LEFT)
+    assert browser.execute_script(shown) == ["scene-2-runs"]
+    browser.switch_to.active_element.send_keys(Keys.ARROW_RIGHT)
+    assert browser.execute_script(shown) == ["scene-2-cost"]
+    assert browser.switch_to.active_element.get_attribute("aria-selected") == "true"
+    # A link to a run opens its tab and the folded table.
+    run = browser.execute_script("return document.querySelector('tr[id^=run-]').id")
+    browser.execute_script("location.hash = arguments[0]", run)
+    waited(lambda: browser.find_element(By.ID, run).is_displayed())
+    assert browser.execute_script(shown) == ["scene-2-runs"]
 
 
 def test_an_animation_plays_and_nothing_is_complained_of(browser, tmp_path):

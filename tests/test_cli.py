@@ -210,7 +210,7 @@ def test_records_open_in_pandas(stepbench, tmp_path):
     # The store alone is enough to make the pages again.
     (out / "report.html").unlink()
     assert stepbench("report", out).exit_code == 0
-    assert (out / "report.html").stat().st_size > 100_000
+    assert (out / "report" / "vega.js").stat().st_size > 100_000
 
 
 def test_select_and_add_on_the_command_line(tmp_path):

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from planted import Document, everything, plant
+from planted import Document, everything, plant, whole_markdown, whole_report
 
 from bench.guard.limits import Limits
 from bench.results.records import Damping, Rows, SceneRecord
@@ -88,11 +88,11 @@ def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(fold
 def test_the_page_shows_what_the_run_found(folder):
     with Store(folder / "out") as store:
         found = store.damping()["generalized_alpha[rho_inf=0.5]"]
-    page = Document((folder / "out" / "report.html").read_text(encoding="utf-8"))
+    page = Document(whole_report(folder / "out"))
     rows = page.rows("Damping and period error of the method itself")
     (cell,) = [r["generalized_alpha[rho_inf=0.5]"] for r in rows if "duffing" in r["scene"]]
     assert cell == f"{found.ratio[0]:.3g} ({100 * found.period_error[0]:+.2g}%)"
-    assert cell in (folder / "out" / "report.md").read_text(encoding="utf-8")
+    assert cell in whole_markdown(folder / "out")
 
 
 def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):

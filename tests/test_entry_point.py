@@ -11,6 +11,7 @@ import venv
 import zipfile
 
 import pytest
+from planted import whole_markdown
 from test_contributing import EXAMPLES
 
 from bench.results.store import Store
@@ -83,7 +84,7 @@ def test_a_package_with_entry_points_is_listed_run_and_reported(python, tmp_path
     with Store(tmp_path / "out") as store:
         records = store.records().values()
     assert {record.integrator.split("[")[0] for record in records} == {"euler", "newmark"}
-    page = (tmp_path / "out" / "report.md").read_text()
+    page = whole_markdown(tmp_path / "out")
     assert "euler" in page
     assert "A mass on a spring under a force that grows with time" in page
 

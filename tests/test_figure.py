@@ -9,7 +9,6 @@ import re
 import struct
 import subprocess
 import sys
-from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,7 +20,6 @@ from bench.results.quantities import COST_NAMES
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
-from reports.charts.line_styles import paper_line_styles
 from reports.figures import convergence, trajectory, work_precision
 from reports.series import series_of
 
@@ -150,15 +148,6 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
 
 
 # ---- paper -------------------------------------------------------------------------------
-def test_no_two_of_24_lines_look_alike_without_colour():
-    styles = paper_line_styles(f"m{i}" for i in range(24)).values()
-    for one, two in combinations(styles, 2):
-        assert (one.dash, one.shape) != (two.dash, two.shape)
-    for style in styles:
-        red, green, blue = (int(style.color[k : k + 2], 16) for k in (1, 3, 5))
-        assert 0.2126 * red + 0.7152 * green + 0.0722 * blue < 150  # reads as dark in print
-
-
 @pytest.mark.parametrize("kind", ["work_precision", "convergence", "trajectory"])
 def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench, kind):
     files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}

@@ -32,7 +32,7 @@ def series():
 
 @pytest.fixture
 def styles(series):
-    return line_styles((s.label, s.family) for s in series)
+    return line_styles(s.label for s in series)
 
 
 def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles):

@@ -55,10 +55,16 @@ def folder(tmp_path_factory):
 
 def test_the_report_has_no_faults_and_its_pictures_exist(folder):
     path = write_markdown_report(folder)
-    assert faults(path) == []
-    assert missing(path) == []
-    next((folder / FIGURES).glob("*.svg")).unlink()
-    assert len(missing(path)) == 1
+    scenes = sorted((folder / "report").glob("*.md"))
+    assert [p.name for p in scenes] == ["scene-pendulum.md", "scene-spring_mass.md"]
+    for page in (path, *scenes):
+        assert faults(page) == []
+        assert missing(page) == []
+    assert "![" in scenes[0].read_text(encoding="utf-8")
+    (folder / FIGURES / "scene-2-scene.svg").unlink()
+    assert len(missing(scenes[0])) == 1
+    scenes[0].unlink()
+    assert set(missing(path)) == {"report/scene-pendulum.md"}
 
 
 @pytest.mark.long
@@ -70,7 +76,9 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
         store.save_plan(msgspec.structs.replace(plan, studies=studies))
     path = write_markdown_report(bare)
     assert faults(path) == []
-    assert "### Accuracy and cost" in path.read_text(encoding="utf-8")
+    scene = bare / "report" / "scene-pendulum.md"
+    assert faults(scene) == []
+    assert "## Accuracy and cost" in scene.read_text(encoding="utf-8")
 
 
 def test_a_report_of_nothing_has_no_faults(tmp_path):

@@ -10,7 +10,7 @@ import random
 import altair
 import pytest
 import vl_convert
-from planted import Document, everything, plant, planted
+from planted import Document, everything, plant, planted, whole_markdown, whole_report
 
 from bench.results.quantities import NORMS
 from bench.results.store import Store
@@ -87,7 +87,7 @@ def test_the_front_equals_its_definition_on_many_runs():
 
 
 def styles(records):
-    return line_styles((r.integrator, r.family) for r in records)
+    return line_styles(r.integrator for r in records)
 
 
 @pytest.mark.parametrize("interactive", [False, True])
@@ -116,8 +116,9 @@ def test_a_scene_with_one_integrator_has_no_front():
 
 def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
     plant(tmp_path, everything())
-    page = Document(write_html_report(tmp_path).read_text(encoding="utf-8"))
-    paper = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    write_html_report(tmp_path)
+    page = Document(whole_report(tmp_path))
+    paper = whole_markdown(write_markdown_report(tmp_path).parent)
     rows = page.rows("Not beaten in acceleration and cost at once")
     assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
     with Store(tmp_path) as store:

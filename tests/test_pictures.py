@@ -15,7 +15,7 @@ import sys
 
 import psutil
 import pytest
-from planted import Document, plant, planted
+from planted import Document, plant, planted, whole_markdown, whole_report
 
 from reports.charts import rendering
 from reports.pages.html_report import write_html_report
@@ -158,7 +158,7 @@ def labels(chart):
 
 
 def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
-    text = write_markdown_report(crowd).read_text(encoding="utf-8")
+    text = whole_markdown(write_markdown_report(crowd).parent)
     figures = crowd / FIGURES
     best = [f"m{k:02}" for k in range(28, -1, -1)]
     for name, most in (("convergence-max", 24), ("work_precision", 24), ("trajectory", 12)):
@@ -168,7 +168,8 @@ def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
 
 
 def test_a_chart_that_answers_shows_the_errors_of_all_and_few_lines_over_time(crowd):
-    page = Document(write_html_report(crowd).read_text(encoding="utf-8"))
+    write_html_report(crowd)
+    page = Document(whole_report(crowd))
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-work_precision"]["datasets"]["runs"]))
     assert {row["series"] for row in rows} == {f"m{k:02}" for k in range(29)}
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-trajectory"]["datasets"]["runs"]))

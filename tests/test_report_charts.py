@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 import json
 import math
 from xml.etree import ElementTree
@@ -25,7 +24,7 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
     for record in records:
         record.run_s = [1e-3, 2e-3]
     series = series_of(records)
-    styles = line_styles((s.label, s.family) for s in series)
+    styles = line_styles(s.label for s in series)
     by_step = convergence(series, ["q", "v", "a", "lam"], styles, interactive=True)
     assert len(by_step["concat"]) == 4
     for chart in (
@@ -45,7 +44,7 @@ def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
     records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
     records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
     series = series_of(records)
-    styles = line_styles((s.label, s.family) for s in series)
+    styles = line_styles(s.label for s in series)
     svg = vl_convert.vegalite_to_svg(convergence(series, ["q", "lam"], styles))
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
     assert "m: order q 2.00, lam 1.00" in text
@@ -69,13 +68,13 @@ def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
 def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
     records = [r for r in everything() if r.problem == "pendulum"]
     series = series_of(records)
-    styles = line_styles((s.label, s.family) for s in series)
+    styles = line_styles(s.label for s in series)
     for norm, order in (("end", 2), ("max", 1)):
         found = guides(convergence(series, ["q", "lam"], styles, norm))
         assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
         assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
     odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
-    styles = line_styles([("odd", "alpha")])
+    styles = line_styles(["odd"])
     assert guides(convergence(series_of(odd), ["q"], styles)) == {"q": []}
 
 
@@ -84,7 +83,7 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
     for record in records:
         record.errors["lam"]["end"] = 0.0
         record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
-    series, styles = series_of(records), line_styles([("m", "alpha")])
+    series, styles = series_of(records), line_styles(["m"])
     chart = convergence(series, ["q", "lam"], styles, "end", interactive=True)
     (choice,) = chart["params"]
     assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
@@ -96,17 +95,3 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
     picture = convergence(series, ["q", "lam"], styles, "end")
     assert [panel["data"]["name"] for panel in picture["concat"]] == ["q"]
-
-
-def test_a_family_shares_a_hue_and_no_two_lines_look_alike() -> None:
-    styles = line_styles([(f"a{i}", "alpha") for i in range(6)] + [("b", "bdf"), ("c", "rk")])
-    assert len({(style.color, style.dash, style.shape) for style in styles.values()}) == 8
-
-    def hue(label: str) -> float:
-        color = styles[label].color
-        parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-        return colorsys.rgb_to_hls(*parts)[0] * 360
-
-    alpha = [hue(f"a{i}") for i in range(6)]
-    assert max(alpha) - min(alpha) < 60
-    assert min(abs(hue("b") - h) for h in alpha) > 60

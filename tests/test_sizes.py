@@ -41,7 +41,7 @@ SCENES = {
 
 
 def drawn(records, scenes=SCENES):
-    styles = line_styles((r.integrator, r.family) for r in records)
+    styles = line_styles(r.integrator for r in records)
     return size_charts(records, scenes, styles)
 
 

@@ -17,8 +17,15 @@ def view(name: str) -> Callable[..., Any]:
     return entry.load()
 
 
-def write_reports(folder: Path) -> None:
+def write_reports(folder: Path, single_file: bool = False) -> None:
     """Write all reports (entry points `stepbench.reports`) of the results in a folder.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    single_file
+        Whether the HTML report is one file instead of a page and a folder.
 
     Raises
     ------
@@ -32,7 +39,7 @@ def write_reports(folder: Path) -> None:
     failed = []
     for writer in sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name):
         pages[writer.name] = GuardedProcess(_load_writer, (writer.value,))
-        pages[writer.name].start(_write_report, str(folder))
+        pages[writer.name].start(_write_report, str(folder), single_file and writer.name == "html")
     for name, page in pages.items():
         answer = page.answer()
         page.end()
@@ -47,12 +54,13 @@ def write_reports(folder: Path) -> None:
 
 
 # ---- in the process of a page ------------------------------------------------------------
-_Writer = Callable[[Path], Path]
+_Writer = Callable[..., Path]
 
 
 def _load_writer(notify: Any, value: str) -> _Writer:
     return EntryPoint("report", value, "stepbench.reports").load()
 
 
-def _write_report(writer: _Writer, folder: str) -> bytes:
-    return os.fsencode(writer(Path(folder)))  # a name may be no text
+def _write_report(writer: _Writer, folder: str, single_file: bool) -> bytes:
+    more = {"single_file": True} if single_file else {}
+    return os.fsencode(writer(Path(folder), **more))  # a name may be no text

@@ -122,8 +122,15 @@ def in_common(records: Sequence[Record]) -> str:
 
 @click.command()
 @options.with_results
-def report(folder: Path) -> None:
-    """Make the report pages anew from the results in FOLDER."""
+@click.option("--single-file", is_flag=True, help="One HTML file that holds all pages, to mail.")
+def report(folder: Path, single_file: bool) -> None:
+    """Make the report pages anew from the results in FOLDER.
+
+    \b
+    Examples:
+      stepbench report
+      stepbench report before --single-file
+    """
     with Store(folder) as store:  # says clearly if there is none
         options.tell_set_aside(store)
-    write_reports(folder)
+    write_reports(folder, single_file)

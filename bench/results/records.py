@@ -16,6 +16,8 @@ SCHEMA = 2
 
 #: Status of a cell whose run somebody or something ended from outside; it is run again.
 INTERRUPTED = "interrupted"
+#: Status of a cell whose integrator cannot take the scene: no failure of a run.
+UNSUPPORTED = "unsupported"
 
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.

@@ -19,8 +19,10 @@ from problems.reference import Reference
 from problems.runtime import jax, jnp
 from problems.system import GROUPS, MechatronicSystem
 
-#: Times at which a still picture shows a scene.
-GHOSTS = 7
+#: Times at which a still picture shows a scene, and at which a page plays it.
+GHOSTS, FRAMES = 7, 61
+#: Most points of all drawings that are played; a scene with more is drawn at the still times only.
+MOST_POINTS = 20_000
 #: Times at which eigenvalues are taken.
 _SPECTRA = 61
 #: With more states than this no eigenvalues are computed: they would cost more than the runs.
@@ -65,7 +67,7 @@ def scene_record(
         known |= part("reference", lambda: _motion(scene, reference()), {})
     if known["reference"].t:
         known |= {
-            "drawings": part("picture", lambda: drawings(scene, reference(), GHOSTS), []),
+            "drawings": part("picture", lambda: frames(scene, reference()), []),
             "rates": part("spectrum", lambda: rates(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
@@ -127,6 +129,15 @@ def equations(scene: MechatronicSystem) -> list[str]:
     motion += " - Phi_q^T lam" if scene.has("constraint") else ""
     motion += " + L y" if scene.has("output") else ""
     return [motion, *(text for block, text in _BLOCKS.items() if scene.has(block))]
+
+
+def frames(scene: MechatronicSystem, reference: Reference) -> list[dict[str, Any]]:
+    """Draw a scene often enough to play it, or, if its drawings are large, as a still picture."""
+    still = drawings(scene, reference, GHOSTS)
+    points = sum(len(line) for drawing in still for line in drawing["lines"])
+    if not points or points / GHOSTS * FRAMES > MOST_POINTS:
+        return still
+    return drawings(scene, reference, FRAMES)
 
 
 def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from reports.charts.line_styles import line_styles
 def experiment_chart(part: PartResult) -> vl.Spec | None:
     """The sweep, and the history of the component shown; None if there is neither."""
     cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
-    options = vl.ChartOptions(line_styles((label, c.family) for label, c in cases))
+    options = vl.ChartOptions(line_styles(label for label, _ in cases))
     sweep = [
         {"series": label, "x": vl.short(x), "value": vl.short(y)}
         for label, case in cases

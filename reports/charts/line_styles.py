@@ -1,59 +1,104 @@
-"""Colour, dashes and point shape of each line, on a page and on paper."""
+"""Colour, dashes and mark of each integrator: by its printed name alone, the same everywhere.
+
+Colours have a contrast of 3:1 or more against the pages' papers: the first one against the light
+and the dark ones, the other one is brighter, for dark pages that can choose.
+"""
 
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterable, Mapping
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import TypeVar
 
+from problems.spec import SpecError, split_spec
 from reports.series import Series
 
-# One hue per family, in degrees; all read on white and on near-black.
-_HUES = (212, 24, 150, 285, 345, 180, 45, 100)
-_DASHES = ((1, 0), (6, 3), (2, 2), (9, 3, 2, 3), (4, 1), (12, 4))
-_SHAPES = ("circle", "square", "triangle-up", "diamond", "cross", "triangle-down")
-# Dark enough for print, told apart without colour by shape and dashes.
-_PAPER_COLORS = [
-    "#000000",
-    "#0072b2",
-    "#b34700",
-    "#00735a",
-    "#9c4f7d",
-    "#5c5c5c",
-    "#2a5078",
-    "#8a6d00",
-]
-_PAPER_SHAPES = (*_SHAPES, "triangle-right", "triangle-left")
-_PAPER_DASHES = (*((1, 0), (5, 2), (2, 1.5), (7, 2, 1.5, 2)), *((9, 3), (1, 1), (4, 1, 1, 1, 1, 1)))
+_T = TypeVar("_T")
+#: Hue in degrees and mark of the built-in integrators.
+_BUILT_IN = {
+    "generalized_alpha": (222, 0),
+    "generalized_alpha_adaptive": (188, 3),
+    "generalized_alpha_classical": (205, 4),
+    "hht": (265, 2),
+    "hht_classical": (272, 6),
+    "wbz": (292, 5),
+    "wbz_classical": (300, 7),
+    "newmark": (240, 1),
+    "ida": (22, 0),
+    "bdf": (335, 1),
+    "bdf_dae": (350, 5),
+    "radau": (42, 2),
+    "radau_dae": (55, 6),
+    "kvaerno3": (165, 4),
+    "kvaerno4": (152, 5),
+    "kvaerno5": (140, 3),
+    "kencarp3": (110, 7),
+    "kencarp4": (95, 6),
+    "kencarp5": (80, 4),
+    "implicit_euler": (5, 1),
+    "dopri8": (318, 0),
+}
+#: What an option adds: to the number of the dash, and of the mark. Others add by their digest.
+_STEPS = {
+    **{("rho_inf", rho): (n, 0) for n, rho in enumerate(("0.8", "0.5", "0.9", "1.0", "0.0"))},
+    ("alpha", "0.1"): (0, 0),
+    ("beta", "0.25"): (0, 0),
+    ("gamma", "0.5"): (0, 0),
+    ("formulation", "stabilised_index2"): (0, 1),
+    ("formulation", "index1"): (1, 2),
+    ("formulation", "index3"): (2, 3),
+    ("newton", "modified"): (0, 4),
+    ("start", "corrected"): (5, 0),
+}
+MARKS = (
+    *("circle", "square", "triangle-up", "diamond"),
+    *("cross", "triangle-down", "triangle-right", "triangle-left"),
+)
+DASHES = ((1, 0), (6, 3), (2, 2), (9, 3, 2, 3), (4, 1), (12, 4), (1, 4), (7, 2, 2, 2, 2, 2))
+#: Relative luminances of a colour's shades, for both papers and for dark ones.
+_SHADES = (0.17, 0.21, 0.25)
+_BRIGHTER = 2.0
 
 
 @dataclass(frozen=True)
 class LineStyle:
-    """Colour, dashes and point shape of a line."""
+    """Colour, that for dark pages, dashes, and mark: a name or an SVG path within -1 to 1."""
 
     color: str
+    dark: str
     dash: tuple[float, ...]
     shape: str
 
 
-def line_styles(members: Iterable[tuple[str, str]]) -> dict[str, LineStyle]:
-    """A style for each (label, family): a hue per family; shade, dash and shape per member."""
-    families: dict[str, list[str]] = {}
-    for label, family in dict.fromkeys(members):
-        families.setdefault(family, []).append(label)
-    styles = {}
-    for f, labels in enumerate(families.values()):
-        for m, label in enumerate(labels):
-            # Shade and a little of the hue vary: members stay apart and families together.
-            span = min(1.0, (len(labels) - 1) / 4)
-            place = span * (m / (len(labels) - 1) - 0.5) if span else 0.0
-            hue = (_HUES[f % len(_HUES)] + 56 * place) % 360
-            light = 0.48 + (0.14 if m % 2 else -0.1) * span
-            red, green, blue = colorsys.hls_to_rgb(hue / 360, light, 0.68)
-            color = f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
-            dash, shape = _DASHES[m % len(_DASHES)], _SHAPES[(m + f) % len(_SHAPES)]
-            styles[label] = LineStyle(color, dash, shape)
-    return styles
+@cache
+def style_of(label: str) -> LineStyle:
+    """The style of an integrator by its printed name."""
+    digest = _digest(label)
+    name, options = _parts(label)
+    hue, mark = _BUILT_IN.get(name, (_digest(name) % 360, _digest(name) // 360))
+    dash = 0 if options or name in _BUILT_IN else digest
+    for option in options:
+        more = _STEPS.get(option, (_digest(str(option)) % 7 + 1, _digest(str(option)) // 7))
+        dash, mark = dash + more[0], mark + more[1]
+    if options:  # variants of a method stay near each other
+        hue += digest % 17 - 8
+    shade = _SHADES[digest // 17 % len(_SHADES)]
+    return LineStyle(
+        color=_color(hue, shade),
+        dark=_color(hue, _BRIGHTER * shade),
+        dash=DASHES[dash % len(DASHES)],
+        shape=MARKS[mark % len(MARKS)],
+    )
+
+
+def line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
+    """The styles of these integrators, in their order."""
+    return {label: style_of(label) for label in labels}
 
 
 def styles_of(series: Iterable[Series], styles: Mapping[str, LineStyle]) -> dict[str, LineStyle]:
@@ -62,12 +107,92 @@ def styles_of(series: Iterable[Series], styles: Mapping[str, LineStyle]) -> dict
 
 
 def paper_line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
-    """A style per label; shape and dashes alone tell the lines apart."""
-    return {
-        label: LineStyle(
-            _PAPER_COLORS[i % len(_PAPER_COLORS)],
-            _PAPER_DASHES[i % len(_PAPER_DASHES)],
-            _PAPER_SHAPES[i % len(_PAPER_SHAPES)],
-        )
-        for i, label in enumerate(labels)
-    }
+    """A style per label for one figure in print: its own colour; no mark and no dash comes twice.
+
+    A line keeps its own mark and dashes unless an earlier line has them. Beyond 24 lines, marks
+    come again, each time with other dashes.
+    """
+    found: dict[str, LineStyle] = {}
+    for label in dict.fromkeys(labels):
+        own = style_of(label)
+        used = [(s.shape, s.dash) for s in found.values()]
+        shape = _free(own.shape, _PAPER_MARKS, [shape for shape, _ in used])
+        dash = _free(own.dash, _PAPER_DASHES, [dash for _, dash in used])
+        if (shape, dash) in used:
+            free = (p for p in product(_PAPER_MARKS, _PAPER_DASHES) if p not in used)
+            shape, dash = next(free, (shape, dash))
+        found[label] = LineStyle(own.color, own.dark, dash, shape)
+    return found
+
+
+def _free(own: _T, known: Sequence[_T], used: Sequence[_T]) -> _T:
+    """The own one if it is used least of all, else the first such one."""
+    least = min(map(used.count, known))
+    return own if used.count(own) == least else next(k for k in known if used.count(k) == least)
+
+
+def _parts(label: str) -> tuple[str, list[tuple[str, str]]]:
+    spec, _, pattern = label.partition(" x ")
+    try:
+        name, options = split_spec(spec)
+    except SpecError:
+        return label, []
+    return name, [*options.items(), *([("pattern", pattern)] if pattern else [])]
+
+
+def _digest(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4])
+
+
+# ---- colours -----------------------------------------------------------------------------
+def luminance(color: str) -> float:
+    """Relative luminance of a colour #rrggbb, from 0 to 1 (WCAG 2)."""
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def _color(hue: float, light: float) -> str:
+    """The colour of a hue with a relative luminance: lightness is found by halving."""
+    low, high, color = 0.0, 1.0, ""
+    for _ in range(12):
+        middle = (low + high) / 2
+        rgb = colorsys.hls_to_rgb(hue % 360 / 360, middle, 0.72)
+        color = "#" + "".join(f"{round(c * 255):02x}" for c in rgb)
+        low, high = (middle, high) if luminance(color) < light else (low, middle)
+    return color
+
+
+# ---- marks on paper ----------------------------------------------------------------------
+def _path(points: Iterable[tuple[float, float]]) -> str:
+    return "M" + "L".join(f"{x:.3g},{y:.3g}" for x, y in points) + "Z"
+
+
+def _star(points: int, inner: float, turn: float = 0.0) -> str:
+    """A star; one with ``inner`` = cos(pi/points) is a polygon."""
+    corners = (
+        (1.0 if k % 2 == 0 else inner, math.pi * (k / points + turn)) for k in range(2 * points)
+    )
+    return _path((r * math.sin(a), -r * math.cos(a)) for r, a in corners)
+
+
+_PAPER_MARKS = (
+    *MARKS,
+    *(_star(n, math.cos(math.pi / n)) for n in (5, 6)),
+    *(_star(n, inner) for n, inner in ((4, 0.3), (5, 0.4), (6, 0.4), (8, 0.5), (3, 0.2))),
+    _star(4, 0.3, 0.25),  # a slanted cross
+    _star(3, 0.2, 1.0),
+    _path([(-1, -0.35), (1, -0.35), (1, 0.35), (-1, 0.35)]),
+    _path([(-0.35, -1), (0.35, -1), (0.35, 1), (-0.35, 1)]),
+    _path([(-1, -1), (1, -1), (-1, 1), (1, 1)]),  # an hour glass, and the same lying
+    _path([(-1, -1), (-1, 1), (1, -1), (1, 1)]),
+    "M-1,0.4A1,1,0,0,1,1,0.4Z",  # half discs
+    "M-1,-0.4A1,1,0,0,0,1,-0.4Z",
+    _path([(-1, -1), (0, -0.3), (1, -1), (1, 0), (0, 0.9), (-1, 0)]),
+)
+_PAPER_DASHES = (
+    *DASHES,
+    *((14, 3, 4, 3), (6, 2, 1, 2, 1, 2), (5, 5), (10, 2), (1, 1), (3, 6), (16, 3), (12, 3, 1, 3)),
+    *((4, 4, 1, 4), (7, 2, 3, 2), (2, 5), (12, 2, 2, 2, 2, 2, 2, 2), (6, 6, 2, 2), (3, 3, 1, 3)),
+    *((9, 9), (20, 2, 2, 2)),
+)  # fmt: skip

@@ -7,9 +7,17 @@ from typing import Any
 
 from reports.charts.vega_lite import Dataset, Spec, category, config, datasets, quantity, short
 
+#: Most times at which a still picture shows a scene.
+_GHOSTS = 7
+
 
 def mechanism(drawings: Sequence[Mapping[str, Any]]) -> Spec | None:
-    """The mechanism at several times, the last one solid, with the same scale on both axes."""
+    """The mechanism at several times, the last one solid, with the same scale on both axes.
+
+    Of many drawings a few are taken, at equal distances.
+    """
+    gaps = min(len(drawings), _GHOSTS) - 1
+    drawings = [drawings[k * (len(drawings) - 1) // max(gaps, 1)] for k in range(gaps + 1)]
     rows, last = [], len(drawings) - 1
     for i, picture in enumerate(drawings):
         fade = 1.0 if i == last else 0.12 + 0.28 * (i / max(last, 1))

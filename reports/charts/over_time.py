@@ -69,19 +69,23 @@ def trajectory(
 
 
 def histories(
-    runs: Sequence[tuple[str, Rows]], styles: Mapping[str, LineStyle], interactive: bool = False
+    runs: Sequence[tuple[str, Rows]],
+    styles: Mapping[str, LineStyle],
+    interactive: bool = False,
+    notes: Sequence[str] = tuple(HISTORIES),
 ) -> vl.Spec | None:
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
     labels = list(dict.fromkeys(label for label, _ in runs))
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
     rows = [
         {"s": labels.index(label), "t": vl.short(t)}
-        | {n: vl.short(run.notes[n][k]) for n in HISTORIES if run.notes.get(n)}
+        | {n: vl.short(run.notes[n][k]) for n in notes if run.notes.get(n)}
         for label, run in runs
         for k, t in enumerate(run.t)
     ]
     data, panels = vl.Dataset("histories", rows), []
-    for name, (title, logarithmic) in HISTORIES.items():
+    for name in notes:
+        title, logarithmic = HISTORIES[name]
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
         if not any(_varies(values) for values in noted):
             continue

@@ -10,8 +10,8 @@ from bench.results.records import SceneRecord
 from problems.spec import SpecError
 from reports.charts.mechanism import mechanism
 from reports.charts.rendering import picture, pictures
-from reports.charts.vega_lite import short
 from reports.formatting import file_name, number, paragraphs
+from reports.pages.motion import motion
 from reports.pages.templating import html, markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 
@@ -52,34 +52,10 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
     """
     if path.suffix != ".html":
         raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
-    points = [p for d in drawings for line in d["lines"] for p in line if None not in map(short, p)]
-    if not points:
+    frames = motion(drawings)
+    if frames is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    (x0, x1), (y0, y1) = ((min(c), max(c)) for c in zip(*points, strict=True))
-    extent = max(x1 - x0, y1 - y0)
-    frames = [
-        {
-            "t": d["t"],
-            "lines": [
-                [
-                    [x, -y]
-                    for x, y in (map(short, p) for p in line)
-                    if x is not None and y is not None
-                ]
-                for line in d["lines"]
-            ],
-        }
-        for d in drawings
-    ]
-    wide, high = (max(b - a, extent / 3) + 0.1 * extent for a, b in ((x0, x1), (y0, y1)))
-    corner = ((x0 + x1 - wide) / 2, -(y0 + y1 + high) / 2)
-    text = html(
-        "animation.html.j2",
-        title=title,
-        view=" ".join(f"{x:.6g}" for x in (*corner, wide, high)),
-        stroke=f"{extent / 150:.4g}",
-        frames=frames,
-    )
+    text = html("animation.html.j2", title=title, motion=frames)
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -1,43 +1,79 @@
-"""report.html: the report in one file that needs no network."""
+"""report.html and its folder report/: pages that need no network; or all of them in one file."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import os
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 import platformdirs
 import vl_convert
 
+from reports.charts.vega_lite import chart_json
+from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.report import read_report
+from reports.pages.site import QUESTION_SCRIPTS, Page, named, report_site, write_pages
+from reports.pages.site_data import for_first_question, for_front, site_data
 from reports.pages.templating import html
 
-FILE = "report.html"
+FILE = FRONT
+LIBRARY = "vega.js"
+#: Answers to all questions but the first, which report.html holds.
+DATA = "data.js"
+FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 
 
-def write_html_report(folder: Path) -> Path:
-    """Write report.html into a run folder, from its store alone.
+def write_html_report(folder: Path, single_file: bool = False) -> Path:
+    """Write report.html and report/ into a run folder, from its store alone.
 
     Parameters
     ----------
     folder
         The run folder.
+    single_file
+        Whether report.html holds all pages, and there is no folder.
 
     Returns
     -------
     pathlib.Path
-        The page.
+        The first page.
 
     Raises
     ------
     bench.results.store.StoreError
         If the folder holds no readable store.
     """
+    folder = Path(folder)
     report = read_report(folder, interactive=True)
-    path = Path(folder) / FILE
-    text = html("report.html.j2", report=report, library=javascript_library())
+    site, pages = report_site(report, single_file)
+    data = site_data(report)
+    if not single_file:
+        write_pages(report, folder, data)
+        (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
+        data = for_front(data)
+        rest = f"stepbench.more({chart_json(data, separators=(',', ':'))});\n"
+        (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
+    text = html(
+        "page_of_report.html.j2",
+        address=partial(site.address, here=FILE),
+        names=named(report),
+        linked=not single_file,
+        report=report,
+        site=site,
+        pages=[Page(FILE, "front.html.j2", report.title, "front"), *(pages if single_file else [])],
+        root="",
+        here=FILE,
+        single=single_file,
+        library=javascript_library() if single_file else "",
+        data=data if single_file else for_first_question(data),
+        more="" if single_file else FOLDER + DATA,
+        scripts=FRONT_SCRIPTS,
+        pages_at="" if single_file else FOLDER,
+    )
+    path = folder / FILE
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -1,21 +1,28 @@
-"""report.md: the report for reading beside code, with SVG pictures."""
+"""report.md and a file per scene in report/: for reading beside code, with SVG pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from urllib.parse import quote
 
 from reports.charts.rendering import draw
+from reports.formatting import file_name
+from reports.names import scene_name
+from reports.pages.addresses import FOLDER
 from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.report import Report, read_report
-from reports.pages.templating import markdown
+from reports.pages.templating import escape_markdown, markdown
+from reports.questions.phrases import Ref, Sentence, plain, rendered
+from reports.questions.sentences import scene_sentence, sentences
+from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
 FIGURES = "report_figures"
 
 
 def write_markdown_report(folder: Path) -> Path:
-    """Write report.md and its pictures (report_figures/) into a run folder, from its store alone.
+    """Write report.md, report/scene-NAME.md and their pictures, from a run folder's store alone.
 
     Parameters
     ----------
@@ -25,7 +32,7 @@ def write_markdown_report(folder: Path) -> Path:
     Returns
     -------
     pathlib.Path
-        The page.
+        The index.
 
     Raises
     ------
@@ -35,10 +42,73 @@ def write_markdown_report(folder: Path) -> Path:
     report = read_report(folder, interactive=False)
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
     failed = draw(charts, Path(folder) / FIGURES)
+    files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
+    said = {
+        name: scene_sentence(report.answer.question, name, on, report.words)
+        for name, on in report.answer.scenes.items()
+    }
+    own = Path(folder) / FOLDER
+    own.mkdir(exist_ok=True)
+    for chapter in report.scenes:
+        text = markdown(
+            "scene.md.j2",
+            report=report,
+            scene=chapter,
+            verdict=escape_markdown(plain(said.get(chapter.name, []))),
+            index=FILE,
+            figures=f"../{FIGURES}",
+            failed=failed,
+        )
+        (own / _scene_file(chapter.name)).write_text(text, encoding="utf-8")
+    for old in own.glob("scene-*.md"):
+        if old.name not in map(_scene_file, (chapter.name for chapter in report.scenes)):
+            old.unlink()
+    links = _links(report, files)
+    text = markdown(
+        "report.md.j2",
+        report=report,
+        answer=[_text(s, links) for s in sentences(report.answer, report.words)],
+        standings=standings_table(report.answer, report.words.names),
+        scenes=[
+            (
+                scene_name(s.name),
+                files[s.name],
+                _text(said.get(s.name, []), links),
+            )
+            for s in report.scenes
+        ],
+        figures=FIGURES,
+        failed=failed,
+    )
     path = Path(folder) / FILE
-    text = markdown("report.md.j2", report=report, figures=FIGURES, failed=failed)
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def _scene_file(name: str) -> str:
+    return f"scene-{file_name(name)}.md"
+
+
+def _links(report: Report, files: Mapping[str, str]) -> Callable[[Ref], str]:
+    """Links from the index to the scenes and runs that a sentence names; others stay text."""
+    of_run = {r.key: name for name, own in report.series.items() for s in own for r in s.records}
+
+    def link(ref: Ref) -> str:
+        text = _escaped(ref.text)
+        scene = of_run.get(ref.key, ref.key) if ref.kind in ("scene", "run") else ""
+        return f"[{text}]({files[scene]})" if scene in files else text
+
+    return link
+
+
+def _text(sentence: Sentence, link: Callable[[Ref], str]) -> str:
+    return rendered(sentence, _escaped, link)
+
+
+def _escaped(text: str) -> str:
+    """Text between others, whose spaces at the ends stay."""
+    before, after = " " * text.startswith(" "), " " * (text.endswith(" ") and len(text) > 1)
+    return f"{before}{escape_markdown(text)}{after}"
 
 
 def _figures(report: Report) -> Iterator[CaptionedCharts]:

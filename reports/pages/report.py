@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
-from bench.results.records import Environment, Plan, Record, SceneRecord
+from bench.results.records import Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
@@ -16,9 +16,14 @@ from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
+from reports.questions.answers import Answer, answer
+from reports.questions.question import FIRST
+from reports.questions.sentences import Words, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
+from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
 from reports.text.lost_orders import lost_orders_table
@@ -31,18 +36,23 @@ from reports.text.measurement import (
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table
 from reports.text.table import Table
-from reports.text.winners import overall, verdicts
+from reports.text.winners import verdicts
 
 
 @dataclass
 class Report:
-    """The content of a report, the same for HTML and Markdown."""
+    """The content of a report, the same for HTML and Markdown.
+
+    ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
+    labels; ``run_ids`` are the anchors of records by key, ``names`` short names by label.
+    """
 
     title: str
     state: str
     missing: list[str]
     winners: Table | None
-    overall: list[str]
+    answer: Answer
+    words: Words
     overview: list[CaptionedCharts]
     pareto: Table | None
     scenes: list[SceneChapter]
@@ -55,6 +65,13 @@ class Report:
     environments: list[tuple[int, Environment]]
     method: list[str]
     atlas: AtlasChapter | None
+    methods: list[MethodChapter]
+    failed: int
+    series: dict[str, list[Series]]
+    scene_records: dict[str, SceneRecord]
+    styles: dict[str, LineStyle]
+    run_ids: dict[str, str]
+    names: dict[str, str]
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
@@ -75,9 +92,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
     with Store(folder) as store:
         plan, scenes, records = store.plan(), store.scenes(), store.records()
         runs = list(records.values())
-        styles = line_styles((label_of(r), r.family) for r in runs)
-        keys = _scene_keys(plan, scenes, runs)
-        names = _names(keys)
+        styles = line_styles(map(label_of, runs))
+        keys = scene_keys(plan, scenes, runs)
+        names = scene_titles(keys)
         ids = {key: f"run-{i}" for i, key in enumerate(records, 1)}
         chapters, series = [], {}
         for i, key in enumerate(keys, 1):
@@ -101,6 +118,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments, experiments = store.environments(), list(store.experiments().values())
         known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
+    described = {names[k]: scenes[k] for k in keys if k in scenes}
+    words = words_of(series, {name: scene.tags for name, scene in described.items()})
+    first = answer(series, FIRST)
     return Report(
         title=(plan.title or plan.name) if plan else "Results",
         state=state_sentence(plan, runs),
@@ -108,8 +128,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *filter(None, [set_aside_text(set_aside)]),
             *missing_data(plan, scenes, records, keys, environments),
         ],
-        winners=winners_table(verdicts(ranking), ids),
-        overall=overall(ranking),
+        winners=winners_table(verdicts(ranking), ids, words.names),
+        answer=first,
+        words=words,
         overview=[
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
@@ -119,7 +140,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         integrators=integrators_table(series, ranking, facts),
         damping=damping_table(
             {name: known[name] for name in facts if name in known},
-            [(names[k], scenes[k]) for k in keys if k in scenes],
+            list(described.items()),
         ),
         failures=failures_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
@@ -128,6 +149,13 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
+        methods=method_chapters(series, ranking, facts, known, described, first, words),
+        names=dict(words.names),
+        failed=sum(r.status != "ok" for r in runs),
+        series=series,
+        scene_records=described,
+        styles=styles,
+        run_ids=ids,
     )
 
 
@@ -183,25 +211,6 @@ def _cost_by_size(
         )
         for kind, chart in size_charts(records, scenes, styles).items()
     ]
-
-
-def _scene_keys(
-    plan: Plan | None, scenes: Iterable[tuple[str, float]], records: Iterable[Record]
-) -> list[tuple[str, float]]:
-    keys = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
-    keys += [(r.problem, r.t_end) for r in records]
-    return list(dict.fromkeys([*keys, *scenes]))
-
-
-def _names(keys: Sequence[tuple[str, float]]) -> dict[tuple[str, float], str]:
-    """A scene's name, with its interval where it has several."""
-    problems = [problem for problem, _ in keys]
-    return {
-        (problem, t_end): problem
-        if problems.count(problem) == 1
-        else f"{problem}, t_end={t_end:g} s"
-        for problem, t_end in keys
-    }
 
 
 def _same(one: SceneRecord | None, other: SceneRecord | None) -> bool:

@@ -19,10 +19,11 @@ from reports.text.table import Table
 
 @dataclass
 class SceneChapter:
-    """One scene over one interval."""
+    """One scene over one interval; ``scene`` is its record, if it is stored."""
 
     anchor: str
     name: str
+    scene: SceneRecord | None
     title: str
     about: list[str]
     facts: list[tuple[str, str]]
@@ -65,6 +66,7 @@ def scene_chapter(
     return SceneChapter(
         anchor=anchor,
         name=sections.name,
+        scene=scene,
         title=new.title.rstrip(".") if new else "",
         about=about,
         facts=scene_facts(scene) if scene else [],

@@ -39,6 +39,14 @@ from reports.text.table import Table
 ALL_RUNS = 6
 #: Most lines that a reader can tell apart over time, and in a still chart of errors.
 MOST_LINES, MOST_STILL = 12, 24
+#: Notes of a run that a chart shows over time, and their meaning.
+_HISTORIES = {
+    "drift": (
+        ("position", "velocity", "energy"),
+        "how far the constraints are violated, and how far the energy has changed",
+    ),
+    "steps": (("h", "gamma"), "step size and weights of the recurrence"),
+}
 ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 
 
@@ -94,7 +102,8 @@ class StudySections:
             made.append(_bills(series, f"{anchor}-operations"))
             made.append(self._accuracy(series, f"{anchor}-accuracy"))
         if "trajectory" in figures:
-            made.append(self._histories(series, f"{anchor}-histories"))
+            made.append(self._histories(series, f"{anchor}-drift", "drift"))
+            made.append(self._histories(series, f"{anchor}-steps", "steps"))
         first, every = orders_table(series, (study.norm,)), orders_table(series)
         fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudySection(
@@ -158,19 +167,17 @@ class StudySections:
         )
         return captioned(caption, {name: chart})
 
-    def _histories(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    def _histories(self, series: Sequence[Series], name: str, topic: str) -> CaptionedCharts | None:
+        """Charts over time of the constraints and the energy (drift), or of the steps."""
+        notes, said = _HISTORIES[topic]
         shown = [
             (s.label, rows)
             for s in _most_accurate(series, MOST_LINES)
             if (rows := self._rows(s.finest)) and rows.notes
         ]
-        chart = histories(shown, self.styles, self.interactive)
-        caption = (
-            "Over time, for the finest run of each: step size, weights of the recurrence, how far "
-            "the constraints are violated, and how far the energy has changed."
-            f"{_left_out(series, MOST_LINES)}"
-        )
-        return captioned(caption, {name: chart})
+        chart = histories(shown, self.styles, self.interactive, notes)
+        caption = f"Over time, for the finest run of each: {said}.{_left_out(series, MOST_LINES)}"
+        return captioned(caption, {name: chart}, topic)
 
     def _norms_text(self, norms: Sequence[str]) -> str:
         if self.interactive:
@@ -201,7 +208,7 @@ class StudySections:
         if len({label_of(r) for r, _, _ in shown}) == len(shown):
             styles = {label: self.styles[label_of(r)] for r, label, _ in shown}
         else:
-            styles = line_styles((label, r.family) for r, label, _ in shown)
+            styles = line_styles(label for _, label, _ in shown)
         lines = [(label, rows) for _, label, rows in shown]
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]
@@ -214,7 +221,7 @@ class StudySections:
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
             caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
-        return captioned(caption, {name: chart})
+        return captioned(caption, {name: chart}, "time")
 
     def _rows(self, record: Record) -> Rows | None:
         """The rows of a run that can be drawn; None of a run without any."""

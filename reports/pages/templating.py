@@ -5,21 +5,34 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
+from types import MappingProxyType
 
 import jinja2
 from markupsafe import Markup, escape
 
 from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
+from reports.formatting import file_name
+from reports.text.glossary import terms_in
 from reports.text.table import Table
 
 #: Stands in the head of a page for its content-security policy, until all scripts are known.
 POLICY = "content-security-policy"
+_DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")
+_DOI_LINK = Markup('<a href="https://doi.org/{}" rel="noreferrer">doi:{}</a>')
+_TERM_LINK = Markup('<a class="term" href="{}" title="{}">{}</a>')
 
 
-def html(name: str, assets: str | None = None, **values: object) -> str:
+def html(
+    name: str,
+    assets: str | None = None,
+    address: Callable[[str], str] | None = None,
+    names: Mapping[str, tuple[str, str]] = MappingProxyType({}),
+    linked: bool = False,
+    **values: object,
+) -> str:
     """Fill in a template of HTML; all values are escaped.
 
     The page states a policy for browsers: no network, and no script but those that the template
@@ -32,6 +45,13 @@ def html(name: str, assets: str | None = None, **values: object) -> str:
     assets
         Address of the folder of assets, relative to the page, with a slash at its end; None for a
         page that holds what it needs of them.
+    address
+        Gives the address of an anchor, on another page of a report, too; None for a page without a
+        glossary, whose anchors are its own.
+    linked
+        Whether a page that holds its scripts links others of its own site, too.
+    names
+        Anchors and short names of integrators and scenes, which stand for them in tables.
     **values
         For the template.
     """
@@ -61,9 +81,16 @@ def html(name: str, assets: str | None = None, **values: object) -> str:
         "program": program,
         "style": style,
         "policy": POLICY,
+        "names": names,
+        "address": address or "#{}".format,
+    }
+    environment.filters |= {
+        "prose": _prose(address) if address else _doi,
+        "doi": _doi,
+        "file_name": file_name,
     }
     text = clean(environment.get_template(name).render(**values))
-    own = [] if assets is None else ["'self'"]
+    own = ["'self'"] if linked or assets is not None else []
     policy = {
         "default-src": "'none'",
         "script-src": " ".join([*own, *digests]) or "'none'",
@@ -75,6 +102,41 @@ def html(name: str, assets: str | None = None, **values: object) -> str:
     stated = "; ".join(f"{name} {allowed}" for name, allowed in policy.items())
     # The head comes before every value: the first one is the page's own.
     return text.replace(POLICY, stated, 1)
+
+
+def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
+    """A filter that makes links of DOIs, and of the first use of each term on a page."""
+    used: set[str] = set()
+
+    def prose(text: object) -> Markup:
+        return _with_dois(str(text), terms)
+
+    def terms(text: str) -> Markup:
+        parts, at = [], 0
+        for start, end, term in terms_in(text):
+            if term.anchor in used:
+                continue
+            used.add(term.anchor)
+            link = _TERM_LINK.format(address(term.anchor), term.definition, text[start:end])
+            parts += [escape(text[at:start]), link]
+            at = end
+        return Markup("").join([*parts, escape(text[at:])])
+
+    return prose
+
+
+def _doi(text: object) -> Markup:
+    """A filter that makes links of DOIs only."""
+    return _with_dois(str(text), escape)
+
+
+def _with_dois(text: str, others: Callable[[str], Markup]) -> Markup:
+    parts, at = [], 0
+    for found in _DOI.finditer(text):
+        name = found.group(1).rstrip(".,;:)")
+        parts += [others(text[at : found.start()]), _DOI_LINK.format(name, name)]
+        at = found.start(1) + len(name)
+    return Markup("").join([*parts, others(text[at:])])
 
 
 def asset(file: str) -> str:
@@ -98,7 +160,8 @@ def _environment(autoescape: bool) -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": {}}
+    compact = {"separators": (",", ":")}
+    environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": compact}
     return environment
 
 

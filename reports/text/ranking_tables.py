@@ -11,6 +11,7 @@ from bench.results.records import IntegratorFacts, Record
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import named, number, order_text, text_range
 from reports.pareto_front import compared_scenes, pareto_front
+from reports.questions.answers import Answer
 from reports.ranking import (
     GROUP,
     LEAST_COST,
@@ -113,25 +114,46 @@ def _cheapest(runs: Sequence[Record], cost: str) -> str:
 def winners_table(
     found: Mapping[str, Mapping[str, Verdict]],
     ids: Mapping[str, str],
+    names: Mapping[str, str],
     group: str = GROUP,
     target: float = TARGET,
 ) -> Table | None:
-    """The verdicts on each scene and cost; ``ids`` are the anchors of records by key."""
+    """The verdicts on each scene and cost.
+
+    ``ids`` are the anchors of records by key, ``names`` those of integrators by label.
+    """
     if not found:
         return None
-    rows = [[scene, *(by[cost].text for cost in LEAST_COST)] for scene, by in found.items()]
+    rows = [
+        [scene, *(by[cost].worded(names) for cost in LEAST_COST)] for scene, by in found.items()
+    ]
     return Table(
         f"Cheapest way to {accuracy_text(group, target)}",
         ["scene", *LEAST_COST.values()],
         rows,
         note=f"{TIES} Integrators joined by = do the same on the scene (equal errors and equal "
-        "work at every resolution) and are one contestant. Other accuracies and costs: below. The "
-        "numbers in brackets lead to the runs.",
+        "work at every resolution) and are one contestant. Other accuracies and "
+        "costs: on the scenes' pages. The numbers in brackets lead to the runs.",
         links={
             (i, j): [ids[run.key] for run in by[cost].runs if run.key in ids]
             for i, by in enumerate(found.values())
             for j, cost in enumerate(LEAST_COST, 1)
         },
+    )
+
+
+def standings_table(found: Answer, names: Mapping[str, str]) -> Table | None:
+    """First places and scenes reached of each integrator; None for one integrator or one scene."""
+    rows = found.standings
+    if len(rows) < 2 or len(found.scenes) < 2:
+        return None
+    question = found.question
+    return Table(
+        f"Standings: {LEAST_COST[question.cost]} to {question.accuracy} in {question.quantity}",
+        ["integrator", "short name", "alone cheapest", "tied", "reached", "tried"],
+        [[s.label, names[s.label], *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
+        note=f"Numbers of scenes. Relative error: {NORM_NAMES[NORM]}. First places count on scenes "
+        f"on which several integrators are compared. {TIES}",
     )
 
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+from reports.formatting import NO_VALUE
+
+#: A number as `reports.formatting.number` writes it, with a mark of doubt or a sign for no number.
+_NUMBER = re.compile(rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|{NO_VALUE}|not counted|not determined|)")
 
 
 @dataclass
@@ -23,6 +29,12 @@ class Table:
     note: str = ""
     ids: list[str] = field(default_factory=list)
     links: dict[tuple[int, int], list[str]] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> set[int]:
+        """The columns of which every cell is a number, or a sign for none."""
+        columns = enumerate(zip(*self.rows, strict=True))
+        return {j for j, cells in columns if any(cells) and all(map(_NUMBER.fullmatch, cells))}
 
     @classmethod
     def from_dicts(cls, caption: str, rows: Sequence[Mapping[str, str]], **more: Any) -> Table:

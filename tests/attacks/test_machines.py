@@ -275,7 +275,7 @@ def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
         return
     assert (code, OK in text) == (0, True), text
     assert len(stored(out)) == 2
-    assert (out / "report.html").stat().st_size > 100_000
+    assert (out / "report" / "vega.js").stat().st_size > 100_000
 
 
 # ---- variables -------------------------------------------------------------------------

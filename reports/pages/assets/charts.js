@@ -1,0 +1,69 @@
+// Draws the charts of a page with Vega-Lite: <div class="chart"> and its specification as JSON.
+(() => {
+  "use strict";
+  const options = { mode: "vega-lite", renderer: "svg", ast: true, actions: { export: true, source: false, compiled: false, editor: false } };
+  // Room for the labels of an axis beside a panel, and the narrowest panel that can be read.
+  const beside = 110, least = 230;
+  const fit = (chart, room) => {
+    if (chart.width && chart.width.step) return chart;
+    const panels = chart.concat || [chart.spec || chart], many = chart.concat || chart.spec;
+    const columns = Math.max(1, Math.min(chart.columns || 1, Math.floor(room / (panels[0].width + beside))));
+    if (many) chart.columns = columns;
+    if (room < 600) chart.config.legend.columns = 1;
+    const scale = Math.min(1, Math.max(least, room - beside) / panels[0].width);
+    for (const panel of panels) {
+      panel.width *= scale;
+      if (!many) panel.height *= scale;
+    }
+    return chart;
+  };
+  const link = (name, text) => {
+    const a = document.createElement("a");
+    a.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+    a.download = name + ".csv";
+    a.textContent = name + ".csv";
+    return a;
+  };
+  // Rows of a table in CSV. Vega's own reader makes a program of the head, which the policy forbids.
+  const rows = (text) => {
+    const table = [[]];
+    for (const [, cell, end] of text.matchAll(/("(?:""|[^"])*"|[^,\n]*)(,|\n|$)/g)) {
+      table[table.length - 1].push(cell[0] === '"' ? cell.slice(1, -1).replaceAll('""', '"') : cell);
+      if (end === "\n") table.push([]);
+    }
+    const [head, ...body] = table.slice(0, -1);
+    return body.map((row) => Object.fromEntries(head.map((name, k) => [name, row[k]])));
+  };
+  const plain = (key, value) => key === "format" && value.type === "csv" ? { ...value, type: "json" } : value;
+  const draw = (node) => {
+    const place = document.getElementById(node.dataset.chart);
+    if (place.dataset.drawn) return;
+    place.dataset.drawn = "yes";
+    const chart = JSON.parse(node.textContent, plain);
+    const data = document.createElement("p");
+    data.className = "data";
+    data.append("Data: ", ...Object.entries(chart.datasets || {}).flatMap(([name, text]) => [link(name, text), " "]));
+    for (const name in chart.datasets) chart.datasets[name] = rows(chart.datasets[name]);
+    window.vegaEmbed(place, fit(chart, place.clientWidth || document.body.clientWidth), options).then(
+      (result) => {
+        place.view = result.view;
+        // What a menu leaves without data is no fault: from here on only errors (1) are said.
+        place.view.logLevel(1);
+        place.parentElement.after(data);
+      },
+      (error) => {
+        place.textContent = "This chart cannot be drawn: " + error.message;
+        console.error(error);
+      });
+  };
+  // Charts are drawn when they come near the screen, or all of them to be printed.
+  const nodes = [...document.querySelectorAll("script[data-chart]")];
+  const near = new IntersectionObserver((entries) => {
+    for (const entry of entries) if (entry.isIntersecting) {
+      near.unobserve(entry.target);
+      draw(nodes.find((node) => node.dataset.chart === entry.target.id));
+    }
+  }, { rootMargin: "600px" });
+  for (const node of nodes) near.observe(document.getElementById(node.dataset.chart));
+  window.addEventListener("beforeprint", () => nodes.forEach(draw));
+})();

@@ -1,0 +1,98 @@
+// The heat table: cost as a multiple of the cheapest, methods by rank and scenes by tag.
+"use strict";
+(() => {
+  const { html, data } = stepbench;
+  const table = document.getElementById("heat");
+  if (!table) return;
+  const STATES = {
+    reached: ["", "the accuracy is reached"],
+    unknown: ["?", "the accuracy is reached at a cost that was not measured"],
+    far: ["–", "runs reached the end, none reached the accuracy"],
+    failed: ["✕", "no run reached the end"],
+    untried: ["", "not tried"],
+    unjudged: ["·", "this accuracy cannot be judged on this scene"],
+  };
+  // The darkest cell is the cheapest; from this multiple on it is the lightest.
+  const MOST = 100;
+
+  // Scenes in the order of the groups they belong to: the first filter that has them.
+  const grouped = (chosen) => {
+    const filters = data.filters.filter((f) => f.id !== "all");
+    if (stepbench.question.scenes !== "all") return [[stepbench.question.scenes, chosen]];
+    const left = new Set(chosen), groups = [];
+    for (const filter of filters) {
+      const own = filter.scenes.filter((k) => left.has(k));
+      if (own.length < 2) continue;
+      own.forEach((k) => left.delete(k));
+      groups.push([filter.id, own]);
+    }
+    if (left.size) groups.push([groups.length ? "others" : "all scenes", [...left]]);
+    return groups;
+  };
+
+  const cell = (method, index, answer) => {
+    const scene = data.scenes[index], own = answer?.scenes[index];
+    const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
+    const known = own?.states[data.methods.indexOf(method)] ?? (tried ? "unjudged" : "untried");
+    const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
+    const [sign, meaning] = STATES[state];
+    const text = reached ? stepbench.times(ratio) : sign;
+    const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.times(ratio)} times the cheapest` : meaning];
+    if (reached) {
+      const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
+      const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k];
+      if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${stepbench.resolutionOf(runs, k)}`);
+    }
+    const link = html("a", { "aria-label": lines.join(": ") }, text);
+    link.href = stepbench.page(scene.page);
+    const show = () => {
+      const box = link.getBoundingClientRect();
+      stepbench.tip.show(lines, box.right - 10, box.top);
+    };
+    for (const [event, what] of [["pointerenter", show], ["focus", show], ["pointerleave", stepbench.tip.hide], ["blur", stepbench.tip.hide]])
+      link.addEventListener(event, what);
+    const node = html("td", { class: state }, link);
+    if (reached) {
+      const near = 1 - Math.min(Math.log(ratio) / Math.log(MOST), 1);
+      node.style.setProperty("--near", `${Math.round(8 + 92 * near)}%`);
+      node.classList.toggle("deep", near > .45);
+      if (own.first.includes(data.methods.indexOf(method))) node.classList.add("first");
+    }
+    return node;
+  };
+
+  stepbench.onChange((question) => {
+    const answer = stepbench.answer(), groups = grouped(stepbench.chosen());
+    const standings = answer?.filters[question.scenes]?.standings || [];
+    const ranked = standings.map(([m]) => data.methods[m]);
+    const rows = ranked.length ? ranked : data.methods;
+    const tags = html("tr", {}, html("td"), ...groups.map(([name, own]) => html("th", { colspan: own.length, scope: "colgroup" }, name)));
+    const names = html("tr", {}, html("th", { scope: "col" }, "method"), ...groups.flatMap(([, own]) => own.map((k, n) => {
+      const link = html("a", { title: data.scenes[k].id }, data.scenes[k].name);
+      link.href = stepbench.page(data.scenes[k].page);
+      return html("th", { scope: "col", class: n ? "" : "start" }, html("span", {}, link));
+    })));
+    const body = rows.map((method) => {
+      const name = html("a", { title: method.label }, method.short);
+      name.href = stepbench.page(method.page);
+      return html("tr", { class: method.label === question.highlight ? "mine" : "" },
+        html("th", { scope: "row" }, stepbench.badge(method), name),
+        ...groups.flatMap(([, own]) => own.map((k, n) => {
+          const node = cell(method, k, answer);
+          if (!n) node.classList.add("start");
+          return node;
+        })));
+    });
+    table.replaceChildren(
+      html("caption", {}, `${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${data.norm}), as a multiple of the cheapest on the scene`),
+      html("thead", {}, tags, names), html("tbody", {}, ...body));
+  });
+
+  const legend = document.getElementById("heat-legend");
+  legend.append(...["reached", "far", "failed", "unknown", "untried"].map((state) => {
+    const [sign, meaning] = STATES[state], reached = state === "reached";
+    const sample = html("i", { class: state, "aria-hidden": "true" }, reached ? "1.0" : sign);
+    sample.style.setProperty("--near", "100%");
+    return html("span", {}, sample, reached ? "multiple of the cheapest: the darker, the cheaper" : meaning);
+  }));
+})();

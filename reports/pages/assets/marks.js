@@ -1,0 +1,81 @@
+// Marks of methods, SVG elements, numbers in words, and the note beside the pointer.
+"use strict";
+(() => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const SHAPES = {
+    "circle": (r) => `m${-r} 0a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`,
+    "square": (r) => `m${-.9 * r} ${-.9 * r}h${1.8 * r}v${1.8 * r}h${-1.8 * r}z`,
+    "triangle-up": (r) => `m0 ${-1.2 * r}l${1.15 * r} ${2 * r}h${-2.3 * r}z`,
+    "triangle-down": (r) => `m0 ${1.2 * r}l${1.15 * r} ${-2 * r}h${-2.3 * r}z`,
+    "triangle-right": (r) => `m${1.2 * r} 0l${-2 * r} ${1.15 * r}v${-2.3 * r}z`,
+    "triangle-left": (r) => `m${-1.2 * r} 0l${2 * r} ${1.15 * r}v${-2.3 * r}z`,
+    "diamond": (r) => `m0 ${-1.3 * r}l${1.2 * r} ${1.3 * r}l${-1.2 * r} ${1.3 * r}l${-1.2 * r} ${-1.3 * r}z`,
+    "cross": (r) => `m${-.4 * r} ${-1.2 * r}h${.8 * r}v${.8 * r}h${.8 * r}v${.8 * r}h${-.8 * r}v${.8 * r}h${-.8 * r}v${-.8 * r}h${-.8 * r}v${-.8 * r}h${.8 * r}z`,
+  };
+  const other = (r) => `m${-r} ${-r}l${2 * r} ${2 * r}m0 ${-2 * r}l${-2 * r} ${2 * r}z`;
+
+  const svg = (name, attributes = {}, ...children) => {
+    const node = document.createElementNS(SVG, name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    node.append(...children);
+    return node;
+  };
+  const html = (name, attributes = {}, ...children) => {
+    const node = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    node.append(...children);
+    return node;
+  };
+
+  const shape = (method, r) => (SHAPES[method.shape] || other)(r);
+  // A colour of a method that follows light and dark; paper is always light.
+  const colour = (method) => `light-dark(${method.light}, ${method.dark})`;
+  const badge = (method) => {
+    const path = svg("path", { d: "M7 7" + shape(method, 4.4) });
+    path.style.fill = colour(method);
+    return svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }, path);
+  };
+
+  const PREFIXES = [[1e12, "T"], [1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""]];
+  const digits = (value) => value >= 100 ? Math.round(value).toString() : String(Number(value.toPrecision(3)));
+  // A cost in few characters with its unit.
+  const costText = (value, cost) => {
+    if (cost === "seconds") {
+      const [scale, unit] = value >= 1 ? [1, "s"] : value >= 1e-3 ? [1e3, "ms"] : [1e6, "µs"];
+      return `${digits(value * scale)} ${unit}`;
+    }
+    const [scale, prefix] = PREFIXES.find(([least]) => value >= least * .9995) || [1, ""];
+    return `${digits(value / scale)}${prefix ? "\u202f" + prefix : ""}`;
+  };
+  const costWithUnit = (value, cost) =>
+    cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${stepbench.data.units[cost]}`;
+  const errorText = (value) => value < 1e-35 ? "0" : value.toExponential(1).replace("e+", "e");
+  const times = (value) => value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
+
+  // Names in a margin: cut if they are long, and the room that they take.
+  const LONGEST = 30;
+  const cut = (name) => name.length > LONGEST ? `${name.slice(0, LONGEST - 1)}…` : name;
+  const room = (names) => Math.ceil(7.6 * Math.max(6, ...names.map((name) => cut(name).length)));
+
+  // One note for the whole page; screen readers hear it when it comes by keyboard.
+  const note = html("div", { class: "tip", role: "status", hidden: "" });
+  document.body.append(note);
+  const tip = {
+    show(lines, x, y) {
+      note.replaceChildren(...lines.map((line, k) => {
+        const row = html(k ? "span" : "strong");
+        row.append(...[line].flat());
+        return row;
+      }));
+      note.hidden = false;
+      const { offsetWidth: wide, offsetHeight: high } = note;
+      const left = x + 14 + wide > innerWidth ? x - 14 - wide : x + 14;
+      note.style.left = `${Math.max(4, left) + scrollX}px`;
+      note.style.top = `${Math.max(4, Math.min(y + 12, innerHeight - high - 4)) + scrollY}px`;
+    },
+    hide() { note.hidden = true; },
+  };
+  window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
+
+  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, cut, room });
+})();

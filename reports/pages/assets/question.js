@@ -1,0 +1,141 @@
+// The question of the page: its bar, its place in the address, and whoever follows it.
+"use strict";
+(() => {
+  const ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+  const VALUES = new Map([...ALPHABET].map((letter, k) => [letter, k]));
+  const NAMES = ["group", "target", "cost", "scenes", "highlight"];
+  const bar = document.getElementById("question");
+  const followers = [];
+  const decoded = new Map();
+  const source = document.getElementById("stepbench-data");
+  const data = JSON.parse(source.textContent);
+  data.root = source.dataset.root || "";
+  data.complete = !source.dataset.more;
+  const single = source.dataset.single !== undefined;
+
+  // Numbers of a column, four characters each; NaN for none.
+  const numbers = (text) => {
+    const found = new Float64Array(text.length / 4);
+    for (let k = 0; k < found.length; k++) {
+      const part = text.slice(4 * k, 4 * k + 4);
+      let bits = 0;
+      for (const letter of part) bits = 64 * bits + VALUES.get(letter);
+      found[k] = part === "----" ? NaN : 10 ** (80 * bits / (2 ** 24 - 1) - 40);
+    }
+    return found;
+  };
+
+  const decode = (text) => {
+    if (!decoded.has(text)) decoded.set(text, numbers(text));
+    return decoded.get(text);
+  };
+  // The numbers of a column for the runs of one method on one scene, if the page has them.
+  const columnOf = (runs, name) => {
+    const k = data.columns.indexOf(name);
+    return k < 0 ? null : decode(runs.columns[k]);
+  };
+  const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
+  // The step or tolerance of a run in words.
+  const resolutionOf = (runs, k) => {
+    const [, control, text] = data.resolutions[runs.at].match(/^(h|rtol)(.*)$/);
+    const value = Number(decode(text)[k].toPrecision(4));
+    return `${control}=${value < 1e-3 ? value.toExponential() : value}`;
+  };
+
+  const choices = () => ({
+    group: Object.keys(data.group_names),
+    target: data.targets,
+    cost: Object.keys(data.cost_names),
+    scenes: data.filters.map((filter) => filter.id),
+    highlight: ["", ...data.methods.map((method) => method.label)],
+  });
+
+  // The question that the address asks; what it does not say is the first question's.
+  const asked = () => {
+    const said = new URLSearchParams(location.hash.slice(1)), known = choices();
+    const first = { ...data.first, scenes: "all", highlight: "" };
+    const question = {};
+    for (const name of NAMES) {
+      const value = said.get(name);
+      question[name] = known[name].includes(value) ? value
+        : known[name].includes(first[name]) ? first[name] : known[name][0];
+    }
+    return question;
+  };
+
+  const address = (question = stepbench.question) =>
+    "#" + new URLSearchParams(NAMES.filter((name) => question[name]).map((name) => [name, question[name]]));
+
+  const stepbench = {
+    data, columnOf, endingOf, resolutionOf, address,
+    question: asked(),
+    // Call a function with the question, now and whenever it or the data change.
+    onChange(follower) {
+      followers.push(follower);
+      follower(stepbench.question);
+    },
+    // Take in the data of all other questions.
+    more(rest) {
+      for (const name of ["columns", "resolutions", "runs_of", "answers", "profiles"]) data[name] = rest[name];
+      data.complete = true;
+      follow();
+    },
+    ask(change) {
+      history.replaceState(null, "", address({ ...stepbench.question, ...change }));
+      follow();
+    },
+    answer: () => data.answers[["group", "target", "cost"].map((name) => stepbench.question[name]).join("|")],
+    chosen: () => data.filters.find((filter) => filter.id === stepbench.question.scenes).scenes,
+    // The address of a page; one file that holds all pages has anchors instead.
+    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : data.root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    costName: (question = stepbench.question) => data.cost_names[question.cost],
+  };
+  window.stepbench = stepbench;
+
+  const follow = () => {
+    stepbench.question = asked();
+    for (const name of NAMES) if (bar?.elements[name]) bar.elements[name].value = stepbench.question[name];
+    for (const follower of followers) follower(stepbench.question);
+    for (const link of document.querySelectorAll("a[data-question]")) {
+      link.hash = address();
+    }
+  };
+
+  const fill = (select, values, texts) => {
+    select.replaceChildren(...values.map((value, k) => new Option(texts[k], value)));
+  };
+  if (bar) {
+    const known = choices();
+    fill(bar.elements.group, known.group, Object.values(data.group_names));
+    fill(bar.elements.target, known.target, known.target);
+    fill(bar.elements.cost, known.cost, Object.values(data.cost_words));
+    if (bar.elements.scenes) fill(bar.elements.scenes, known.scenes, data.filters.map((f) => `${f.name} (${f.scenes.length})`));
+    fill(bar.elements.highlight, known.highlight, ["no method", ...data.methods.map((m) => m.short)]);
+    bar.addEventListener("change", (event) => stepbench.ask({ [event.target.name]: event.target.value }));
+    bar.addEventListener("submit", (event) => event.preventDefault());
+    const copy = bar.querySelector("[data-copy]");
+    copy?.addEventListener("click", async () => {
+      history.replaceState(null, "", address());
+      try {
+        await navigator.clipboard.writeText(location.href);
+        copy.textContent = "copied";
+      } catch {
+        copy.textContent = "it is in the address line";
+      }
+      setTimeout(() => { copy.textContent = "copy link"; }, 2000);
+    });
+    follow();
+  }
+  window.addEventListener("hashchange", () => {
+    if (new URLSearchParams(location.hash.slice(1)).has("group")) follow();
+  });
+
+  // The data of the other questions come after the first drawing.
+  window.addEventListener("load", () => {
+    const place = source.dataset.more;
+    if (!place) return;
+    const script = document.createElement("script");
+    script.src = place;
+    requestAnimationFrame(() => setTimeout(() => document.body.append(script)));
+  });
+})();

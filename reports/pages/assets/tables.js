@@ -1,0 +1,103 @@
+// Tables that sort, filter and begin folded; the menu of contents on narrow screens.
+"use strict";
+(() => {
+  const FOLDED = 12, FILTERED = 8;
+  const make = (name, attributes, ...children) => {
+    const node = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    node.append(...children);
+    return node;
+  };
+
+  // What a cell is sorted by: its number, or its text. Cells without a value come last.
+  const valueOf = (cell) => {
+    const text = (cell.dataset.value ?? cell.textContent).trim();
+    const number = parseFloat(text.replace(/^[^\d.+-]*/, ""));
+    return /^[–-]?$/.test(text) ? null : /^[\s×<>≤~]*[+-]?[\d.]/.test(text) && !Number.isNaN(number) ? number : text;
+  };
+  const compare = (one, two) => {
+    if (one === null || two === null) return (one === null) - (two === null);
+    if (typeof one === "number" && typeof two === "number") return one - two;
+    return String(one).localeCompare(String(two), undefined, { numeric: true });
+  };
+
+  for (const table of document.querySelectorAll("table.sortable")) {
+    const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+    const rows = [...body.rows], first = [...rows];
+    let open = rows.length <= FOLDED, wanted = "", order = first;
+    const count = make("button", { type: "button", class: "unfold" });
+    const show = () => {
+      let n = 0, found = 0;
+      for (const row of order) {
+        const fits = row.textContent.toLowerCase().includes(wanted);
+        found += fits;
+        row.hidden = !fits || (!open && ++n > FOLDED);
+      }
+      count.hidden = open || found <= FOLDED;
+      count.textContent = `show all ${found} rows`;
+    };
+    heads.forEach((head, column) => {
+      const button = make("button", { type: "button", class: "sort" }, ...head.childNodes);
+      head.append(button);
+      button.addEventListener("click", () => {
+        const before = head.getAttribute("aria-sort");
+        for (const other of heads) other.removeAttribute("aria-sort");
+        if (before === "descending") order = [...first];
+        else {
+          const down = before === "ascending";
+          head.setAttribute("aria-sort", down ? "descending" : "ascending");
+          const values = new Map(first.map((row) => [row, row.cells[column] ? valueOf(row.cells[column]) : null]));
+          order = [...first].sort((one, two) => {
+            const [a, b] = [values.get(one), values.get(two)];
+            return a === null || b === null || !down ? compare(a, b) : -compare(a, b);
+          });
+        }
+        body.append(...order);
+        show();
+      });
+    });
+    count.addEventListener("click", () => {
+      open = true;
+      show();
+    });
+    const frame = table.closest(".wide") || table;
+    frame.after(count);
+    if (rows.length > FILTERED) {
+      const input = make("input", { type: "search", class: "filter", placeholder: "filter rows", "aria-label": "filter the rows of this table" });
+      input.addEventListener("input", () => {
+        wanted = input.value.trim().toLowerCase();
+        show();
+      });
+      frame.before(input);
+    }
+    // A link to a row opens its table.
+    const reveal = () => {
+      const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+      if (!target || !table.contains(target)) return;
+      open = true;
+      show();
+      for (let node = target; node; node = node.parentElement) if (node.tagName === "DETAILS") node.open = true;
+      target.scrollIntoView({ block: "center" });
+    };
+    window.addEventListener("hashchange", reveal);
+    window.addEventListener("beforeprint", () => {
+      open = true;
+      show();
+    });
+    show();
+    reveal();
+  }
+
+  const side = document.querySelector("nav.side");
+  if (side) {
+    const button = make("button", { type: "button", class: "menu", "aria-expanded": "false" }, "Contents");
+    const set = (on) => {
+      side.classList.toggle("open", on);
+      button.setAttribute("aria-expanded", String(on));
+    };
+    button.addEventListener("click", () => set(!side.classList.contains("open")));
+    side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
+    side.firstElementChild.after(button);
+    side.classList.add("folds");
+  }
+})();

@@ -1,0 +1,36 @@
+// The verdict on one scene in words, and a table of its methods: what the asked accuracy costs each.
+"use strict";
+(() => {
+  const { html, data } = stepbench;
+  const STATES = {
+    far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured",
+  };
+
+  for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange(() => {
+    const said = stepbench.answer()?.verdicts?.[place.dataset.verdict];
+    place.replaceChildren(...(said || ["This accuracy cannot be judged on this scene."]).map(stepbench.part));
+  });
+
+  const row = (scene, index, state, question) => {
+    const method = data.methods[index], link = html("a", { title: method.label }, method.short);
+    link.href = stepbench.page(method.page);
+    const head = html("th", { scope: "row" }, stepbench.badge(method), link);
+    if (!Array.isArray(state))
+      return html("tr", { class: "out" }, head, html("td", { colspan: 3 }, STATES[state]));
+    const [multiple, k] = state, runs = data.runs_of[scene].find((own) => own.method === index);
+    const [cost, error] = [question.cost, question.group].map((name) => stepbench.columnOf(runs, name)[k]);
+    return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head,
+      html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.times(multiple)} ×`),
+      html("td", {}, stepbench.errorText(error)));
+  };
+  for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
+    const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || {};
+    const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
+    const found = Object.entries(states).sort((one, two) => multiple(one) - multiple(two) || 0);
+    const head = ["method", stepbench.costName(question), "multiple of the best", `error in ${question.group}`];
+    table.replaceChildren(
+      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${data.norm}`),
+      html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
+      html("tbody", {}, ...found.map(([index, state]) => row(scene, Number(index), state, question))));
+  });
+})();

@@ -1,0 +1,165 @@
+"""One integrator's chapter of the report: its claims, its runs on all scenes, its failures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
+from bench.results.records import Damping, IntegratorFacts, SceneRecord
+from reports.formatting import NO_VALUE, number, order_text
+from reports.questions.answers import Answer
+from reports.questions.method_card import card
+from reports.questions.phrases import Sentence
+from reports.questions.sentences import Words
+from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
+from reports.series import Series, error_of, groups_of
+from reports.text.damping_table import damping_table
+from reports.text.run_tables import failures_table
+from reports.text.table import Table
+
+
+@dataclass
+class MethodChapter:
+    """One integrator, with one step pattern, over all scenes."""
+
+    label: str
+    family: str
+    title: str
+    card: list[Sentence]
+    facts: list[tuple[str, str]]
+    scenes: Table
+    orders: Table | None
+    damping: Table | None
+    failures: Table | None
+    command: str
+
+
+def method_chapters(
+    scenes: Mapping[str, Sequence[Series]],
+    entries: Sequence[RankEntry],
+    known: Mapping[str, IntegratorFacts],
+    damping: Mapping[str, Damping],
+    records: Mapping[str, SceneRecord],
+    answer: Answer,
+    words: Words,
+) -> list[MethodChapter]:
+    """The chapters of all integrators.
+
+    Parameters
+    ----------
+    scenes
+        Series by scene.
+    entries
+        The ranking of the scenes.
+    known, damping
+        Statements and damping of integrators, by printed name.
+    records
+        Records of the scenes.
+    answer, words
+        The answer to the first question, and the names that its sentences use.
+    """
+    asked = {
+        (e.scene, e.label): e
+        for e in entries
+        if (e.group, e.target, e.cost) == (GROUP, TARGET, COST)
+    }
+    own: dict[str, dict[str, Series]] = {}
+    for scene, series in scenes.items():
+        for s in series:
+            own.setdefault(s.label, {})[scene] = s
+    found = []
+    for label, by_scene in own.items():
+        first = next(iter(by_scene.values()))
+        name = first.records[0].integrator
+        facts = known.get(name)
+        analysed = {name: damping[name]} if name in damping else {}
+        found.append(
+            MethodChapter(
+                label=label,
+                family=first.family,
+                title=facts.title.rstrip(".") if facts else "",
+                card=card(label, answer, scenes, words),
+                facts=_facts(name, first, facts),
+                scenes=_scenes_table(label, by_scene, asked),
+                orders=_orders_table(by_scene, facts.orders if facts else {}),
+                damping=_own(damping_table(analysed, list(records.items())), "Its damping"),
+                failures=_own(
+                    failures_table([r for s in by_scene.values() for r in s.records]),
+                    "Its runs that did not reach the end",
+                ),
+                command=f'stepbench stability "{name}"' if first.controls == "step" else "",
+            )
+        )
+    return found
+
+
+def _own(table: Table | None, caption: str) -> Table | None:
+    return replace(table, caption=caption) if table else None
+
+
+def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tuple[str, str]]:
+    """Pairs (name, text): options, formulation, claimed orders, choice of steps, source."""
+    options = re.search(r"\[(.*)\]$", name)
+    steps = "at constant steps" if series.controls == "step" else "chosen by the method"
+    pattern = series.records[0].pattern
+    if len(pattern) > 1:
+        steps = f"in the pattern {'/'.join(f'{f:g}' for f in pattern)}"
+    claimed = ", ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
+    pairs = [
+        ("Full name", series.label),
+        ("Options", options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"),
+        ("Formulation", facts.formulation if facts else ""),
+        ("Orders claimed", claimed),
+        ("Steps", steps),
+        ("Source", facts.source if facts else ""),
+    ]
+    return [(name, text) for name, text in pairs if text]
+
+
+def _scenes_table(
+    label: str, series: Mapping[str, Series], asked: Mapping[tuple[str, str], RankEntry]
+) -> Table:
+    """A row per scene: best errors, cost to the accuracy, its multiple of the best, endings."""
+    groups = groups_of(r for s in series.values() for r in s.ok)
+    rows = []
+    for scene, s in series.items():
+        errors = {
+            f"error in {g}": number(
+                min((e for r in s.ok if (e := error_of(r, g, NORM)) is not None), default=None)
+            )
+            for g in groups
+        }
+        entry = asked.get((scene, label))
+        state = "not judged" if entry is None else "reached" if entry.reached else "not reached"
+        rows.append(
+            {
+                "scene": scene,
+                "accuracy": state,
+                COST: number(entry.value if entry else None),
+                "multiple of the best": number(entry.ratio if entry else None),
+                **errors,
+                "runs": s.statuses,
+                "resolutions": s.resolutions,
+            }
+        )
+    note = (
+        f"Accuracy: {accuracy_text(GROUP, TARGET)}; {COST}: {COST_NAMES[COST]} of its cheapest run "
+        f"there. Errors: the smallest of its runs, relative, {NORM_NAMES[NORM]}."
+    )
+    return Table.from_dicts("Its runs, scene by scene", rows, note=note)
+
+
+def _orders_table(series: Mapping[str, Series], claimed: Mapping[str, int]) -> Table | None:
+    """Fitted orders by scene, with the claimed ones in the first row; None without any."""
+    fixed = {scene: s for scene, s in series.items() if s.controls == "step" and len(s.ok) > 1}
+    groups = groups_of(r for s in fixed.values() for r in s.ok)
+    if not groups:
+        return None
+    rows = [["claimed", *(str(claimed.get(g, NO_VALUE)) for g in groups)]] if claimed else []
+    for scene, s in fixed.items():
+        fits = [s.fit(g, NORM) for g in groups]
+        rows.append([scene, *(NO_VALUE if f.order is None else order_text(f.order) for f in fits)])
+    note = f"Fitted to the errors, {NORM_NAMES[NORM]}, of the finest steps."
+    return Table("Orders measured, scene by scene", ["scene", *groups], rows, note=note)

@@ -1,0 +1,129 @@
+"""One integrator against the field: where it wins, loses and fails, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from bench.results.quantities import NORM
+from bench.results.store import Store
+from problems.spec import SpecError, suggest
+from reports.formatting import number
+from reports.questions.answers import Answer, SceneAnswer, answer
+from reports.questions.phrases import Part, Sentence, listed, plain
+from reports.questions.question import FIRST, Question
+from reports.questions.sentences import Words, accuracy, scene_ref, words_of
+from reports.ranking import RankEntry
+from reports.scenes import scene_keys, scene_titles
+from reports.series import Series, error_of, series_of
+from reports.text.winners import cost_text, times
+
+#: The cost of a run in the sentences of a card.
+_UNITS = {"operations": "operations", "seconds": "per run", "residuals": "residual evaluations"}
+
+
+def card(
+    label: str, found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words
+) -> list[Sentence]:
+    """The sentences about one integrator; those of which there is nothing to say are left out."""
+    tried = {name: s for name, s in found.scenes.items() if label in s.entries}
+    me, question = words.method(label), found.question
+    if not tried:
+        return [[me, " was tried on no scene on which this can be judged."]]
+    own = {name: s.entries[label] for name, s in tried.items()}
+    reached = {name: e for name, e in own.items() if e.reached}
+    said: list[Sentence] = [
+        [
+            me,
+            " reaches ",
+            *accuracy(question),
+            f" on {len(reached)} of {len(tried)} scene{'s' * (len(tried) > 1)} tried.",
+        ]
+    ]
+    wins = {name: s for name, s in tried.items() if s.verdict.votes and label in s.first}
+    alone = {name: s for name, s in wins.items() if len(s.verdict.first) == 1}
+    said += _listed("Cheapest alone: ", [_win(name, s, words) for name, s in alone.items()])
+    ties: list[Sentence] = [[scene_ref(name)] for name in wins if name not in alone]
+    said += _listed("Tied for the cheapest: ", ties)
+    losses = [(e.ratio or 0.0, name) for name, e in reached.items() if e.ratio and name not in wins]
+    losses = [pair for pair in losses if tried[pair[1]].verdict.votes]
+    said += _listed(
+        "Dearer than the cheapest: ",
+        [_loss(name, ratio, tried[name], words) for ratio, name in sorted(losses, reverse=True)],
+    )
+    missed = [name for name, e in own.items() if e.state == "far"]
+    said += _listed(
+        "Does not get there: ", [_missed(k, label, scenes[k], question) for k in missed]
+    )
+    failed = [name for name, e in own.items() if e.state == "failed"]
+    said += _listed("Fails: ", [_failed(name, label, scenes[name]) for name in failed])
+    return [*said, *_costs(reached, question)]
+
+
+def method_card(folder: Path, integrator: str, question: Question = FIRST) -> list[str]:
+    """The card of an integrator in plain text, from the store of a run folder.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    integrator
+        Its printed name, or its name without options for all of its variants.
+    question
+        What is asked.
+
+    Raises
+    ------
+    SpecError
+        If the store has no such integrator.
+    """
+    with Store(folder) as store:
+        plan, described = store.plan(), store.scenes()
+        records = list(store.records().values())
+    titles = scene_titles(scene_keys(plan, described, records))
+    scenes = {
+        title: series_of(r for r in records if (r.problem, r.t_end) == key)
+        for key, title in titles.items()
+    }
+    words = words_of(scenes, {})
+    labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series))
+    chosen = [k for k in labels if integrator in (k, k.partition("[")[0])]
+    if not chosen:
+        raise SpecError(f"There is no integrator {integrator!r}; {suggest(integrator, labels)}.")
+    found = answer(scenes, question)
+    return [plain(sentence) for k in chosen for sentence in card(k, found, scenes, words)]
+
+
+def _listed(head: str, items: Sequence[Sentence]) -> list[Sentence]:
+    return [[head, *listed(items), "."]] if items else []
+
+
+def _win(name: str, scene: SceneAnswer, words: Words) -> Sentence:
+    second = scene.verdict.second
+    if not second:
+        return [scene_ref(name)]
+    return [scene_ref(name), " (next: ", words.method(second.label), f", {times(second.ratio)})"]
+
+
+def _loss(name: str, ratio: float, scene: SceneAnswer, words: Words) -> Sentence:
+    first = words.methods((s.label for s in scene.verdict.first), most=1)
+    return [scene_ref(name), f" ({times(ratio)} ", *first, ")"]
+
+
+def _missed(name: str, label: str, series: Sequence[Series], question: Question) -> Sentence:
+    errors = [error_of(r, question.group, NORM) for s in series if s.label == label for r in s.ok]
+    known = [e for e in errors if e is not None]
+    part: list[Part] = [f" (nearest: {number(min(known))})"] if known else []
+    return [scene_ref(name), *part]
+
+
+def _failed(name: str, label: str, series: Sequence[Series]) -> Sentence:
+    return [scene_ref(name), *(f" ({s.statuses})" for s in series if s.label == label)]
+
+
+def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentence]:
+    values = sorted(e.value for e in reached.values() if e.value is not None)
+    if not values:
+        return []
+    ends = dict.fromkeys(cost_text(v, question.cost) for v in (values[0], values[-1]))
+    return [[f"Cost of its cheapest runs: {' to '.join(ends)} {_UNITS[question.cost]}."]]

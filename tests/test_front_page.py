@@ -1,0 +1,297 @@
+"""The front page in Chromium: its question bar drives words, charts and heat table together."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+
+import pytest
+from planted import everything, plant
+from test_browser import waited
+
+from bench.results.store import Store
+from reports.pages.html_report import write_html_report
+from reports.pages.site_data import column
+from reports.series import cost_of
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+in_chromium = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = plant(tmp_path_factory.mktemp("planted"), everything())
+    write_html_report(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "window-size=1400,1000"):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def visit(page, folder, fragment=""):
+    page.get("about:blank")
+    page.get((folder / "report.html").as_uri() + fragment)
+    waited(lambda: page.execute_script("return stepbench.data.complete"))
+    assert page.get_log("browser") == []
+
+
+def choose(page, name, value):
+    page.execute_script(
+        """
+        const select = document.querySelector(`#question [name=${arguments[0]}]`);
+        select.value = arguments[1];
+        select.dispatchEvent(new Event("change", { bubbles: true }));
+        """,
+        name,
+        value,
+    )
+
+
+def heat_cells(page):
+    """{(method's short name, scene): (class, text)} of the heat table."""
+    rows = page.execute_script(
+        """
+        const heads = document.querySelectorAll("#heat thead tr:last-child a");
+        const names = [...heads].map((a) => a.title);
+        return [...document.querySelectorAll("#heat tbody tr")].flatMap((row) =>
+          [...row.querySelectorAll("td")].map((cell, k) =>
+            [row.querySelector("th a").title, names[k], [...cell.classList], cell.textContent]));
+        """
+    )
+    return {(label, scene): (classes, text) for label, scene, classes, text in rows}
+
+
+def shown(page):
+    return page.execute_script(
+        """
+        const text = (name) => document.querySelector(name).textContent;
+        const own = [...document.querySelectorAll(".panel:not([hidden]) svg.plot")];
+        return {
+          title: text("main h1"), answer: text("#answer"), standings: text("#standings"),
+          heat: text("#heat caption"), charts: own.map((node) => node.getAttribute("aria-label")),
+          address: location.hash,
+        };
+        """
+    )
+
+
+def expected(folder, group, target, cost):
+    """The heat table's texts, from the store alone."""
+    with Store(folder) as store:
+        records = list(store.records().values())
+    found = {}
+    for scene in {r.problem for r in records}:
+        own = [r for r in records if r.problem == scene]
+        least = {}
+        for r in own:
+            error = r.errors.get(group, {}).get("max")
+            if r.status == "ok" and error is not None and error <= target:
+                value = cost_of(r, cost)
+                least[r.integrator] = min(value, least.get(r.integrator, math.inf))
+        for label in {r.integrator for r in records}:
+            runs = [r for r in own if r.integrator == label]
+            if label in least:
+                ratio = least[label] / min(least.values())
+                state = ("reached", f"{ratio:.1f}" if ratio < 10 else f"{ratio:.0f}")
+            elif not runs:
+                state = ("untried", "")
+            else:
+                state = ("far", "–") if any(r.status == "ok" for r in runs) else ("failed", "✕")  # noqa: RUF001
+            found[label, scene] = state
+    return found
+
+
+@in_chromium
+def test_the_bar_drives_words_charts_and_heat_table_together(page, folder):
+    visit(page, folder)
+    before = shown(page)
+    assert "acceleration of at most 1e-4" in before["title"]
+    for group, target, cost in (("q", "1e-3", "residuals"), ("a", "1e-2", "operations")):
+        choose(page, "group", group)
+        choose(page, "target", target)
+        choose(page, "cost", cost)
+        now = shown(page)
+        word = {"q": "position", "a": "acceleration"}[group]
+        for text in (now["title"], now["heat"], *now["charts"], now["answer"]):
+            assert word in text
+            assert target in text or "Error: of the worst" in text
+        assert f"group={group}&target={target}&cost={cost}" in now["address"]
+        assert now["answer"] != before["answer"]
+        cells = heat_cells(page)
+        wanted = expected(folder, group, float(target), cost)
+        assert cells.keys() == wanted.keys()
+        for place, (state, text) in wanted.items():
+            assert state in cells[place][0], place
+            assert text == cells[place][1], place
+    assert page.get_log("browser") == []
+
+
+@in_chromium
+def test_the_address_restores_the_view_and_a_method_is_put_in_front(page, folder):
+    fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
+    visit(page, folder, fragment)
+    chosen = page.execute_script(
+        "return [...document.getElementById('question').elements].filter(e => e.name)"
+        ".map(e => [e.name, e.value])"
+    )
+    assert fragment == "#" + "&".join(f"{name}={value}" for name, value in chosen)
+    count = "return document.querySelectorAll(arguments[0]).length"
+    assert page.execute_script(count, ".panel svg.field .curve.mine") == 1
+    link = page.execute_script("return document.querySelector('.panel h3 a').href")
+    assert link.endswith("report/scene-spring_mass.html" + fragment)
+    # What the address does not know is the first question's.
+    visit(page, folder, "#group=nonsense&target=1e-2")
+    assert page.execute_script("return stepbench.question.group") == "a"
+
+
+@in_chromium
+def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(page, folder):
+    from selenium.webdriver.common.keys import Keys
+
+    visit(page, folder)
+    plot = page.find_elements("css selector", ".panel svg.plot")[1]
+    page.execute_script("arguments[0].focus()", plot)
+    with Store(folder) as store:
+        records = [r for r in store.records().values() if r.problem == "pendulum"]
+    plot.send_keys(Keys.ARROW_RIGHT)
+    told = page.execute_script(
+        """
+        const [plot, n] = arguments, told = [];
+        for (let k = 0; k < n; k++) {
+          told.push([...document.querySelector(".tip").children].map((n) => n.textContent.trim()));
+          plot.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+        }
+        return told;
+        """,
+        plot,
+        len(records),
+    )
+    said = {(lines[0], float(lines[1].partition("=")[2])): lines[2:] for lines in told}
+    assert len(said) == len(records)
+    for r in records:
+        at = r.h if r.controls == "step" else r.rtol
+        (first, cost, _) = said[r.integrator, float(f"{at:.4g}")]
+        if r.status == "ok":
+            error = re.search(r"error (\S+) in acceleration", first).group(1)
+            assert float(error) == pytest.approx(r.errors["a"]["max"], rel=0.05)
+        else:
+            assert first == f"ended with {r.status}"
+        number, prefix = re.match(r"([\d.]+)\s*(k?)", cost).groups()
+        value = float(number) * (1000 if prefix else 1)
+        assert value == pytest.approx(sum(r.operations.values()), rel=0.01)
+    plot.send_keys(Keys.ENTER)
+    waited(lambda: "scene-pendulum.html#group=a" in page.current_url)
+    assert page.get_log("browser") == []
+
+
+@pytest.mark.long
+@in_chromium
+def test_a_chosen_set_of_scenes_is_shown_alone(page, folder):
+    visit(page, folder)
+    page.execute_script(
+        "stepbench.data.filters.push({ id: 'one', name: 'one', scenes: [1] });"
+        "document.getElementById('question').elements.scenes.add(new Option('one', 'one'));"
+    )
+    choose(page, "scenes", "one")
+    assert len(shown(page)["charts"]) == 1
+    assert {scene for _, scene in heat_cells(page)} == {"pendulum"}
+
+
+@pytest.mark.long
+@in_chromium
+def test_a_large_chart_names_every_curve_and_no_names_overlap(page, folder):
+    visit(page, folder)
+    boxes = page.execute_script(
+        """
+        const place = document.createElement("div");
+        place.style.width = "900px";
+        document.querySelector("main").append(place);
+        stepbench.draw(place, 1, { large: true });
+        return [...place.querySelectorAll(".legend .entry text")].map((node) => {
+          const box = node.getBoundingClientRect();
+          return [node.textContent, box.left, box.top, box.right, box.bottom];
+        });
+        """
+    )
+    with Store(folder) as store:
+        able = {r.integrator for r in store.records().values() if r.problem == "pendulum"}
+    assert len(boxes) == len(able) - 1  # one method has failed runs only
+    for k, (_, left, top, right, bottom) in enumerate(boxes):
+        for _, left2, top2, right2, bottom2 in boxes[:k]:
+            assert right <= left2 or right2 <= left or bottom <= top2 + 2 or bottom2 <= top + 2
+
+
+@in_chromium
+def test_tables_sort_and_filter(page, folder):
+    page.get((folder / "report" / "scene-pendulum.html").as_uri())
+    table = (
+        "const t = [...document.querySelectorAll('table.sortable')]"
+        ".find(t => t.tBodies[0].rows.length > 12);"
+    )
+    column_of = table + "return [...t.tBodies[0].rows].map(r => r.cells[0].textContent)"
+    page.execute_script(table + "t.tHead.querySelector('button').click()")
+    names = page.execute_script(column_of)
+    assert names == sorted(names, key=str.lower)
+    sorted_by = table + "return t.tHead.rows[0].cells[0].getAttribute('aria-sort')"
+    assert page.execute_script(sorted_by) == "ascending"
+    visible = table + "return [...t.tBodies[0].rows].filter(r => !r.hidden).length"
+    assert page.execute_script(visible) == 12  # a long table begins folded
+    page.execute_script(
+        table + "const i = t.closest('.wide').previousElementSibling; i.value = 'fragile';"
+        "i.dispatchEvent(new Event('input'))"
+    )
+    assert page.execute_script(visible) == 2
+    assert page.get_log("browser") == []
+
+
+def test_the_policy_allows_no_script_but_the_page_s_own(folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text).group(1)
+    (scripts,) = [part for part in policy.split("; ") if part.startswith("script-src")]
+    assert "unsafe" not in scripts
+    assert "default-src 'none'" in policy.replace("&#39;", "'")
+    assert len(text) < 300_000
+
+
+def numbers(text):
+    """The numbers of a column, read in another way than by the scripts."""
+    alphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
+    for k in range(0, len(text), 4):
+        part = text[k : k + 4]
+        bits = sum(alphabet.index(c) << 6 * (3 - i) for i, c in enumerate(part))
+        yield None if part == "----" else 10 ** (80 * bits / (2**24 - 1) - 40)
+
+
+def test_a_column_keeps_its_numbers_and_those_that_are_missing():
+    reserved = 10 ** (80 * 0xFBEFBE / (2**24 - 1) - 40)  # would be written as "----"
+    values = [1.0, 3.7e-13, None, 0.0, math.nan, math.inf, 12345.678, 1e-40, 1e40, reserved]
+    found = list(numbers(column(values)))
+    assert [v is None for v in found] == [v is None or not 0 < v < math.inf for v in values]
+    for value, read in zip(values, found, strict=True):
+        assert read is None or read == pytest.approx(value, rel=1.2e-5)
+
+
+def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    first = json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
+    assert list(first["answers"]) == ["a|1e-4|operations"]
+    rest = (folder / "report" / "data.js").read_text(encoding="utf-8")
+    more = json.loads(rest.removeprefix("stepbench.more(").rstrip().removesuffix(");"))
+    assert len(more["answers"]) == len(more["group_names"]) * 9 * 3
+    for name, part in first["answers"]["a|1e-4|operations"].items():
+        assert more["answers"]["a|1e-4|operations"][name] == part

@@ -1,0 +1,269 @@
+"""The answers to a reader's questions: counted again from the records, and true in every word."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planted import everything, plant, planted
+
+from bench.results.records import UNSUPPORTED
+from problems.spec import SpecError
+from reports.questions.answers import answer, answers
+from reports.questions.method_card import method_card
+from reports.questions.phrases import Ref, listed, plain, rendered
+from reports.questions.profile import profiles
+from reports.questions.question import ALL, FIRST, Question, filters
+from reports.questions.sentences import scene_sentence, sentences, words_of
+from reports.series import series_of
+
+COUNTS = Question("a", 1e-4, "residuals")
+
+
+def run(scene, name, residuals, error=1e-5, h=0.01, **changes):
+    """A run with a cost and an error in a; the error in q tells its method from others."""
+    own = 1e-3 * sum(map(ord, name)) + 1e-7 * (residuals or 0)
+    errors = {"a": {"max": error}, "q": {"max": own}}
+    known = {"work": {"residuals": residuals}, "family": f"family of {name}", "run_s": []}
+    known |= {"errors": errors, "key": f"{scene} | {name} | {h} | {residuals}"}
+    return planted(scene, name, {"a": (1, 2), "q": (1, 2)}, h=h, **(known | changes))
+
+
+def scenes_of(records):
+    found = {}
+    for r in records:
+        found.setdefault(r.problem, []).append(r)
+    return {name: series_of(own) for name, own in found.items()}
+
+
+def said(records, question=COUNTS, tags=None, on=None):
+    """The sentences on these records in plain text."""
+    scenes = scenes_of(records)
+    words = words_of(scenes, tags or {})
+    return [plain(s) for s in sentences(answer(scenes, question).on(on or scenes), words)]
+
+
+def test_the_question_names_quantity_accuracy_and_cost():
+    assert FIRST.key == "a|1e-4|operations"
+    assert (FIRST.quantity, Question("x", 1e-9, "seconds").quantity) == (
+        "acceleration", "controller state"
+    )  # fmt: skip
+
+
+def test_filters_are_sets_of_scenes_that_differ():
+    tags = {"a": ["stiff", "index 3", "mechatronic"], "b": ["stiff", "index 3", "conformance"]}
+    tags |= {"c": ["mechatronic", "conformance"], "d": ["lonely"]}
+    found = {f.key: (f.name, f.scenes) for f in filters(tags)}
+    assert found == {
+        ALL: ("all scenes", ("a", "b", "c", "d")),
+        "stiff": ("stiff", ("a", "b")),  # index 3 has the same scenes
+        "mechatronic": ("controlled", ("a", "c")),
+    }
+    assert [f.key for f in filters({"a": ["stiff"], "b": ["stiff"]})] == [ALL]
+
+
+# ---- answers on a scene ------------------------------------------------------------------
+def test_every_state_of_an_integrator_on_a_scene():
+    records = [
+        run("s", "best", 100),
+        run("s", "dear", 250),
+        run("s", "coarse", 10, error=1e-3),
+        run("s", "broken", 10, status="newton_failed", errors={}),
+        run("s", "dark", None, work={"residuals": None}),
+        run("s", "alien", 10, status=UNSUPPORTED, errors={}),
+    ]
+    found = answer(scenes_of(records), COUNTS).scenes["s"]
+    assert found.states == {
+        "best": 1.0, "dear": 2.5, "coarse": "far", "broken": "failed", "dark": "unknown"
+    }  # fmt: skip
+    assert found.first == ["best"]
+    assert found.entries["dear"].run.key == records[1].key
+    found = answer(scenes_of(records), Question("a", 1e-6, "residuals")).scenes["s"]
+    assert set(found.states.values()) == {"far", "failed"}
+    assert (found.reached, found.nearest[0]) == (False, 1e-5)
+
+
+def test_a_target_that_the_reference_cannot_judge_is_no_answer():
+    vague = {g: {"max": 2e-6} for g in "aq"}
+    records = [run("s", n, 10, reference_error=vague) for n in ("one", "two")]
+    found = answer(scenes_of(records), COUNTS)
+    assert (found.scenes, found.unjudged) == ({}, {"s": 2e-6})
+    assert said(records) == [
+        "It cannot be judged on s (2e-06), as the target is below a hundred times the reference's "
+        "own error."
+    ]
+    assert answer(scenes_of(records), Question("lam", 1e-4, "residuals")).unjudged == {}
+
+
+# ---- sentences ---------------------------------------------------------------------------
+def field(*wins, rivals=("one", "two")):
+    """Scenes s0, s1 ... each with the costs of the rivals; None: it does not get there."""
+    return [
+        run(f"s{k}", name, cost or 1, error=1e-5 if cost else 1e-2)
+        for k, costs in enumerate(wins)
+        for name, cost in zip(rivals, costs, strict=True)
+    ]
+
+
+AIM = "To 1e-4 in acceleration (largest over all steps), "
+
+
+def test_the_answer_over_scenes_counts_wins_ties_and_misses():
+    records = field((100, 200), (100, 300), (50, 50), (90, 30), (None, None))
+    assert said(records) == [
+        AIM
+        + "one needs the fewest residual evaluations on 3 of 4 scenes, alone on 2 (the next one "
+        "at 2 to 3 times the cost); two on s2 and s3.",
+        "one and two each reach it on 4 of 5 scenes tried, the most of all.",
+        "Nobody reaches it on s4 (nearest: one, 0.01).",
+    ]
+    assert said(records, on=["s0"]) == [
+        AIM + "on s0 one needs the fewest residual evaluations, 100; next is two with 2 times that."
+    ]
+    assert said(records, on=["s4"]) == [
+        "Nobody reaches 1e-4 in acceleration (largest over all steps) on s4 (nearest: one, 0.01)."
+    ]
+    assert said(field((1, 2), (3, 4)))[1] == (
+        "Every method reaches it on every scene on which it was tried."
+    )
+    assert (
+        said(field((100, None)))[0] == AIM + "on s0 one alone reaches it: 100 residual evaluations."
+    )
+    assert said([run("s", "one", 5)])[0] == AIM + "no scene has several methods to compare."
+
+
+def test_a_kind_of_scenes_is_named_if_it_parts_the_wins():
+    records = field((9, 1), (9, 1), (1, 9), (1, 9), (1, 9))
+    tags = {f"s{k}": ["smooth", "mechatronic"] if k < 2 else ["smooth"] for k in range(5)}
+    head = AIM + "one needs the fewest residual evaluations on 3 of 5 scenes, alone on each"
+    assert said(records, tags=tags)[0].startswith(head)
+    tags |= {f"s{k}": ["smooth", "stiff"] for k in (2, 3, 4)}
+    assert ", the stiff ones; two on s0 and s1." in said(records, tags=tags)[0]
+    tags["s1"] = ["smooth", "stiff"]
+    assert ", all stiff ones; two" in said(records, tags=tags)[0]
+    assert "smooth" not in said(records, tags=tags)[0]  # all are
+
+
+def test_a_family_is_named_if_it_is_first_more_often_than_each_member():
+    rivals = ("one", "two", "three")
+    for wins, named in ((((1, 9, 5), (1, 9, 5), (9, 1, 5)), True), (((1, 9, 5), (1, 9, 5)), False)):
+        records = field(*wins, rivals=rivals)
+        for r in records:
+            r.family = "other" if r.integrator == "three" else "pair"
+        family = [s for s in said(records) if s.startswith("By family")]
+        assert family == ["By family: pair methods are first on 3 of 3."] * named
+
+
+def test_unknown_costs_are_told():
+    records = [*field((1, 2), (1, 2)), run("s0", "dark", None, work={"residuals": None})]
+    assert said(records)[-1] == "Left out where their cost is not measured: dark."
+
+
+costs = st.one_of(st.none(), st.integers(1, 4))
+fields = st.lists(st.tuples(costs, costs, costs), min_size=2, max_size=6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(fields, st.sets(st.integers(0, 5)))
+def test_the_counts_are_those_of_the_records(wins, chosen):
+    """Counted again from the costs alone, for all scenes and for some of them."""
+    rivals = ("one", "two", "three")
+    found = answer(scenes_of(field(*wins, rivals=rivals)), COUNTS)
+    rest = [f"s{k}" for k in range(len(wins)) if k not in chosen]
+    parts = [found.on(f"s{k}" for k in chosen), found.on(rest)]
+    for part, keep in (
+        (found, range(len(wins))),
+        (parts[0], chosen),
+        (parts[1], set(range(6)) - chosen),
+    ):
+        own = [wins[k] for k in keep if k < len(wins)]
+        rows = {s.label: s for s in part.standings}
+        for i, name in enumerate(rivals if own else ()):
+            least = [[j for j, c in enumerate(w) if c and c == min(filter(None, w))] for w in own]
+            assert rows[name].alone == sum(w == [i] for w in least)
+            assert rows[name].tied == sum(i in w and len(w) > 1 for w in least)
+            assert rows[name].reached == sum(w[i] is not None for w in own)
+            assert rows[name].tried == len(own)
+    # The counts of a set of scenes and of the others add up.
+    for s in found.standings:
+        both = [r for part in parts for r in part.standings if r.label == s.label]
+        assert (s.alone, s.tied) == (sum(r.alone for r in both), sum(r.tied for r in both))
+    text = plain(sentences(found, words_of(scenes_of(field(*wins, rivals=rivals)), {}))[0])
+    if match := re.search(r"on (\d) of (\d) scenes", text.split(";")[0]):
+        assert int(match[1]) == max(s.alone + s.tied for s in found.standings)
+        assert int(match[2]) == sum(any(w) for w in wins)
+
+
+def test_integrators_that_do_the_same_stand_alike_and_are_named_once():
+    records = field((1, 9), (1, 9))
+    twins = [run(r.problem, "twin", 1, errors=r.errors) for r in records if r.integrator == "one"]
+    found = answer(scenes_of([*records, *twins]), COUNTS)
+    rows = {s.label: (s.alone, s.tied) for s in found.standings}
+    assert rows == {"one": (2, 0), "twin": (2, 0), "two": (0, 0)}
+    assert "one needs" in said([*records, *twins])[0]
+
+
+def test_all_questions_have_answers_for_the_groups_of_the_scenes():
+    scenes = scenes_of(everything())
+    found = answers(scenes)
+    assert {q.group for q in found} == {"q", "v", "a", "lam", "x", "y"}
+    assert len(found) == 6 * 9 * 3
+    words = words_of(scenes, {})
+    for question, own in found.items():
+        assert set(own.scenes) | set(own.unjudged) <= set(scenes)
+        assert answer(scenes, question) == own
+        for sentence in [
+            *sentences(own, words),
+            *(scene_sentence(question, k, s, words) for k, s in own.scenes.items()),
+        ]:
+            assert re.fullmatch(r"[A-Za-z][^\n]*\.", plain(sentence))
+            assert not re.search(r"None|nan|  | ,|\[\]", plain(sentence)), plain(sentence)
+
+
+# ---- phrases, profiles, cards ------------------------------------------------------------
+def test_parts_become_text_or_links():
+    sentence = ["On ", *listed([[Ref("scene", k, k.upper())] for k in "abcd"]), "."]
+    assert plain(sentence) == "On A, B, C and 1 more."
+    linked = rendered(sentence, str.upper, lambda ref: f"<{ref.kind} {ref.key}>")
+    assert linked == "ON <scene a>, <scene b>, <scene c> AND 1 MORE."
+
+
+def test_a_profile_counts_scenes_and_accuracies():
+    records = [run("s", "one", 10, 1e-2), run("s", "one", 40, 1e-4, h=0.005)]
+    records += [run("s", "two", 20, 1e-3), run("s", "two", 200, 1e-9, h=0.005)]
+    records.append(run("lonely", "one", 1))
+    dark = [run("s", "dark", None, work={"residuals": None})]
+    found = profiles(
+        answer(scenes_of(records + dark), Question("a", float(f"1e-{k}"), "residuals"))
+        for k in range(1, 10)
+    )
+    rows = found.methods
+    # one solves 1e-1, 1e-2 (first), 1e-3 (40 to 20), 1e-4 (first) of nine.
+    assert rows["one"].ratios == [1.0, 1.0, 1.0, 2.0]
+    assert rows["two"].ratios == [1.0] * 6 + [2.0, 2.0, 5.0]
+    assert rows["one"].part(1) == pytest.approx(3 / 9)
+    assert rows["two"].part(2) == pytest.approx(8 / 9)
+    assert (found.pairs, rows["one"].pairs, rows["two"].pairs) == (9, 9, 9)
+    assert rows["dark"].pairs == 4  # 1e-6 to 1e-9, which it does not solve; else its cost is open
+    assert found.families["family of one"] == rows["one"]
+
+
+def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
+    plant(tmp_path, everything())
+    reaches = "reaches 1e-4 in acceleration (largest over all steps) on"
+    assert method_card(tmp_path, "good[rho_inf=0.8]") == [
+        f"good 0.8 {reaches} 2 of 2 scenes tried.",
+        "Cheapest alone: spring mass.",
+        "Dearer than the cheapest: pendulum (1.92 times adaptive).",
+        "Cost of its cheapest runs: 9600 operations.",
+    ]
+    assert method_card(tmp_path, "poor") == [
+        f"poor {reaches} 0 of 1 scene tried.",
+        "Does not get there: spring mass (nearest: 0.00938).",
+    ]
+    assert "Fails: pendulum (2 newton_failed)." in method_card(tmp_path, "fragile")
+    assert len(method_card(tmp_path, "good")) == 7  # of two variants
+    with pytest.raises(SpecError, match="did you mean 'poor'"):
+        method_card(tmp_path, "pooor")
