@@ -10,6 +10,7 @@ import click
 from bench.commands import ensemble as ensembles
 from bench.commands import options
 from bench.results import summary
+from bench.results.records import UNSUPPORTED
 from bench.running.plan import DEFAULT_HALVINGS, Cell
 from bench.running.plan import resolution as resolution_of
 from integrators.contract import Steps
@@ -149,13 +150,17 @@ def order(
     )
     records = [record for record, _ in results]
     orders = summary.orders(records)
+    refused = all(record.status == UNSUPPORTED for record in records)
     if as_json:
         click.echo(json.dumps(orders, indent=2))
-    else:
+    elif not refused:
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import order_table
 
         show(order_table(records, orders))
+    if refused:
+        reason = records[0].message
+        raise click.ClickException(f"{method.spec} does not take {scene.spec}: {reason}")
     failed = [record for record in records if record.status != "ok"]
     for record in failed:
         click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)

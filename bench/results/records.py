@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, TypedDict
 
 import msgspec
@@ -16,6 +17,8 @@ SCHEMA = 2
 
 #: Status of a cell whose run somebody or something ended from outside; it is run again.
 INTERRUPTED = "interrupted"
+#: Status of a cell whose integrator cannot take the scene: no failure of a run.
+UNSUPPORTED = "unsupported"
 
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.
@@ -41,6 +44,11 @@ class Environment(msgspec.Struct, kw_only=True):
     memory_gib: float
     platform: str
     versions: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """The machine and the start in words, as tables name it."""
+        return f"{self.cpu}, {self.cores} cores, {self.date}"
 
 
 class Record(msgspec.Struct, kw_only=True):
@@ -200,8 +208,9 @@ class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
 
 
 class Plan(msgspec.Struct, kw_only=True, frozen=True):
-    """The task of a run folder: its title, its studies, how often each run is timed, the time
-    budget of a cell in s, and the integrators by printed name. It holds no results."""
+    """The task of a run folder: its title (none if it is a part of a suite), its studies, how often
+    each run is timed, the time budget of a cell in s, the integrators by printed name, and the one
+    that is the person's own (`--mine`), if any. It holds no results."""
 
     name: str
     title: str
@@ -209,6 +218,29 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
     budget_s: float
     studies: list[Study]
     integrators: dict[str, IntegratorFacts] = {}
+    mine: str = ""
+
+    def heading(self, records: Iterable[Record]) -> str:
+        """Return the title; of a part of a suite, what was run of it."""
+        runs = list(records)
+        if self.title or not runs:
+            return self.title or self.name
+        scenes, methods = len({r.problem for r in runs}), len({r.integrator for r in runs})
+        return f"{self.name}: {counted(scenes, 'scene')}, {counted(methods, 'integrator')}"
+
+
+def counted(number: int, word: str) -> str:
+    """Return a number with its word: "1 scene", "7 scenes"."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def endings(records: Iterable[Record]) -> str:
+    """Count how runs ended: "12 ok, 3 not supported, 1 failed with a reason"."""
+    statuses = Counter(record.status for record in records)
+    ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))
+    parts = [f"{ok} ok", f"{unsupported} not supported" if unsupported else ""]
+    parts += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
+    return ", ".join(filter(None, parts))
 
 
 def flatten(record: Record) -> dict[str, Any]:

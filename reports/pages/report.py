@@ -102,7 +102,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         known, set_aside = store.damping(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
     return Report(
-        title=(plan.title or plan.name) if plan else "Results",
+        title=plan.heading(runs) if plan else "Results",
         state=state_sentence(plan, runs),
         missing=[
             *filter(None, [set_aside_text(set_aside)]),
