@@ -39,6 +39,19 @@ def test_runs_that_are_not_supported_are_no_failures():
     assert endings(cut) == f"{endings(runs)}, 1 interrupted"
 
 
+def test_a_report_tells_unsupported_runs_apart_from_failures(tmp_path):
+    runs = [ended("ok"), ended("unsupported", integrator="shy")]
+    runs += [ended("diverged", integrator="wild"), ended("diverged", 0.05, integrator="wild")]
+    report = read_report(plant(tmp_path / "store", runs), interactive=False)
+    assert "1 ok, 1 not supported, 2 failed with a reason." in report.state
+    (study,) = report.scenes[0].studies
+    assert "1 of 4 runs are not supported by their method." in study.state
+    assert "2 of 4 runs did not reach the end." in study.state
+    said = {found.integrators: found.text for found in study.observations}
+    assert said["shy",] == "the method does not take the scene: Because."
+    assert said["wild",].startswith("2 of 2 runs did not reach the end")
+
+
 @pytest.mark.parametrize("norm", [[], ["--json"]])
 def test_an_order_of_unsupported_runs_alone_is_one_sentence(stepbench, monkeypatch, norm):
     runs = [(ended("unsupported", h), Rows(t=[], values={})) for h in (0.1, 0.05, 0.025)]
@@ -98,3 +111,53 @@ def test_merged_stores_keep_the_method_of_one_s_own(tmp_path):
         plan = store.plan()
     assert plan is not None
     assert (plan.mine, plan.name, plan.title) == ("good", "one + two", "")
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+
+
+def test_the_list_has_a_line_for_each(stepbench, narrow):
+    registry = Inventory()
+    lines = stepbench("list").stdout.splitlines()
+    for name in (*registry.problems, *registry.integrators, *suite_titles()):
+        assert sum(line.split()[:1] == [name] for line in lines) == 1, name
+    assert (
+        len(lines) == sum(map(len, (registry.problems, registry.integrators, suite_titles()))) + 7
+    )
+    only = stepbench("list", "scenes").stdout
+    assert "pendulum" in only
+    assert "newmark" not in only
+
+
+def test_details_come_with_a_name(stepbench, narrow):
+    text = " ".join(stepbench("list", "pendulum", "generalized_alpha").stdout.split())
+    for words in (
+        "Released at rest at angle th0 from the downward vertical",
+        "th0 1.5708 from 1e-06 to 3.14159 amplitude: angle at rest at t=0 in rad",
+        "start consistent consistent, corrected consistent: aux = a at t0",
+        "beta none from 0 to 3",
+    ):
+        assert words in text
+    suite = " ".join(stepbench("list", "quick").stdout.split())
+    assert "9 timings per run, at most 60 s" in suite
+    assert "Pendulum: IDA on raw index 3" in suite
+    wrong = stepbench("list", "pendulm")
+    assert wrong.exit_code == 1
+    assert "did you mean 'pendulum'" in wrong.stderr
+
+
+def test_the_json_of_the_list_is_complete(stepbench):
+    listed = json.loads(stepbench("list", "--json").stdout)
+    assert {kind: len(rows) for kind, rows in listed.items()} == {
+        "problems": 18,
+        "integrators": 21,
+        "suites": 5,
+    }
+    (row,) = json.loads(stepbench("list", "pendulum", "--json").stdout)["problems"]
+    assert row in listed["problems"]
+    assert row["description"][0].startswith("Released at rest")
+    assert [option["name"] for option in row["options"]][:3] == ["m", "length", "g"]
+    (suite,) = json.loads(stepbench("list", "quick", "--json").stdout)["suites"]
+    assert suite["study"][1]["problems"] == ["pendulum"]

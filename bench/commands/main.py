@@ -6,6 +6,7 @@ import click
 
 from bench.commands import (
     atlas,
+    listing,
     options,
     outcome_map,
     plugins,
@@ -39,7 +40,7 @@ def main() -> None:
 
 
 for command in (
-    *(plugins.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
+    *(listing.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
     *(single_runs.solve, single_runs.order, suite.run, suite.report),
     *(results.export, results.compare, results.merge, results.open_, results.figure),
     *(stability.stability, atlas.atlas, outcome_map.map_),
