@@ -6,6 +6,7 @@ import click
 
 from bench.commands import (
     atlas,
+    history,
     listing,
     options,
     outcome_map,
@@ -42,7 +43,14 @@ def main() -> None:
 for command in (
     *(listing.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
     *(single_runs.solve, single_runs.order, suite.run, suite.report),
-    *(results.export, results.compare, results.merge, results.open_, results.figure),
+    *(
+        results.export,
+        results.compare,
+        results.merge,
+        history.history,
+        results.open_,
+        results.figure,
+    ),
     *(stability.stability, atlas.atlas, outcome_map.map_),
 ):
     main.add_command(command)

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -267,3 +268,10 @@ def tell_set_aside(store: Store, more: str = "") -> None:
     """Say on standard error which rows of a store cannot be read, if any; ``more`` follows."""
     if text := set_aside_text(store.set_aside()):
         click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)
+
+
+def tell_set_aside_of(*folders: Path) -> None:
+    """Say of several folders which rows cannot be read."""
+    for folder in folders:
+        with Store(folder) as store:
+            tell_set_aside(store)

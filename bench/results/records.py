@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypedDict
 
 import msgspec
@@ -243,12 +243,16 @@ def endings(records: Iterable[Record]) -> str:
     return ", ".join(filter(None, parts))
 
 
-def flatten(record: Record) -> dict[str, Any]:
+def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str, Any]:
     """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ...
 
-    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts.
+    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts. The
+    components' errors, ``pattern`` and ``run_s`` are lists; ``environment`` is a name.
     """
     row = msgspec.to_builtins(record)
+    machine = environments.get(record.environment)
+    row["environment"] = machine.name if machine else None
+    row["pattern"] = list(record.pattern)
     for group in GROUPS:
         for norm in NORMS:
             row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
@@ -256,9 +260,7 @@ def flatten(record: Record) -> dict[str, Any]:
             row[f"reference_error_{group}_{norm}"] = floor
             row[f"error_{group}_2norm_{norm}"] = record.errors.get(whole(group), {}).get(norm)
             each = record.components.get(group, {}).get(norm, [])
-            row[f"error_{group}_components_{norm}"] = " ".join(
-                "nan" if e is None else f"{e:.9g}" for e in each
-            )
+            row[f"error_{group}_components_{norm}"] = each
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
@@ -270,8 +272,6 @@ def flatten(record: Record) -> dict[str, Any]:
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None
     row["run_s_max"] = samples[-1] if samples else None
-    row["pattern"] = "/".join(f"{f:g}" for f in record.pattern)
-    row["run_s"] = " ".join(f"{s:.9g}" for s in record.run_s)
     for nested in ("errors", "reference_error", "components", "constraint", "work"):
         del row[nested]
     return row
