@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from bench.commands import ensemble as ensembles
 from bench.commands import options
+from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.records import UNSUPPORTED
 from bench.running.plan import DEFAULT_HALVINGS, Cell
@@ -96,6 +98,32 @@ def solve(
         raise click.ClickException(f"{record.status}: {record.message}")
 
 
+def order_cells(
+    scene: SceneFacts,
+    method: MethodFacts,
+    steps: Sequence[float] | None,
+    pattern: tuple[float, ...] | None,
+    t_end: float | None,
+) -> list[Cell]:
+    """Return the cells to which an order is fitted.
+
+    Raises
+    ------
+    SpecError
+        If the method chooses its own steps, or steps or the end time are not allowed.
+    """
+    if method.controls != "step":
+        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
+    end = options.end_time(scene, t_end)
+    sizes = steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]
+    if len(sizes) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
+    resolutions = [Steps(h, pattern or (1.0,)) for h in sizes]
+    for resolution in resolutions:
+        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
+    return [Cell(scene.spec, method.spec, end, resolution) for resolution in resolutions]
+
+
 @click.command()
 @click.argument("problem")
 @click.argument("integrator")
@@ -132,17 +160,7 @@ def order(
     registry = options.usable_registry(plugins)
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
-    if method.controls != "step":
-        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
-    end = options.end_time(scene, t_end)
-    sizes = steps or tuple(scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS))
-    if len(sizes) < 3:
-        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
-    cells = []
-    for h in sizes:
-        resolution = Steps(h, pattern or (1.0,))
-        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
-        cells.append(Cell(scene.spec, method.spec, end, resolution))
+    cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.running.session import solve_cells
 
     results, _ = solve_cells(

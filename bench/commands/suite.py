@@ -106,7 +106,6 @@ def run_suite(
 @click.option(
     "--mine",
     metavar="INTEGRATOR",
-    default="",
     help="Your integrator: it is run beside the others, and the report opens with it highlighted.",
 )
 @options.with_folder(options.RESULTS, "Folder of the results.")
@@ -127,7 +126,7 @@ def run(
     suite: str,
     problems: tuple[str, ...],
     integrators: tuple[str, ...],
-    mine: str,
+    mine: str | None,
     out: Path,
     fresh: bool,
     jobs: int,

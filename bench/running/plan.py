@@ -126,7 +126,7 @@ def make_suite(
     problems: Sequence[str] = (),
     integrators: Sequence[str] = (),
     budget_s: float | None = None,
-    mine: str = "",
+    mine: str | None = None,
 ) -> Suite:
     """Make the suite of a profile, restricted or extended by the command line.
 
@@ -142,7 +142,7 @@ def make_suite(
     lost: list[str] = []
     problems = _usable(problems, registry.problem, lost)
     integrators = _usable(integrators, registry.integrator, lost)
-    own_method = registry.integrator(mine) if mine else None
+    own_method = registry.integrator(mine) if mine is not None else None
     named = [
         msgspec.structs.replace(
             file,
@@ -187,7 +187,7 @@ def make_suite(
         )
     plan = Plan(
         name=name,
-        title="" if problems or integrators or mine else profile.title or name,
+        title="" if problems or integrators or own_method else profile.title or name,
         samples=profile.samples,
         budget_s=budget_s or profile.budget_s,
         studies=studies,
