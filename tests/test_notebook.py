@@ -10,12 +10,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from planted import everything, plant
+from planted import curves, everything, plant, planted
 
 from bench import load, order, run, solve
 from bench.results.store import Store
 from problems.spec import SpecError
 
+HELD = {"q": (1.0, 2), "a": (3.0, 2), "lam": (4.0, 2)}
 ALPHA = "generalized_alpha[rho_inf=0.8]"
 
 
@@ -24,6 +25,7 @@ def found():
     return solve("spring_mass", ALPHA, step=0.1, t_end=5.0, samples=3)
 
 
+@pytest.mark.long
 def test_a_solution_has_the_numbers_of_the_command_line(found, stepbench):
     result = stepbench("solve", "spring_mass", ALPHA, "--step", 0.1, "--t-end", 5, "--json")
     answer = json.loads(result.stdout)
@@ -42,23 +44,22 @@ def test_a_solution_has_the_numbers_of_the_command_line(found, stepbench):
     assert repr(found) == f"<{ALPHA} on spring_mass, h=0.1: ok; 51 rows>"
 
 
+@pytest.mark.long
 def test_a_solution_shows_its_components_over_time(found):
     words = " ".join(ElementTree.fromstring(found._repr_svg_()).itertext())
     for title in ("position", "a[position] in m/s^2", "time in s"):
         assert title in words
 
 
-def test_a_run_that_fails_is_an_answer_and_a_wrong_name_is_refused():
+@pytest.mark.long
+def test_a_run_that_fails_is_an_answer():
     shy = solve("pendulum", "dopri8", pattern=None, rtol=1e-6, budget=1e-3, samples=0)
     assert shy.status == "budget_exceeded"
     assert "budget" in shy.message
     assert shy.q.shape[0] == len(shy.t)
-    with pytest.raises(SpecError, match="did you mean 'pendulum'"):
-        solve("pendulm", "newmark")
-    with pytest.raises(SpecError, match="takes fixed steps"):
-        solve("pendulum", "newmark", rtol=1e-3)
 
 
+@pytest.mark.long
 def test_orders_are_a_frame_and_a_chart():
     fitted = order("spring_mass", ALPHA, [0.1, 0.05, 0.025], t_end=2.0)
     frame = fitted.frame.set_index(["group", "norm"])
@@ -68,8 +69,47 @@ def test_orders_are_a_frame_and_a_chart():
     assert fitted.status == ["ok"] * 3
     words = " ".join(ElementTree.fromstring(fitted._repr_svg_()).itertext())
     assert "step size h in s" in words
+
+
+def test_names_and_numbers_that_are_not_allowed_are_refused():
+    with pytest.raises(SpecError, match="did you mean 'pendulum'"):
+        solve("pendulm", "newmark")
+    with pytest.raises(SpecError, match="takes fixed steps"):
+        solve("pendulum", "newmark", rtol=1e-3)
     with pytest.raises(SpecError, match="chooses its own steps"):
         order("pendulum", "ida")
+
+
+@pytest.fixture
+def answered(monkeypatch):
+    """The answers of runs without the runs: their errors fall with the square of the step."""
+    asked = []
+
+    def solve_cells(cells, registry, samples, **more):
+        asked.extend(cells)
+        runs = [planted("pendulum", cell.integrator, HELD, h=cell.resolution.h) for cell in cells]
+        for record in runs:
+            record.run_s = [0.3, 0.1, 0.2][:samples]
+        names = {"q": ["X [m]", "Y [m]"]}
+        return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs], names
+
+    monkeypatch.setattr("bench.notebook.functions.solve_cells", solve_cells)
+    return asked
+
+
+def test_an_answer_becomes_arrays(answered):
+    found = solve("pendulum", "newmark", step=0.1, parameters={"th0": 1.0}, samples=3)
+    (cell,) = answered
+    assert (cell.problem, cell.resolution.h) == ("pendulum[th0=1.0]", 0.1)
+    assert (found.t.shape, found.q.shape, found.lam.shape) == ((61,), (61, 2), (61, 1))
+    assert found.x.shape == (61, 0)
+    assert found.q[0].tolist() == pytest.approx([1.0, np.cos(1.0)])
+    assert (found.seconds, found.operations, found.work["steps"]) == (0.2, 300.0, 10)
+    assert found.errors["a"]["max"] == pytest.approx(0.03)
+    fitted = order("pendulum", "newmark", [0.1, 0.05, 0.025])
+    frame = fitted.frame.set_index(["group", "norm"])
+    assert frame.loc[("a", "max"), "order"] == pytest.approx(2.0)
+    assert frame.loc[("lam", "end"), "window"] == pytest.approx((0.1, 0.025))
 
 
 def test_load_gives_frames_with_real_lists(tmp_path):

@@ -7,6 +7,7 @@ import json
 import pytest
 from planted import plant, planted
 
+from bench.commands.suite import Outcome
 from bench.results.merge import merge
 from bench.results.records import Plan, Rows, endings
 from bench.results.store import Store
@@ -161,3 +162,29 @@ def test_the_json_of_the_list_is_complete(stepbench):
     assert [option["name"] for option in row["options"]][:3] == ["m", "length", "g"]
     (suite,) = json.loads(stepbench("list", "quick", "--json").stdout)["suites"]
     assert suite["study"][1]["problems"] == ["pendulum"]
+
+
+def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
+    asked = []
+
+    def run_suite(suite, registry, out, *more):
+        asked.append(suite.plan.mine)
+        return Outcome([ended("ok")], 1, [], ())
+
+    def view(name):
+        assert name == "method_card"
+        return lambda folder, integrator: [f"{integrator} wins in {folder.name}."]
+
+    monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
+    monkeypatch.setattr("bench.commands.suite.write_reports", lambda folder: None)
+    monkeypatch.setattr("bench.commands.suite.view", view)
+    result = stepbench("run", "--mine", "wbz", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert asked == ["wbz[rho_inf=0.8]"]
+    assert "wbz[rho_inf=0.8] wins in out.\n" in result.stdout
+    assert "1 cell: 1 ok, 0 failed with a reason; 1 measured now" in result.stdout
+    assert "wins" not in stepbench("run", "--out", tmp_path / "out").stdout
+    for name in ("", "wbzz"):
+        wrong = stepbench("run", "--mine", name)
+        assert wrong.exit_code == 1
+        assert wrong.stderr.startswith("Error: ")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import msgspec
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.plugins.facts import PluginFacts
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
@@ -21,7 +21,7 @@ KINDS = {"problems": "problems", "scenes": "problems", **{k: k for k in ("integr
 
 
 @click.command("list")
-@click.argument("names", nargs=-1, metavar="[KIND|NAME]...")
+@click.argument("names", nargs=-1, metavar="[KIND|NAME]...", shell_complete=completion.everything)
 @options.with_plugins
 @options.with_as_json
 def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> None:

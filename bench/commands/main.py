@@ -6,6 +6,7 @@ import click
 
 from bench.commands import (
     atlas,
+    completion,
     history,
     listing,
     options,
@@ -29,7 +30,9 @@ Examples:
   stepbench order pendulum newmark --steps 0.02,0.01,0.005,0.0025
   stepbench run -i my_method --plugins my_method.py
   stepbench new integrator my_method && stepbench check my_method.py
-""",
+
+"""
+    + completion.SWITCH_ON,
 )
 @click.version_option(package_name="stepbench")
 def main() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from bench.commands import completion
 from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.facts import SceneFacts, Sources
@@ -195,7 +196,14 @@ def with_file(words: str) -> Callable:
 
 def with_integrators(words: str) -> Callable:
     """Add -i, which may be repeated."""
-    return click.option("-i", "--integrator", "integrators", multiple=True, help=words)
+    return click.option(
+        "-i",
+        "--integrator",
+        "integrators",
+        multiple=True,
+        help=words,
+        shell_complete=completion.integrators,
+    )
 
 
 def with_jobs(words: str) -> Callable:
@@ -236,6 +244,7 @@ with_set = click.option(
     "settings",
     multiple=True,
     callback=name_values,
+    shell_complete=completion.settings,
     metavar="NAME=VALUE",
     help="Set a parameter of the scene; repeatable.",
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.listing import WORDS
 from bench.plugins.registry import KINDS
 from bench.running.inventory import Inventory
@@ -22,7 +22,7 @@ _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...")
+@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...", shell_complete=completion.everything)
 @click.option("--all", "everything", is_flag=True, help="Check all scenes and integrators.")
 @options.with_budget
 @options.with_plugins

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
 from bench.results.csv_text import csv_export
@@ -163,8 +163,16 @@ def open_(folder: Path) -> None:
 
 @click.command()
 @click.argument("folder", type=PathName("folder"))
-@click.argument("kind", metavar="work_precision|convergence|trajectory")
-@click.option("--scene", help="The scene; may be left out if the folder has one.")
+@click.argument(
+    "kind",
+    metavar="work_precision|convergence|trajectory",
+    shell_complete=completion.one_of("work_precision", "convergence", "trajectory"),
+)
+@click.option(
+    "--scene",
+    help="The scene; may be left out if the folder has one.",
+    shell_complete=completion.scenes,
+)
 @click.option("--error", metavar="GROUP:NORM", help="Which error, as a:max; q:end if not given.")
 @click.option("--cost", help="seconds, or a count as residuals (if not given) or steps.")
 @click.option(

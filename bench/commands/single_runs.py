@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
+from bench.commands import completion, options
 from bench.commands import ensemble as ensembles
-from bench.commands import options
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.records import UNSUPPORTED
@@ -20,8 +20,8 @@ from problems.spec import SpecError
 
 
 @click.command()
-@click.argument("problem")
-@click.argument("integrator")
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument("integrator", shell_complete=completion.integrators)
 @click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
 @options.with_pattern
 @options.with_tolerances
@@ -125,8 +125,8 @@ def order_cells(
 
 
 @click.command()
-@click.argument("problem")
-@click.argument("integrator")
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument("integrator", shell_complete=completion.integrators)
 @click.option(
     "--steps",
     callback=options.numbers,

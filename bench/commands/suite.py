@@ -9,12 +9,12 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view, write_reports
 from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
-from bench.results.records import INTERRUPTED, Record, endings
+from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
@@ -50,8 +50,8 @@ class Outcome:
         again = ", which the same command runs again" if self.interrupted else ""
         count, kept = len(self.records), len(self.records) - self.measured
         said = [
-            f"{count} cells: {endings(self.records)}{again}; {self.measured} measured now, "
-            f"{kept} kept from before."
+            f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
+            f"{self.measured} measured now, {kept} kept from before."
         ]
         if self.experiments:
             held = sum(result.as_predicted for result in self.experiments)
@@ -98,14 +98,22 @@ def run_suite(
 
 
 @click.command(cls=_WithSuites)
-@click.argument("suite", default="quick")
-@click.option("-p", "--problem", "problems", multiple=True, help="Only this scene; repeatable.")
+@click.argument("suite", default="quick", shell_complete=completion.suites)
+@click.option(
+    "-p",
+    "--problem",
+    "problems",
+    multiple=True,
+    help="Only this scene; repeatable.",
+    shell_complete=completion.scenes,
+)
 @options.with_integrators(
     "Only this integrator; repeatable. One that the suite lacks is added.",
 )
 @click.option(
     "--mine",
     metavar="INTEGRATOR",
+    shell_complete=completion.integrators,
     help="Your integrator: it is run beside the others, and the report opens with it highlighted.",
 )
 @options.with_folder(options.RESULTS, "Folder of the results.")
