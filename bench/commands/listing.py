@@ -12,7 +12,7 @@ from bench.commands import completion, options
 from bench.plugins.facts import PluginFacts
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
-from problems.spec import SpecError, split_spec, suggest
+from problems.spec import SpecError, suggest
 
 #: What there is, by the word for one of it.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
@@ -85,13 +85,12 @@ def _chosen(
         if text in KINDS:
             kinds.append(KINDS[text])
             continue
-        name = split_spec(text)[0]
-        found = [kind for kind, there in every.items() if name in there]
+        found = [kind for kind, there in every.items() if text in there]
         if not found:
             everything = [*KINDS, *(name for there in every.values() for name in there)]
-            raise SpecError(f"There is no {name!r} to list; {suggest(name, everything)}.")
+            raise SpecError(f"There is no {text!r} to list; {suggest(text, everything)}.")
         for kind in found:
-            named.setdefault(kind, {})[name] = None
+            named.setdefault(kind, {})[text] = None
     return list(dict.fromkeys(kinds)), named
 
 
