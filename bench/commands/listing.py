@@ -97,7 +97,8 @@ def _chosen(
 def _rows(kind: str, registry: Inventory) -> list[dict[str, Any]]:
     if kind == "suites":
         read = (read_profile(name) for name in built_in_profiles())
-        return [{"name": name} | msgspec.to_builtins(suite) for name, suite in read]
+        usable = {"available": True, "reason": ""}  # in every row of the list
+        return [{"name": name} | usable | msgspec.to_builtins(suite) for name, suite in read]
     return [_row(plugin) for plugin in getattr(registry, kind).values()]
 
 
