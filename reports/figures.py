@@ -165,20 +165,19 @@ def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
     group, place = group_and_place(component, runs[0].values, names)
     field, title = f"{group}0", component_title(group, place, names)
     labels = [s.label for s in chosen.series]
-    drawn = Dataset("runs", [row for k, r in enumerate(runs) for row in _rows(r, group, place, k)])
+    named = zip(runs, labels, strict=True)
+    drawn = Dataset("runs", [row for r, label in named for row in _rows(r, group, place, label)])
     reference = chosen.scene.reference if chosen.scene else None
-    behind = Dataset("reference", _rows(reference, group, place, -1) if reference else [])
+    behind = Dataset("reference", _rows(reference, group, place, "reference") if reference else [])
     known = [reference_line(behind, field, title)] if field in behind.columns else []
-    lines = run_lines(
-        drawn, field, title, labels, ChartOptions(paper_line_styles(labels)), first=True
-    )
+    lines = run_lines(drawn, field, title, ChartOptions(paper_line_styles(labels)), first=True)
     return on_paper({"layer": [*known, lines]}, [drawn, behind])
 
 
-def _rows(rows: Rows, group: str, place: int, number: int) -> list[dict[str, Any]]:
+def _rows(rows: Rows, group: str, place: int, label: str) -> list[dict[str, Any]]:
     # A reference may have fewer components: then these rows are empty.
     values = [row[place : place + 1] for row in rows.values.get(group, [])]
-    return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], number)
+    return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], label)
 
 
 _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {

@@ -33,6 +33,7 @@ LAYERS = [
     {"bench.sweeps", "bench.stability", "bench.conformance"},
     {"bench.atlas"},
     {"bench.commands"},
+    {"bench.notebook"},
     {"bench.__main__"},
     {"reports"},
 ]

@@ -1,14 +1,23 @@
-"""CSV: what a spreadsheet would run is quoted, and numbers are read as they are."""
+"""CSV and JSON: a spreadsheet runs nothing, numbers stay, lists are lists and names are names."""
 
 from __future__ import annotations
 
+import csv
 import io
+import json
 import math
 
 import pandas as pd
 import pytest
+from planted import curves, everything, plant, planted
 
 from bench.results.csv_text import csv_export, csv_text
+from reports.charts.errors import acceleration_accuracy, convergence, work_precision
+from reports.charts.line_styles import line_styles
+from reports.charts.over_time import histories, trajectory
+from reports.charts.pareto_front import pareto_chart
+from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.series import series_of
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@a", "\tx", "\rx", "=cmd|' /C calc'!A0"])
@@ -34,3 +43,49 @@ def test_numbers_and_empty_cells_are_read_unchanged():
     frame = pd.read_csv(io.StringIO(csv_export([{"x": x, "y": "u"} for x in numbers])))
     assert list(frame["x"].drop(index=5)) == [x for x in numbers if x is not None]
     assert math.isnan(frame["x"][5])
+
+
+def test_the_export_has_lists_and_names(stepbench, tmp_path):
+    run = planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1, pattern=(1 / 3, 2 / 3))
+    run.components = {"q": {"max": [1 / 7, None]}}
+    folder = plant(tmp_path / "store", [run])
+    (row,) = json.loads(stepbench("export", folder, "--json").stdout)
+    assert row["pattern"] == [1 / 3, 2 / 3]
+    assert row["run_s"] == pytest.approx([3e-5, 3.03e-5, 3.06e-5])
+    assert row["error_q_components_max"] == [1 / 7, None]
+    assert row["error_q_components_end"] == []
+    assert row["environment"] == "Model 1, 8 cores, 2025-03-01T10:00:00+00:00"
+    frame = pd.read_csv(io.StringIO(stepbench("export", folder).stdout))
+    assert frame.pattern[0] == "0.333333333 0.666666667"
+    assert frame.run_s[0] == "3e-05 3.03e-05 3.06e-05"
+    assert frame.error_q_components_max[0] == "0.142857143 nan"
+    assert frame.environment[0] == row["environment"]
+
+
+@pytest.mark.parametrize("interactive", [False, True])
+def test_no_chart_has_a_number_in_the_place_of_a_name(tmp_path, interactive):
+    runs = [r for r in everything() if r.status == "ok" and r.problem == "pendulum"]
+    for run in runs:
+        run.run_s = [1e-3]
+    series = series_of(runs)
+    labels = {s.label for s in series}
+    styles = line_styles(r.integrator for r in runs)
+    rows = [(label, curves(1.0, {"q": 2})) for label in sorted(labels)]
+    rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
+    charts = [
+        work_precision(series, ["q", "a"], styles),
+        convergence(series, ["q", "a"], styles, interactive=interactive),
+        acceleration_accuracy(series, styles, interactive=interactive),
+        work_precision_with_menus(series, ["q", "a"], styles),
+        pareto_chart({"pendulum": series}, styles, interactive),
+        trajectory(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
+        histories(rows, styles, interactive),
+    ]
+    for chart in charts:
+        assert chart is not None
+        for name, text in chart["datasets"].items():
+            table = list(csv.DictReader(io.StringIO(text)))
+            if name == "floors":
+                continue
+            assert {row["series"] for row in table} <= labels | {"reference"}
+            assert not {"s", "style"} & set(table[0])

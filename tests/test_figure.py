@@ -94,14 +94,15 @@ def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
     folder, component, group, place, title
 ):
     figure = trajectory(folder, scene="pendulum", component=component).to_dict()
-    finest = [s.ok[-1] for s in series_of(stored(folder, "pendulum"))]
-    shown = [(float(r["t"]), int(r["s"]), float(r[f"{group}0"])) for r in rows(figure, "runs")]
+    chosen = series_of(stored(folder, "pendulum"))
+    finest = [s.ok[-1] for s in chosen]
+    shown = [(float(r["t"]), r["series"], float(r[f"{group}0"])) for r in rows(figure, "runs")]
     with Store(folder) as store:
         known = [store.rows(record.key) for record in finest]
         reference = store.scenes()["pendulum", 1.0].reference
     assert shown == [
-        (float(f"{t:.5g}"), k, float(f"{values[place]:.5g}"))
-        for k, run in enumerate(known)
+        (float(f"{t:.5g}"), s.label, float(f"{values[place]:.5g}"))
+        for s, run in zip(chosen, known, strict=True)
         for t, values in zip(run.t, run.values[group], strict=True)
     ]
     behind = [float(r[f"{group}0"]) for r in rows(figure, "reference")]

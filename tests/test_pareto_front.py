@@ -101,9 +101,8 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
     assert "<svg" in vl_convert.vegalite_to_svg(chart)
     rows = list(csv.DictReader(io.StringIO(chart["datasets"]["pareto_front"])))
     assert len(rows) == sum(r.status == "ok" for r in records)
-    labels = [s.label for s in series if s.ok]
     for group, cost in itertools.product(("q", "a", "lam"), ("seconds", "residuals")):
-        marked = {(labels[int(row["s"])], row["run"]) for row in rows if row[f"{group}_{cost}"]}
+        marked = {(row["series"], row["run"]) for row in rows if row[f"{group}_{cost}"]}
         wanted = pareto_front(series, group, cost)
         assert marked == {(r.integrator, r.resolution) for r in wanted}
 

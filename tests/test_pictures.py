@@ -173,6 +173,6 @@ def test_a_chart_that_answers_shows_the_errors_of_all_and_few_lines_over_time(cr
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-work_precision"]["datasets"]["runs"]))
     assert {row["series"] for row in rows} == {f"m{k:02}" for k in range(29)}
     rows = csv.DictReader(io.StringIO(page.charts["scene-1-1-trajectory"]["datasets"]["runs"]))
-    assert len({row["s"] for row in rows}) == 12
+    assert len({row["series"] for row in rows}) == 12
     assert "Of 30 integrators those 12 are shown" in page.words
     assert "those 24 are shown" not in page.words

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from small_stores import a_record
 
-from bench.results.csv_text import csv_text
+from bench.results.csv_text import csv_export, csv_text
 from bench.results.quantities import group_and_norm
 from bench.results.records import flatten, median
 from problems.spec import SpecError
@@ -17,14 +17,15 @@ from problems.spec import SpecError
 
 def test_flat_rows_open_in_pandas():
     record = a_record(run_s=[0.3, 0.1, 0.2])
-    row = flatten(record)
+    row = flatten(record, {})
     assert row["error_q_end"] == 1e-3
     assert row["error_q_max"] is None
     assert row["work_steps"] == 10
     assert (row["run_s_median"], row["run_s_min"], row["run_s_max"]) == (0.2, 0.1, 0.3)
-    assert row["pattern"] == "0.3/0.7"
+    assert (row["pattern"], row["run_s"]) == ([0.3, 0.7], [0.3, 0.1, 0.2])
+    assert row["environment"] is None
     for frame in (
-        pd.read_csv(io.StringIO(csv_text([row]))),
+        pd.read_csv(io.StringIO(csv_export([row]))),
         pd.read_json(io.StringIO(json.dumps([row]))),
     ):
         assert frame.loc[0, "error_q_end"] == 1e-3

@@ -88,11 +88,11 @@ def test_tables_have_the_sum(table):
 
 
 def test_flat_rows_have_the_sum_and_every_part():
-    row = flatten(run("one", 0.01, 2.0))
+    row = flatten(run("one", 0.01, 2.0), {})
     parts = {part: row["operations_" + part.replace(" ", "_")] for part in PARTS}
     assert parts == {
         "residuals": 6e4, "Jacobians": 3e4, "inner solves": None, "factorisations": None,
         "solves": 1e4,
     }  # fmt: skip
     assert row["operations"] == 1e5
-    assert flatten(planted("pendulum", "one", {}, h=0.1, operations={}))["operations"] is None
+    assert flatten(planted("pendulum", "one", {}, h=0.1, operations={}), {})["operations"] is None

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.guard.interrupts import remark
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="[EXPERIMENT]...")
+@click.argument("names", nargs=-1, metavar="[EXPERIMENT]...", shell_complete=completion.experiments)
 @options.with_integrators("Put this integrator through every experiment, too; repeatable.")
 @click.option("--list", "only_list", is_flag=True, help="Name the experiments and stop.")
 @options.with_folder("stepbench-atlas", "Folder of the results and the page.")

@@ -6,6 +6,9 @@ import click
 
 from bench.commands import (
     atlas,
+    completion,
+    history,
+    listing,
     options,
     outcome_map,
     plugins,
@@ -27,7 +30,9 @@ Examples:
   stepbench order pendulum newmark --steps 0.02,0.01,0.005,0.0025
   stepbench run -i my_method --plugins my_method.py
   stepbench new integrator my_method && stepbench check my_method.py
-""",
+
+"""
+    + completion.SWITCH_ON,
 )
 @click.version_option(package_name="stepbench")
 def main() -> None:
@@ -39,9 +44,16 @@ def main() -> None:
 
 
 for command in (
-    *(plugins.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
+    *(listing.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
     *(single_runs.solve, single_runs.order, suite.run, suite.report),
-    *(results.export, results.compare, results.merge, results.open_, results.figure),
+    *(
+        results.export,
+        results.compare,
+        results.merge,
+        history.history,
+        results.open_,
+        results.figure,
+    ),
     *(stability.stability, atlas.atlas, outcome_map.map_),
 ):
     main.add_command(command)

@@ -7,10 +7,12 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
+from bench.commands import completion
 from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.plugins.facts import SceneFacts, Sources
@@ -194,7 +196,14 @@ def with_file(words: str) -> Callable:
 
 def with_integrators(words: str) -> Callable:
     """Add -i, which may be repeated."""
-    return click.option("-i", "--integrator", "integrators", multiple=True, help=words)
+    return click.option(
+        "-i",
+        "--integrator",
+        "integrators",
+        multiple=True,
+        help=words,
+        shell_complete=completion.integrators,
+    )
 
 
 def with_jobs(words: str) -> Callable:
@@ -235,6 +244,7 @@ with_set = click.option(
     "settings",
     multiple=True,
     callback=name_values,
+    shell_complete=completion.settings,
     metavar="NAME=VALUE",
     help="Set a parameter of the scene; repeatable.",
 )
@@ -267,3 +277,10 @@ def tell_set_aside(store: Store, more: str = "") -> None:
     """Say on standard error which rows of a store cannot be read, if any; ``more`` follows."""
     if text := set_aside_text(store.set_aside()):
         click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)
+
+
+def tell_set_aside_of(*folders: Path) -> None:
+    """Say of several folders which rows cannot be read."""
+    for folder in folders:
+        with Store(folder) as store:
+            tell_set_aside(store)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from problems.spec import SpecError
 
@@ -16,8 +16,8 @@ _MOST_POINTS = 1_000_000
 
 
 @click.command("map")
-@click.argument("problem")
-@click.argument("integrator")
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument("integrator", shell_complete=completion.integrators)
 @click.option(
     "--over",
     required=True,

@@ -1,4 +1,4 @@
-"""The commands for scenes and integrators themselves: `stepbench list`, `check` and `new`."""
+"""The commands for scenes and integrators themselves: `stepbench check` and `new`."""
 
 from __future__ import annotations
 
@@ -12,55 +12,17 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
+from bench.commands.listing import WORDS
+from bench.plugins.registry import KINDS
 from bench.running.inventory import Inventory
 from problems.spec import SpecError, snake_case
 
 _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
-_WORDS = {"problems": "scene", "integrators": "integrator"}
-
-
-@click.command("list")
-@click.argument("kind", type=click.Choice(["problems", "integrators", "all"]), default="all")
-@options.with_plugins
-@options.with_as_json
-def list_(kind: str, plugins: tuple[str, ...], as_json: bool) -> None:
-    """List the scenes and integrators; unavailable ones have a reason.
-
-    \b
-    Examples:
-      stepbench list
-      stepbench list integrators --json
-    """
-    registry = options.inventory(plugins)
-    kinds = list(_WORDS) if kind == "all" else [kind]
-    listed = {k: list(getattr(registry, k).values()) for k in kinds}
-    if as_json:
-        rows = {
-            k: [
-                {
-                    "name": p.name,
-                    "summary": p.summary,
-                    "origin": p.origin,
-                    "available": not p.reason,
-                    "reason": p.reason,
-                    "options": p.options,
-                }
-                for p in found
-            ]
-            for k, found in listed.items()
-        }
-        click.echo(json.dumps(rows, indent=2))
-        return
-    from bench.commands.terminal import show
-    from bench.commands.terminal_tables import plugin_table
-
-    for k, found in listed.items():
-        show(plugin_table(k, found))
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...")
+@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...", shell_complete=completion.everything)
 @click.option("--all", "everything", is_flag=True, help="Check all scenes and integrators.")
 @options.with_budget
 @options.with_plugins
@@ -93,7 +55,7 @@ def check(
     with Checker(registry, budget) as checker:
         for kind, text in subjects:
             if not as_json:
-                say(f"{_WORDS[kind]} {text}")
+                say(f"{WORDS[kind]} {text}")
             results = []
             for result in checker.check(kind, text):
                 results.append(result)
@@ -103,7 +65,7 @@ def check(
             count, failed = count + len(results), failed + wrong
             checks = [vars(result) for result in results]
             answers.append(
-                {"name": text, "kind": _WORDS[kind], "passed": not wrong, "checks": checks}
+                {"name": text, "kind": WORDS[kind], "passed": not wrong, "checks": checks}
             )
     if as_json:
         click.echo(json.dumps(answers, indent=2))
@@ -155,7 +117,7 @@ def _require_free(name: str) -> None:
             word = f"my_{word}".strip("_")
         raise SpecError(f"{name!r} is not a name in small letters, digits and '_'; try {word!r}.")
     registry = Inventory()
-    for kind in _WORDS:
+    for kind in KINDS:
         plugins = getattr(registry, kind)
         if name in plugins:
             taken = plugins[name].origin

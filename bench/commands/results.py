@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
 from bench.results.csv_text import csv_export
@@ -35,7 +35,8 @@ def export(folder: Path, form: str, out: Path | None) -> None:
       stepbench export --json > records.json
     """
     with Store(folder) as store:
-        rows = [flatten(record) for record in store.records().values()]
+        machines = store.environments()
+        rows = [flatten(record, machines) for record in store.records().values()]
         options.tell_set_aside(store)
     text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
     if out:
@@ -95,7 +96,7 @@ def compare(
 
     comparison = compare_folders(old, new)
     worse = regressions(comparison, limits)
-    _tell_set_aside(old, new)
+    options.tell_set_aside_of(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
@@ -127,7 +128,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
     from bench.results.merge import merge as merge_stores
 
     merged = merge_stores(folders, out)
-    _tell_set_aside(*folders)
+    options.tell_set_aside_of(*folders)
     click.echo(
         f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
         f"environments, are in {out}."
@@ -162,8 +163,16 @@ def open_(folder: Path) -> None:
 
 @click.command()
 @click.argument("folder", type=PathName("folder"))
-@click.argument("kind", metavar="work_precision|convergence|trajectory")
-@click.option("--scene", help="The scene; may be left out if the folder has one.")
+@click.argument(
+    "kind",
+    metavar="work_precision|convergence|trajectory",
+    shell_complete=completion.one_of("work_precision", "convergence", "trajectory"),
+)
+@click.option(
+    "--scene",
+    help="The scene; may be left out if the folder has one.",
+    shell_complete=completion.scenes,
+)
 @click.option("--error", metavar="GROUP:NORM", help="Which error, as a:max; q:end if not given.")
 @click.option("--cost", help="seconds, or a count as residuals (if not given) or steps.")
 @click.option(
@@ -204,11 +213,5 @@ def figure(
         t_end=t_end,
         **{name: value for name, value in given.items() if value is not None},
     )
-    _tell_set_aside(folder)
+    options.tell_set_aside_of(folder)
     click.echo(f"Figure: {written}")
-
-
-def _tell_set_aside(*folders: Path) -> None:
-    for folder in folders:
-        with Store(folder) as store:
-            options.tell_set_aside(store)

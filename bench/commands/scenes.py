@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from problems.spec import SpecError
 
@@ -15,7 +15,7 @@ _FRAMES = 240
 
 
 @click.command()
-@click.argument("problem")
+@click.argument("problem", shell_complete=completion.scenes)
 @options.with_file("File; NAME.svg or NAME.html if not given.")
 @click.option("--animate", is_flag=True, help="Write a page that plays the motion, offline.")
 @options.with_t_end
@@ -53,7 +53,7 @@ def show(
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="[PROBLEM]...")
+@click.argument("names", nargs=-1, metavar="[PROBLEM]...", shell_complete=completion.scenes)
 @options.with_folder("stepbench-catalogue", "Folder of the pages.")
 @options.with_budget
 @options.with_plugins

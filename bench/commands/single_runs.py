@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
+from bench.commands import completion, options
 from bench.commands import ensemble as ensembles
-from bench.commands import options
+from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
+from bench.results.records import UNSUPPORTED
 from bench.running.plan import DEFAULT_HALVINGS, Cell
 from bench.running.plan import resolution as resolution_of
 from integrators.contract import Steps
@@ -17,8 +20,8 @@ from problems.spec import SpecError
 
 
 @click.command()
-@click.argument("problem")
-@click.argument("integrator")
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument("integrator", shell_complete=completion.integrators)
 @click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
 @options.with_pattern
 @options.with_tolerances
@@ -95,9 +98,35 @@ def solve(
         raise click.ClickException(f"{record.status}: {record.message}")
 
 
+def order_cells(
+    scene: SceneFacts,
+    method: MethodFacts,
+    steps: Sequence[float] | None,
+    pattern: tuple[float, ...] | None,
+    t_end: float | None,
+) -> list[Cell]:
+    """Return the cells to which an order is fitted.
+
+    Raises
+    ------
+    SpecError
+        If the method chooses its own steps, or steps or the end time are not allowed.
+    """
+    if method.controls != "step":
+        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
+    end = options.end_time(scene, t_end)
+    sizes = steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]
+    if len(sizes) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
+    resolutions = [Steps(h, pattern or (1.0,)) for h in sizes]
+    for resolution in resolutions:
+        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
+    return [Cell(scene.spec, method.spec, end, resolution) for resolution in resolutions]
+
+
 @click.command()
-@click.argument("problem")
-@click.argument("integrator")
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument("integrator", shell_complete=completion.integrators)
 @click.option(
     "--steps",
     callback=options.numbers,
@@ -131,17 +160,7 @@ def order(
     registry = options.usable_registry(plugins)
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
-    if method.controls != "step":
-        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
-    end = options.end_time(scene, t_end)
-    sizes = steps or tuple(scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS))
-    if len(sizes) < 3:
-        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
-    cells = []
-    for h in sizes:
-        resolution = Steps(h, pattern or (1.0,))
-        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
-        cells.append(Cell(scene.spec, method.spec, end, resolution))
+    cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.running.session import solve_cells
 
     results, _ = solve_cells(
@@ -149,13 +168,17 @@ def order(
     )
     records = [record for record, _ in results]
     orders = summary.orders(records)
+    refused = all(record.status == UNSUPPORTED for record in records)
     if as_json:
         click.echo(json.dumps(orders, indent=2))
-    else:
+    elif not refused:
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import order_table
 
         show(order_table(records, orders))
+    if refused:
+        reason = records[0].message
+        raise click.ClickException(f"{method.spec} does not take {scene.spec}: {reason}")
     failed = [record for record in records if record.status != "ok"]
     for record in failed:
         click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import view
 from problems.spec import SpecError
 
@@ -16,7 +16,9 @@ _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 
 
 @click.command()
-@click.argument("names", nargs=-1, required=True, metavar="INTEGRATOR...")
+@click.argument(
+    "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
+)
 @click.option(
     "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to report."
 )

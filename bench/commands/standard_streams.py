@@ -41,9 +41,9 @@ class _Through(io.TextIOBase):
 class PlainStream(_Through):
     """A text stream that writes control characters as escapes."""
 
-    def write(self, text: str, /) -> int:
-        """Write a text; returns its length."""
-        self.stream.write(visible(text))
+    def write(self, text: str | bytes, /) -> int:
+        """Write a text; returns its length. Click writes completions for the shell as bytes."""
+        self.stream.write(visible(text.decode() if isinstance(text, bytes) else text))
         return len(text)
 
 

@@ -4,74 +4,80 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from bench.commands import options
-from bench.commands.pages import write_reports
+from bench.commands import completion, options
+from bench.commands.pages import view, write_reports
 from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
-from bench.results.records import INTERRUPTED, Record
+from bench.results.experiments import ExperimentResult
+from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import Suite, make_suite
+from bench.running.profiles import read_profile, suite_titles
 
 
-@click.command()
-@click.argument("profile", default="quick")
-@click.option("-p", "--problem", "problems", multiple=True, help="Only this scene; repeatable.")
-@options.with_integrators(
-    "Only this integrator; repeatable. One that the profile lacks is added.",
-)
-@options.with_folder(options.RESULTS, "Folder of the results.")
-@options.with_fresh
-@options.with_jobs("Worker processes; timing is done by one at a time.")
-@click.option(
-    "--cluster",
-    type=ClusterAddress(),
-    metavar="ADDRESS",
-    help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
-)
-@options.with_given_budget(
-    "Processor time of a run in s, after which it is stopped; the profile's if not given. Runs "
-    "that a smaller budget stopped are run again.",
-)
-@options.with_plugins
-def run(
-    profile: str,
-    problems: tuple[str, ...],
-    integrators: tuple[str, ...],
+class _WithSuites(click.Command):
+    """A command whose help lists the built-in suites."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Built-in suites"):
+            formatter.write_dl(list(suite_titles().items()))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run of a suite left: the records of its cells, how many of them were measured now, the
+    experiments of the failure atlas, and sentences on plugins that were lost."""
+
+    records: list[Record]
+    measured: int
+    experiments: list[ExperimentResult]
+    lost: tuple[str, ...]
+
+    @property
+    def interrupted(self) -> int:
+        """How many cells something ended from outside."""
+        return sum(record.status == INTERRUPTED for record in self.records)
+
+    @property
+    def sentences(self) -> list[str]:
+        """Sentences that count what was run."""
+        again = ", which the same command runs again" if self.interrupted else ""
+        count, kept = len(self.records), len(self.records) - self.measured
+        said = [
+            f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
+            f"{self.measured} measured now, {kept} kept from before."
+        ]
+        if self.experiments:
+            held = sum(result.as_predicted for result in self.experiments)
+            many = len(self.experiments)
+            said.append(f"{many} experiments of the failure atlas: {held} as predicted.")
+        return said
+
+
+def run_suite(
+    suite: Suite,
+    registry: Inventory,
     out: Path,
-    fresh: bool,
-    jobs: int,
-    cluster: str | None,
-    budget: float | None,
-    plugins: tuple[str, ...],
-) -> None:
-    """Run a suite and write its report.
-
-    PROFILE is the name of a built-in profile (quick, paper) or a TOML file. A run that was
-    stopped goes on where it stopped when the same command is given again.
-
-    \b
-    Examples:
-      stepbench run
-      stepbench run paper --out paper-results
-      stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
-      stepbench run full --cluster tcp://head:8786
-    """
+    fresh: bool = False,
+    jobs: int = 2,
+    cluster: str | None = None,
+) -> Outcome:
+    """Measure what a folder lacks of a suite, with a progress bar, and store it."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress
     from bench.running.session import measure_suite, runner_for, time_suite
     from bench.stability import damping
 
-    registry = Inventory(plugins)  # a file that cannot be used costs its own cells
-    suite = make_suite(*read_profile(profile), registry, problems, integrators, budget)
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
+    added = [suite.plan.mine] if suite.plan.mine else []
     with (
         RunProgress() as progress,
         runner_for(suite, jobs, progress, cluster) as runner,  # a cluster answers before it counts
@@ -86,30 +92,96 @@ def run(
         time_suite(suite, store, registry, runner, progress)
         runner.end_workers()
         stored = store.records()
-        results = complete(experiments, [], store, registry, jobs, progress)
+        results = complete(experiments, added, store, registry, jobs, progress)
     records = [stored[key] for key in suite.cells if key in stored]
-    good = sum(record.status == "ok" for record in records)
-    cut = sum(record.status == INTERRUPTED for record in records)
-    interrupted = f"{cut} interrupted, which the same command runs again; " if cut else ""
-    click.echo(
-        f"{len(records)} cells: {good} ok, {len(records) - good - cut} failed with a reason; "
-        f"{interrupted}{measured} measured now, {len(records) - measured} kept from before."
-    )
-    if results:
-        held = sum(result.as_predicted for result in results)
-        click.echo(f"{len(results)} experiments of the failure atlas: {held} as predicted.")
+    return Outcome(records, measured, results, suite.lost)
+
+
+@click.command(cls=_WithSuites)
+@click.argument("suite", default="quick", shell_complete=completion.suites)
+@click.option(
+    "-p",
+    "--problem",
+    "problems",
+    multiple=True,
+    help="Only this scene; repeatable.",
+    shell_complete=completion.scenes,
+)
+@options.with_integrators(
+    "Only this integrator; repeatable. One that the suite lacks is added.",
+)
+@click.option(
+    "--mine",
+    metavar="INTEGRATOR",
+    shell_complete=completion.integrators,
+    help="Your integrator: it is run beside the others, and the report opens with it highlighted.",
+)
+@options.with_folder(options.RESULTS, "Folder of the results.")
+@options.with_fresh
+@options.with_jobs("Worker processes; timing is done by one at a time.")
+@click.option(
+    "--cluster",
+    type=ClusterAddress(),
+    metavar="ADDRESS",
+    help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
+)
+@options.with_given_budget(
+    "Processor time of a run in s, after which it is stopped; the suite's if not given. Runs "
+    "that a smaller budget stopped are run again.",
+)
+@options.with_plugins
+def run(
+    suite: str,
+    problems: tuple[str, ...],
+    integrators: tuple[str, ...],
+    mine: str | None,
+    out: Path,
+    fresh: bool,
+    jobs: int,
+    cluster: str | None,
+    budget: float | None,
+    plugins: tuple[str, ...],
+) -> None:
+    """Run a suite and write its report.
+
+    SUITE is the name of a built-in suite (below) or a TOML file. A run that was stopped goes on
+    where it stopped when the same command is given again.
+
+    \b
+    Examples:
+      stepbench run
+      stepbench run paper --out paper-results
+      stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
+      stepbench run --mine my_method --plugins my_method.py
+      stepbench run full --cluster tcp://head:8786
+    """
+    registry = Inventory(plugins)  # a file that cannot be used costs its own cells
+    planned = make_suite(*read_profile(suite), registry, problems, integrators, budget, mine)
+    outcome = run_suite(planned, registry, out, fresh, jobs, cluster)
+    for sentence in outcome.sentences:
+        click.echo(sentence)
     write_reports(out)
-    if not good:
-        raise click.ClickException(f"No cell succeeded. {in_common(records)}")
-    if cut:
+    if planned.plan.mine:
+        _show_card(out, planned.plan.mine)
+    if not any(record.status == "ok" for record in outcome.records):
+        raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
+    if cut := outcome.interrupted:
         count = "1 cell was" if cut == 1 else f"{cut} cells were"
         raise click.ClickException(
             f"Not complete: {count} interrupted; the same command runs what is missing."
         )
-    if suite.lost:
-        first, *others = suite.lost
+    if outcome.lost:
+        first, *others = outcome.lost
         more = f" {len(others)} more reasons are above." if others else ""
         raise click.ClickException(f"{first}{more}")
+
+
+def _show_card(folder: Path, integrator: str) -> None:
+    """Print where an integrator wins, loses and fails, and what it costs."""
+    from bench.commands.terminal import say
+
+    for line in view("method_card")(folder, integrator):
+        say(line)
 
 
 def in_common(records: Sequence[Record]) -> str:

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from bench.commands.terminal import new_table
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
-from bench.plugins.facts import PluginFacts
 from bench.results.experiments import CaseResult, ExperimentResult, bounds
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows, median
@@ -31,30 +30,7 @@ def _add_numbers(table: Table, heads: Iterable[str]) -> None:
         table.add_column(head, justify="right", no_wrap=True)
 
 
-# ---- plugins and their checks --------------------------------------------------------------
-def plugin_table(kind: str, plugins: list[PluginFacts]) -> Table:
-    """Names, descriptions and options; for an unavailable plugin the reason."""
-    table = new_table(kind)
-    table.add_column("name", style="cyan", no_wrap=True)
-    table.add_column("description")
-    for plugin in plugins:
-        text = escape(plugin.summary)
-        if plugin.reason:
-            text = f"[red]unavailable:[/red] {escape(plugin.reason)}"
-        options = ", ".join(f"{o['name']}={_allowed(o)}" for o in plugin.options)
-        if options:
-            text += f"\n[dim]{escape(options)}[/dim]"
-        table.add_row(escape(plugin.name), text)
-    return table
-
-
-def _allowed(option: dict[str, Any]) -> str:
-    """The choices of an option, or its default; an option with choices and limits takes numbers."""
-    if "choices" not in option:
-        return str(option["default"])
-    return "|".join([*map(str, option["choices"]), *(["number"] if "low" in option else [])])
-
-
+# ---- checks -----------------------------------------------------------------------------
 _SIGNS = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
 
 

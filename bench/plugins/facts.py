@@ -14,6 +14,9 @@ from problems.answers import asked, refused, step, tidy
 from problems.answers import text as text_of
 from problems.system import GROUPS
 
+#: Paragraphs of a plugin's documentation that are told.
+_MOST_PARAGRAPHS = 20
+
 
 class Sources(msgspec.Struct, frozen=True, order=True):
     """Files and packages from outside of this project that a process has to load."""
@@ -39,11 +42,13 @@ class Sources(msgspec.Struct, frozen=True, order=True):
 
 
 class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """A line of the list of plugins; a ``reason`` says why one cannot be used."""
+    """A plugin in the list of them: the first paragraph of its documentation, the others, and
+    options; a ``reason`` says why it cannot be used."""
 
     name: str
     origin: str
     summary: str = ""
+    description: list[str] = []
     options: list[dict[str, Any]] = []
     reason: str = ""
     sources: Sources = Sources()
@@ -86,6 +91,7 @@ def plugin_facts(plugin: Plugin) -> PluginFacts:
         name=plugin.name,
         origin=plugin.origin,
         summary=tidy(plugin.summary),
+        description=[tidy(paragraph) for paragraph in plugin.paragraphs[1:_MOST_PARAGRAPHS]],
         options=plugin.options,
         reason=plugin.reason,
         sources=sources_of(plugin),

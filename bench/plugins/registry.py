@@ -52,8 +52,13 @@ class Plugin:
     @property
     def summary(self) -> str:
         """First paragraph of the class's docstring, on one line."""
-        doc = inspect.getdoc(self.cls) if self.cls else None
-        return " ".join(doc.split("\n\n")[0].split()) if doc else ""
+        return self.paragraphs[0]
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """Paragraphs of the class's docstring, a line each."""
+        doc = (inspect.getdoc(self.cls) if self.cls else None) or ""
+        return [" ".join(paragraph.split()) for paragraph in doc.split("\n\n")]
 
     @property
     def options(self) -> list[dict[str, Any]]:

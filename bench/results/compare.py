@@ -44,9 +44,9 @@ def compare(old: Path, new: Path) -> Comparison:
     bench.results.store.StoreError
         If a folder holds no readable store.
     """
-    (before, machines), (after, others) = _read(old), _read(new)
+    (before, machines), (after, others) = read_runs(old), read_runs(new)
     shared = [key for key in after if key in before]
-    names = _names([*before.values(), *after.values()])
+    names = scene_names([*before.values(), *after.values()])
     noise = _noise(before.values()) * _noise(after.values())
     noise = max(LEAST_CHANGE["time"], noise, _drift([(before[k], after[k]) for k in shared]))
     judged: Counter[str] = Counter()
@@ -54,7 +54,7 @@ def compare(old: Path, new: Path) -> Comparison:
     endings, changes, untold = [], [], 0
     for key in shared:
         one, two = before[key], after[key]
-        run = _run(two, names)
+        run = compared_cell(two, names)
         pair = _differences(machines.get(one.environment), others.get(two.environment))
         differences |= dict.fromkeys(pair)
         if one.status != two.status:
@@ -75,8 +75,8 @@ def compare(old: Path, new: Path) -> Comparison:
         differences=list(differences),
         endings=endings,
         changes=changes,
-        vanished=[_run(r, names) for key, r in before.items() if key not in after],
-        appeared=[_run(r, names) for key, r in after.items() if key not in before],
+        vanished=[compared_cell(r, names) for key, r in before.items() if key not in after],
+        appeared=[compared_cell(r, names) for key, r in after.items() if key not in before],
     )
 
 
@@ -143,7 +143,14 @@ def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str
 
 
 # ---- parts -----------------------------------------------------------------------------
-def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
+def read_runs(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
+    """Return the records of a folder that nothing interrupted, and its environments.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    """
     with Store(folder) as store:
         records = store.records()
         return (
@@ -152,14 +159,15 @@ def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
         )
 
 
-def _names(records: list[Record]) -> dict[tuple[str, float], str]:
-    """Names of the scenes, with the interval if a scene has several."""
+def scene_names(records: list[Record]) -> dict[tuple[str, float], str]:
+    """Return the names of the scenes, with the interval if a scene has several."""
     keys = {(r.problem, r.t_end) for r in records}
     several = Counter(problem for problem, _ in keys)
     return {(p, t): p if several[p] == 1 else f"{p} to t={t:g} s" for p, t in keys}
 
 
-def _run(record: Record, names: Mapping[tuple[str, float], str]) -> ComparedCell:
+def compared_cell(record: Record, names: Mapping[tuple[str, float], str]) -> ComparedCell:
+    """Return a cell with its scene's name, and how it ended."""
     return ComparedCell(
         key=record.key,
         scene=names[record.problem, record.t_end],

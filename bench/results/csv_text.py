@@ -39,7 +39,8 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
 def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
     """Write rows as CSV for a spreadsheet: none of its texts is a formula.
 
-    A text that would be one gets an apostrophe in front. Numbers stay as they are.
+    A text that would be one gets an apostrophe in front. Numbers stay as they are; those of a list
+    are a text with a space in between, "nan" where there is none.
     """
     columns = {name: str(_quoted(name)) for row in rows for name in row}
     quoted = [{columns[name]: _quoted(value) for name, value in row.items()} for row in rows]
@@ -47,4 +48,6 @@ def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def _quoted(value: object) -> object:
+    if isinstance(value, list | tuple):
+        return " ".join("nan" if number is None else f"{number:.9g}" for number in value)
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value

@@ -135,10 +135,13 @@ def _united(plans: Iterable[Plan]) -> Plan | None:
         studies[about] = msgspec.structs.replace(study, cells=list(dict.fromkeys(cells)))
     return Plan(
         name=" + ".join(dict.fromkeys(plan.name for plan in plans)),
-        title=" + ".join(dict.fromkeys(plan.title or plan.name for plan in plans)),
+        title=" + ".join(dict.fromkeys(plan.title for plan in plans))
+        if all(plan.title for plan in plans)
+        else "",
         samples=max(plan.samples for plan in plans),
         budget_s=max(plan.budget_s for plan in plans),
         studies=list(studies.values()),
+        mine=next((plan.mine for plan in plans if plan.mine), ""),
     )
 
 

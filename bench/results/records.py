@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypedDict
 
 import msgspec
@@ -43,6 +44,11 @@ class Environment(msgspec.Struct, kw_only=True):
     memory_gib: float
     platform: str
     versions: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """The machine and the start in words, as tables name it."""
+        return f"{self.cpu}, {self.cores} cores, {self.date}"
 
 
 class Record(msgspec.Struct, kw_only=True):
@@ -202,8 +208,9 @@ class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
 
 
 class Plan(msgspec.Struct, kw_only=True, frozen=True):
-    """The task of a run folder: its title, its studies, how often each run is timed, the time
-    budget of a cell in s, and the integrators by printed name. It holds no results."""
+    """The task of a run folder: its title (none if it is a part of a suite), its studies, how often
+    each run is timed, the time budget of a cell in s, the integrators by printed name, and the one
+    that is the person's own (`--mine`), if any. It holds no results."""
 
     name: str
     title: str
@@ -211,14 +218,41 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
     budget_s: float
     studies: list[Study]
     integrators: dict[str, IntegratorFacts] = {}
+    mine: str = ""
+
+    def heading(self, records: Iterable[Record]) -> str:
+        """Return the title; of a part of a suite, what was run of it."""
+        runs = list(records)
+        if self.title or not runs:
+            return self.title or self.name
+        scenes, methods = len({r.problem for r in runs}), len({r.integrator for r in runs})
+        return f"{self.name}: {counted(scenes, 'scene')}, {counted(methods, 'integrator')}"
 
 
-def flatten(record: Record) -> dict[str, Any]:
+def counted(number: int, word: str) -> str:
+    """Return a number with its word: "1 scene", "7 scenes"."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def endings(records: Iterable[Record]) -> str:
+    """Count how runs ended: "12 ok, 3 not supported, 1 failed with a reason"."""
+    statuses = Counter(record.status for record in records)
+    ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))
+    parts = [f"{ok} ok", f"{unsupported} not supported" if unsupported else ""]
+    parts += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
+    return ", ".join(filter(None, parts))
+
+
+def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str, Any]:
     """Return a record as a flat row for pandas: ``error_q_end``, ``work_residuals``, ...
 
-    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts.
+    ``operations`` is the sum of the bill, ``operations_residuals`` ... are its parts. The
+    components' errors, ``pattern`` and ``run_s`` are lists; ``environment`` is a name.
     """
     row = msgspec.to_builtins(record)
+    machine = environments.get(record.environment)
+    row["environment"] = machine.name if machine else None
+    row["pattern"] = list(record.pattern)
     for group in GROUPS:
         for norm in NORMS:
             row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
@@ -226,9 +260,7 @@ def flatten(record: Record) -> dict[str, Any]:
             row[f"reference_error_{group}_{norm}"] = floor
             row[f"error_{group}_2norm_{norm}"] = record.errors.get(whole(group), {}).get(norm)
             each = record.components.get(group, {}).get(norm, [])
-            row[f"error_{group}_components_{norm}"] = " ".join(
-                "nan" if e is None else f"{e:.9g}" for e in each
-            )
+            row[f"error_{group}_components_{norm}"] = each
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
@@ -240,8 +272,6 @@ def flatten(record: Record) -> dict[str, Any]:
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None
     row["run_s_max"] = samples[-1] if samples else None
-    row["pattern"] = "/".join(f"{f:g}" for f in record.pattern)
-    row["run_s"] = " ".join(f"{s:.9g}" for s in record.run_s)
     for nested in ("errors", "reference_error", "components", "constraint", "work"):
         del row[nested]
     return row

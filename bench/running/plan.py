@@ -126,12 +126,13 @@ def make_suite(
     problems: Sequence[str] = (),
     integrators: Sequence[str] = (),
     budget_s: float | None = None,
+    mine: str | None = None,
 ) -> Suite:
     """Make the suite of a profile, restricted or extended by the command line.
 
     A name in ``problems`` or ``integrators`` selects the profile's entries of that name. A name
     that the profile lacks is added with the steps and tolerances of the profile's other entries (or
-    the scene's own for a scene of its own).
+    the scene's own for a scene of its own). The integrator ``mine`` comes beside those selected.
 
     Raises
     ------
@@ -141,6 +142,7 @@ def make_suite(
     lost: list[str] = []
     problems = _usable(problems, registry.problem, lost)
     integrators = _usable(integrators, registry.integrator, lost)
+    own_method = registry.integrator(mine) if mine is not None else None
     named = [
         msgspec.structs.replace(
             file,
@@ -169,6 +171,8 @@ def make_suite(
         for problem in file.problems:
             own = [registry.integrator(text) for text in file.integrators]
             chosen = _select_integrators(own, registry, integrators) if integrators else own
+            if own_method and own_method not in chosen:
+                chosen = [*chosen, own_method]
             # An integrator that no study of a scene names goes into its first study alone.
             taken = _own_specs(named, problem, registry) | placed[problem]
             chosen = [i for i in chosen if i in own or i.spec not in taken]
@@ -183,7 +187,7 @@ def make_suite(
         )
     plan = Plan(
         name=name,
-        title=profile.title or name,
+        title="" if problems or integrators or own_method else profile.title or name,
         samples=profile.samples,
         budget_s=budget_s or profile.budget_s,
         studies=studies,
@@ -191,6 +195,7 @@ def make_suite(
             text: _facts(registry, text)
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
+        mine=own_method.spec if own_method else "",
     )
     # A part of the profile goes without the atlas.
     atlas = False if problems or integrators else profile.atlas

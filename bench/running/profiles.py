@@ -1,4 +1,7 @@
-"""Profiles: TOML files that describe suites, built-in ones and others."""
+"""Profiles: TOML files that describe suites, built-in ones and others.
+
+A person reads "suite" for both.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +67,12 @@ def built_in_profiles() -> dict[str, Path]:
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
+def suite_titles() -> dict[str, str]:
+    """Return the titles of the suites that ship with the tool, by name."""
+    files = built_in_profiles()
+    return {name: str(_read_toml(file).get("title", name)) for name, file in files.items()}
+
+
 def read_profile(name: str) -> tuple[str, ProfileFile]:
     """Read a built-in profile by name or any TOML file by path; return its name and contents.
 
@@ -76,10 +85,10 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
     path = known.get(name, Path(name))
     if path.suffix != ".toml":
         raise SpecError(
-            f"There is no profile {name!r}; {spec.suggest(name, known)}, or give a .toml file."
+            f"There is no suite {name!r}; {spec.suggest(name, known)}, or give a .toml file."
         )
     data = _read_toml(path)
-    _check_keys(data, ProfileFile, f"The profile {path}")
+    _check_keys(data, ProfileFile, f"The suite {path}")
     studies = data.get("study")
     for study in studies if isinstance(studies, list) else []:
         if isinstance(study, dict):
@@ -87,7 +96,7 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
     try:
         profile = msgspec.convert(data, ProfileFile)
     except msgspec.ValidationError as error:
-        raise SpecError(f"The profile {path} is not as expected: {error}.") from None
+        raise SpecError(f"The suite {path} is not as expected: {error}.") from None
     return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
 
 
@@ -96,14 +105,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         about = path.stat()
         # A pipe or a device might never end.
         if not stat.S_ISREG(about.st_mode) or about.st_size > _LARGEST:
-            raise SpecError(f"The profile {path} is not a file of at most {_LARGEST:,} bytes.")
+            raise SpecError(f"The suite {path} is not a file of at most {_LARGEST:,} bytes.")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SpecError(f"The profile {path} cannot be read: {error.strerror}.") from None
+        raise SpecError(f"The suite {path} cannot be read: {error.strerror}.") from None
     except RecursionError:
-        raise SpecError(f"The profile {path} is nested too deeply.") from None
+        raise SpecError(f"The suite {path} is nested too deeply.") from None
     except ValueError as error:  # of TOML, of UTF-8, of a null byte in the path, of a huge number
-        raise SpecError(f"The profile {path} is not valid TOML: {error}.") from None
+        raise SpecError(f"The suite {path} is not valid TOML: {error}.") from None
 
 
 def _varied(study: StudyFile) -> StudyFile:

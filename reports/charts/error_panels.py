@@ -33,11 +33,10 @@ def error_data(
     counts: Sequence[str] = (COST,),
 ) -> vl.Dataset:
     """One row per run and norm with an error above zero, named after the group."""
-    rows, labels = [], list(options.styles)
+    rows: list[dict[str, Any]] = []
     for s in series:
         for record in s.ok:
             run = {
-                "style": labels.index(s.label),
                 "h": vl.short(step_or_tolerance(record)),
                 "run": record.resolution,
                 "seconds": vl.short(seconds_of(record)),
@@ -113,7 +112,7 @@ def error_lines(
 ) -> list[vl.Spec]:
     """The layers of lines and points at ``place`` (the channels x, y), in the order of a field."""
     bright = place | {"color": options.colors(), "opacity": options.opacity()}
-    dashes = {"strokeDash": options.numbered_dashes(), "order": vl.quantity(order)}
+    dashes = {"strokeDash": options.dashes_without_legend(), "order": vl.quantity(order)}
     return [
         {"mark": {"type": "line", "strokeWidth": 1.8}, "encoding": bright | dashes},
         {

@@ -95,7 +95,6 @@ def acceleration_accuracy(
     rows = [
         {
             "series": s.label,
-            "style": list(options.styles).index(s.label),
             "run": r.resolution,
             "norm": n,
             "q": q,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -49,11 +48,10 @@ def trajectory(
     """
     chosen = components or first_components(groups)
     needed = list(dict.fromkeys(pair for parts in chosen for pair in _pairs(*parts)))
-    labels = [label for label, _ in runs]
-    # One wide table serves all panels; labels are numbers in it, so that the page stays small.
-    rows = [row for i, (_, run) in enumerate(runs) for row in wide_rows(run, needed, i)]
+    # One wide table serves all panels, so that the page stays small.
+    rows = [row for label, run in runs for row in wide_rows(run, needed, label)]
     drawn = vl.Dataset("runs", rows)
-    behind = vl.Dataset("reference", wide_rows(reference, needed, -1) if reference else [])
+    behind = vl.Dataset("reference", wide_rows(reference, needed, "reference") if reference else [])
     options = vl.ChartOptions(styles, interactive=interactive)
     panels: list[vl.Spec] = []
     for parts in chosen:
@@ -63,7 +61,7 @@ def trajectory(
         if {name, over[0]} <= set(behind.columns):
             layers.append(reference_line(behind, name, title, over))
         if {name, over[0]} <= set(drawn.columns):
-            layers.append(run_lines(drawn, name, title, labels, options, not panels, over))
+            layers.append(run_lines(drawn, name, title, options, not panels, over))
         panels += [{"layer": layers}] if layers else []
     return vl.arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
 
@@ -78,7 +76,7 @@ def histories(
     labels = list(dict.fromkeys(label for label, _ in runs))
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
     rows = [
-        {"s": labels.index(label), "t": vl.short(t)}
+        {"series": label, "t": vl.short(t)}
         | {n: vl.short(run.notes[n][k]) for n in notes if run.notes.get(n)}
         for label, run in runs
         for k, t in enumerate(run.t)
@@ -90,9 +88,9 @@ def histories(
         if not any(_varies(values) for values in noted):
             continue
         values = [abs(v) for values in noted for v in values if v or not logarithmic]
-        layer = run_lines(data, name, title, labels, options, first=not panels)
+        layer = run_lines(data, name, title, options, first=not panels)
         if logarithmic:
-            layer["transform"].append({"filter": f"datum.{name} > 0"})
+            layer["transform"] = [{"filter": f"datum.{name} > 0"}]
             axis = vl.log_axis(values, ".0e")
             layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
         panels.append({"layer": [layer]})
@@ -113,7 +111,6 @@ def run_lines(
     data: vl.Dataset,
     field: str,
     title: str,
-    labels: Sequence[str],
     options: vl.ChartOptions,
     first: bool,
     over: tuple[str, str] = TIME,
@@ -122,7 +119,6 @@ def run_lines(
     legend = {"symbolType": "stroke", "symbolSize": 400}
     layer: vl.Spec = {
         "data": data.source,
-        "transform": [{"calculate": f"{json.dumps(list(labels))}[datum.s]", "as": "series"}],
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
         "encoding": {
             **_axes(field, title, over),
@@ -159,12 +155,12 @@ def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
 
 
 def wide_rows(
-    rows: Rows, components: Sequence[tuple[str, int]], number: int
+    rows: Rows, components: Sequence[tuple[str, int]], label: str
 ) -> list[dict[str, Any]]:
-    """A row per time with these components, as far as the run has them; ``s`` is its number."""
+    """A row per time with these components, as far as the run has them."""
     table = []
     for k, t in enumerate(rows.t):
-        row: dict[str, Any] = {"t": vl.short(t), "s": number}
+        row: dict[str, Any] = {"t": vl.short(t), "series": label}
         for group, i in components:
             values = rows.values.get(group) or []
             if (

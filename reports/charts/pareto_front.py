@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,7 +19,7 @@ def pareto_chart(
     """Error over cost of all runs, a panel per scene, with the Pareto front as a step line."""
     scenes = compared_scenes(scenes)
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series if s.ok))
-    rows = [row for scene, series in scenes.items() for row in _rows(scene, series, labels)]
+    rows = [row for scene, series in scenes.items() for row in _rows(scene, series)]
     groups = [group for group in RANKED_GROUPS if any(group in row for row in rows)]
     if not groups:
         return None
@@ -62,7 +61,6 @@ def pareto_chart(
         "params": _menus(groups) if interactive else [],
         "data": data.source,
         "transform": [
-            {"calculate": f"{json.dumps(labels)}[datum.s]", "as": "series"},
             {"calculate": f"datum[{group}]", "as": "error"},
             {"calculate": f"datum[{cost}]", "as": "across"},
             {"calculate": f"datum[{group} + '_' + {cost}]", "as": "on_front"},
@@ -84,7 +82,7 @@ def pareto_chart(
     }
 
 
-def _rows(scene: str, series: Sequence[Series], labels: Sequence[str]) -> list[dict[str, Any]]:
+def _rows(scene: str, series: Sequence[Series]) -> list[dict[str, Any]]:
     """A row per run: its costs and errors, and the pairs of them in which it is on the front."""
     runs = ok_runs(series)
     least = {group: trusted_error(runs, group, NORM) for group in RANKED_GROUPS}
@@ -96,7 +94,7 @@ def _rows(scene: str, series: Sequence[Series], labels: Sequence[str]) -> list[d
     rows = []
     for s in series:
         for r in s.ok:
-            row = {"scene": scene, "s": labels.index(s.label), "run": r.resolution}
+            row = {"scene": scene, "series": s.label, "run": r.resolution}
             row |= {cost: vl.short(cost_of(r, cost)) for cost in RANKED_COSTS}
             for group in RANKED_GROUPS:
                 if (error := vl.short(error_of(r, group, NORM))) is not None:

@@ -22,9 +22,7 @@ from reports.charts.line_styles import LineStyle
 Spec = dict[str, Any]
 
 GREY = "#808080"
-_TEXT_COLUMNS = {
-    *("series", "style", "norm", "run", "line", "scene", "group", "target", "cost", "text")
-}
+_TEXT_COLUMNS = {*("series", "norm", "run", "line", "scene", "group", "target", "cost", "text")}
 #: Differences of larger numbers overflow.
 _LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
@@ -67,14 +65,10 @@ class ChartOptions:
         """A channel: a point shape per label."""
         return self._by_series([style.shape for style in self.styles.values()], {})
 
-    def numbered_dashes(self) -> Spec:
-        """A channel: dashes by the number of the line, without a legend.
-
-        In the legend they would be drawn around the points, too.
-        """
-        numbers = [str(i) for i in range(len(self.styles))]
-        scale = {"domain": numbers, "range": [list(s.dash) for s in self.styles.values()]}
-        return category("style", scale=scale, legend=None)
+    def dashes_without_legend(self) -> Spec:
+        """A channel: dashes per label; in the legend they would be drawn around the points, too."""
+        dashes = [list(style.dash) for style in self.styles.values()]
+        return category("series", scale={"domain": list(self.styles), "range": dashes}, legend=None)
 
     def opacity(self, full: float = 1.0) -> Spec:
         """A channel: in an interactive chart the lines that are not picked fade."""

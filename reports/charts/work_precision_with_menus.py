@@ -33,7 +33,6 @@ def work_precision_with_menus(
         for r in s.ok:
             run = {
                 "series": s.label,
-                "style": list(options.styles).index(s.label),
                 "run": r.resolution,
                 "fastest": vl.short(min(r.run_s, default=None)),
                 "slowest": vl.short(max(r.run_s, default=None)),

@@ -122,7 +122,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
     words = words_of(series, {name: scene.tags for name, scene in described.items()})
     first = answer(series, FIRST)
     return Report(
-        title=(plan.title or plan.name) if plan else "Results",
+        title=plan.heading(runs) if plan else "Results",
         state=state_sentence(plan, runs),
         missing=[
             *filter(None, [set_aside_text(set_aside)]),

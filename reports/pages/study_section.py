@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
-from bench.results.records import Record, Rows, SceneRecord, Study
+from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
@@ -271,7 +271,10 @@ def _study_state(study: Study, records: Sequence[Record]) -> str:
     parts, planned = [], len(set(study.cells))
     if len(records) < planned:
         parts.append(f"{planned - len(records)} of {planned} runs are not measured yet.")
-    failed = sum(r.status != "ok" for r in records)
+    unsupported = sum(r.status == UNSUPPORTED for r in records)
+    if unsupported:
+        parts.append(f"{unsupported} of {len(records)} runs are not supported by their method.")
+    failed = sum(r.status != "ok" for r in records) - unsupported
     if failed:
         parts.append(f"{failed} of {len(records)} runs did not reach the end.")
     return " ".join(parts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from bench.results.orders import SPREAD
-from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord
+from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord, endings
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import number
 from reports.ranking import LEAST_OPERATIONS
@@ -19,10 +19,9 @@ NOISY_PART = 0.25
 
 def state_sentence(plan: Plan | None, records: Sequence[Record]) -> str:
     """Counts of runs: planned, measured, ended well."""
-    ok = sum(r.status == "ok" for r in records)
     planned = _planned_keys(plan)
     of_plan = f" of {len(planned | {r.key for r in records})} planned" if planned else ""
-    return f"{len(records)}{of_plan} runs measured: {ok} ok, {len(records) - ok} with a reason."
+    return f"{len(records)}{of_plan} runs measured: {endings(records)}."
 
 
 def missing_data(

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 from bench.results.orders import Fit
-from bench.results.records import Record
+from bench.results.records import UNSUPPORTED, Record
 from reports.formatting import number, number_range, order_text, text_range, words
 from reports.series import (
     Series,
@@ -161,6 +161,8 @@ def _tolerance_sentence(s: Series) -> str:
 
 
 def _failure_sentence(s: Series) -> str:
+    if all(record.status == UNSUPPORTED for record in s.records):
+        return f"the method does not take the scene: {s.records[0].message}"
     failed: dict[str, list[Record]] = {}
     for record in s.records:
         if record.status != "ok":

@@ -33,6 +33,7 @@ RIGHT = {
     "report": ["{store}"],
     "export": ["{store}"],
     "compare": ["{store}", "{store}"],
+    "history": ["{store}", "{store}"],
     "merge": ["{store}"],
     "open": ["{store}"],
     "figure": ["{store}", "convergence"],

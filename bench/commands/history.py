@@ -1,0 +1,85 @@
+"""The command `stepbench history`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from bench.commands import options
+from bench.commands.paths import PathName
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from bench.results.history import History
+
+#: Most lines of the table on the screen.
+_MOST = 40
+
+
+@click.command()
+@click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
+@click.option("--csv", "form", flag_value="csv", help="Print a row for each cell and folder.")
+@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
+def history(folders: tuple[Path, ...], form: str | None) -> None:
+    """Follow errors, operations and seconds of the same cells over several FOLDERs.
+
+    The folders are named from the oldest to the newest, such as those of several versions of a
+    method; each is compared with the one before it, as by 'stepbench compare'. Errors are the
+    largest over time. The table shows what changed; CSV and JSON have all cells.
+
+    \b
+    Examples:
+      stepbench history results-v1 results-v2 results-v3
+      stepbench history monday tuesday --csv > days.csv
+    """
+    import msgspec
+
+    from bench.commands.terminal import say, show
+    from bench.results.csv_text import csv_export
+    from bench.results.history import history as follow
+
+    found = follow(folders)
+    options.tell_set_aside_of(*folders)
+    if form == "csv":
+        click.echo(csv_export(found.rows()), nl=False)
+        return
+    if form == "json":
+        plain = msgspec.json.encode(msgspec.structs.asdict(found))
+        click.echo(msgspec.json.format(plain.decode(), indent=2))
+        return
+    for comparison in found.comparisons:
+        say(f"{comparison.old} -> {comparison.new}")
+        for line in [*comparison.state(), *comparison.summary()]:
+            say(f"  {line}")
+    changed = found.changed
+    if changed:
+        show(_table(found))
+    if len(changed) > _MOST:
+        say(f"... and {len(changed) - _MOST} more lines; --csv prints all.")
+
+
+def _table(found: History) -> Table:
+    """The lines in which something changed, a column per folder."""
+    from rich.text import Text
+
+    from bench.commands.terminal import new_table
+
+    table = new_table(f"What changed of {len(found.cells)} runs")
+    table.add_column("run")
+    table.add_column("quantity", style="cyan", no_wrap=True)
+    for store in found.stores:
+        table.add_column(Text(store.folder), justify="right")
+    for run, line in found.changed[:_MOST]:
+        cells = [
+            Text("\n".join(filter(None, (_text(value), told))))
+            for value, told in zip(line.values, line.changed, strict=True)
+        ]
+        table.add_row(Text(str(run)), line.quantity, *cells)
+    return table
+
+
+def _text(value: object) -> str:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

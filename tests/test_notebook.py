@@ -1,0 +1,174 @@
+"""The functions for notebooks: arrays, frames and charts with the numbers of the command line."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from planted import curves, everything, plant, planted
+
+from bench import load, order, run, solve
+from bench.results.store import Store
+from problems.spec import SpecError
+
+HELD = {"q": (1.0, 2), "a": (3.0, 2), "lam": (4.0, 2)}
+ALPHA = "generalized_alpha[rho_inf=0.8]"
+
+
+@pytest.fixture(scope="module")
+def found():
+    return solve("spring_mass", ALPHA, step=0.1, t_end=5.0, samples=3)
+
+
+@pytest.mark.long
+def test_a_solution_has_the_numbers_of_the_command_line(found, stepbench):
+    result = stepbench("solve", "spring_mass", ALPHA, "--step", 0.1, "--t-end", 5, "--json")
+    answer = json.loads(result.stdout)
+    for group in ("q", "v", "a", "x", "y"):
+        values = getattr(found, group)
+        assert values.shape == (51, 2 if group == "y" else 1)
+        assert values[-1].tolist() == answer[group]
+    assert found.lam.shape == (51, 0)
+    assert found.t[[0, -1]].tolist() == [0.0, 5.0]
+    assert (found.status, found.message) == ("ok", "")
+    assert found.errors == answer["errors"]
+    assert found.work == answer["work"]
+    assert found.components["q"] == ["position [m]"]
+    assert found.operations > 0
+    assert 0 < found.seconds < 1
+    assert repr(found) == f"<{ALPHA} on spring_mass, h=0.1: ok; 51 rows>"
+
+
+@pytest.mark.long
+def test_a_solution_shows_its_components_over_time(found):
+    words = " ".join(ElementTree.fromstring(found._repr_svg_()).itertext())
+    for title in ("position", "a[position] in m/s^2", "time in s"):
+        assert title in words
+
+
+@pytest.mark.long
+def test_a_run_that_fails_is_an_answer():
+    shy = solve("pendulum", "dopri8", pattern=None, rtol=1e-6, budget=1e-3, samples=0)
+    assert shy.status == "budget_exceeded"
+    assert "budget" in shy.message
+    assert shy.q.shape[0] == len(shy.t)
+
+
+@pytest.mark.long
+def test_orders_are_a_frame_and_a_chart():
+    fitted = order("spring_mass", ALPHA, [0.1, 0.05, 0.025], t_end=2.0)
+    frame = fitted.frame.set_index(["group", "norm"])
+    assert frame.loc[("q", "max"), "order"] == fitted.orders["q"]["max"]
+    assert fitted.orders["q"]["max"] == pytest.approx(2.0, abs=0.2)
+    assert len(frame) == 5 * 4
+    assert fitted.status == ["ok"] * 3
+    words = " ".join(ElementTree.fromstring(fitted._repr_svg_()).itertext())
+    assert "step size h in s" in words
+
+
+def test_names_and_numbers_that_are_not_allowed_are_refused():
+    with pytest.raises(SpecError, match="did you mean 'pendulum'"):
+        solve("pendulm", "newmark")
+    with pytest.raises(SpecError, match="takes fixed steps"):
+        solve("pendulum", "newmark", rtol=1e-3)
+    with pytest.raises(SpecError, match="chooses its own steps"):
+        order("pendulum", "ida")
+
+
+@pytest.fixture
+def answered(monkeypatch):
+    """The answers of runs without the runs: their errors fall with the square of the step."""
+    asked = []
+
+    def solve_cells(cells, registry, samples, **more):
+        asked.extend(cells)
+        runs = [planted("pendulum", cell.integrator, HELD, h=cell.resolution.h) for cell in cells]
+        for record in runs:
+            record.run_s = [0.3, 0.1, 0.2][:samples]
+        names = {"q": ["X [m]", "Y [m]"]}
+        return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs], names
+
+    monkeypatch.setattr("bench.notebook.functions.solve_cells", solve_cells)
+    return asked
+
+
+def test_an_answer_becomes_arrays(answered):
+    found = solve("pendulum", "newmark", step=0.1, parameters={"th0": 1.0}, samples=3)
+    (cell,) = answered
+    assert (cell.problem, cell.resolution.h) == ("pendulum[th0=1.0]", 0.1)
+    assert (found.t.shape, found.q.shape, found.lam.shape) == ((61,), (61, 2), (61, 1))
+    assert found.x.shape == (61, 0)
+    assert found.q[0].tolist() == pytest.approx([1.0, np.cos(1.0)])
+    assert (found.seconds, found.operations, found.work["steps"]) == (0.2, 300.0, 10)
+    assert found.errors["a"]["max"] == pytest.approx(0.03)
+    fitted = order("pendulum", "newmark", [0.1, 0.05, 0.025])
+    frame = fitted.frame.set_index(["group", "norm"])
+    assert frame.loc[("a", "max"), "order"] == pytest.approx(2.0)
+    assert frame.loc[("lam", "end"), "window"] == pytest.approx((0.1, 0.025))
+
+
+def test_load_gives_frames_with_real_lists(tmp_path):
+    folder = plant(tmp_path / "planted", everything())
+    results = load(folder)
+    with Store(folder) as store:
+        records = store.records()
+    runs = results.runs.set_index("key")
+    assert set(runs.index) == set(records)
+    for key, record in records.items():
+        assert runs.loc[key, "run_s"] == record.run_s
+        assert runs.loc[key, "pattern"] == [1.0]
+        error = record.errors.get("a", {}).get("max")
+        assert runs.loc[key, "error_a_max"] == error or (
+            error is None and np.isnan(runs.loc[key, "error_a_max"])
+        )
+    one = next(iter(records.values()))
+    own = results.samples[results.samples.key == one.key]
+    assert own.seconds.tolist() == one.run_s
+    assert own.number.tolist() == [0, 1, 2]
+    scenes = results.scenes.set_index("problem")
+    assert scenes.loc["pendulum", "parameters"] == {"m": 1.25}
+    assert scenes.loc["pendulum", "nl"] == 1
+    assert runs.environment.unique().tolist() == results.environments.name.tolist()
+    assert results.environments.version_numpy.tolist() == ["2.1.0"]
+    assert repr(results).endswith("2 failed with a reason>")
+
+
+def test_without_pandas_a_sentence_names_the_extra(tmp_path, monkeypatch):
+    folder = plant(tmp_path / "planted", everything()[:1])
+    real = builtins.__import__
+
+    def without(name, *more, **named):
+        if name == "pandas":
+            raise ImportError(name)
+        return real(name, *more, **named)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ImportError, match=r"install stepbench\[notebook\]"):
+        load(folder)
+
+
+def test_bench_is_imported_without_what_notebooks_need():
+    code = (
+        "import sys, bench; assert not {'numpy', 'click', 'bench.notebook'} & set(sys.modules); "
+        "assert callable(bench.solve); assert 'jax' not in sys.modules; "
+        "assert not hasattr(bench, 'solv')"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.long
+def test_a_suite_is_run_reported_and_loaded(tmp_path, capsys):
+    suite = tmp_path / "small.toml"
+    suite.write_text(
+        "samples = 2\n[[study]]\nproblems = ['pendulum']\nintegrators = ['newmark']\n"
+        "steps = [0.02, 0.01]\n"
+    )
+    results = run(suite, tmp_path / "out", integrators=["newmark", "wbz"])
+    assert results.runs.integrator.nunique() == 2
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert "4 cells: 4 ok, 0 failed with a reason; 4 measured now" in capsys.readouterr().out
