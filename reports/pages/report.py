@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
-from bench.results.records import Environment, Record, SceneRecord
+from bench.results.records import UNSUPPORTED, Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
@@ -44,10 +44,12 @@ class Report:
     """The content of a report, the same for HTML and Markdown.
 
     ``series``, ``scene_records`` and ``styles`` are what it was made of, by names of scenes and by
-    labels; ``run_ids`` are the anchors of records by key, ``names`` short names by label.
+    labels; ``run_ids`` are the anchors of records by key, ``names`` short names by label. ``mine``
+    is the label of the integrator that is put in the foreground.
     """
 
     title: str
+    mine: str
     state: str
     missing: list[str]
     winners: Table | None
@@ -123,6 +125,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
     first = answer(series, FIRST)
     return Report(
         title=plan.heading(runs) if plan else "Results",
+        mine=plan.mine if plan else "",
         state=state_sentence(plan, runs),
         missing=[
             *filter(None, [set_aside_text(set_aside)]),
@@ -151,7 +154,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         atlas=atlas_chapter(experiments),
         methods=method_chapters(series, ranking, facts, known, described, first, words),
         names=dict(words.names),
-        failed=sum(r.status != "ok" for r in runs),
+        failed=sum(r.status not in ("ok", UNSUPPORTED) for r in runs),
         series=series,
         scene_records=described,
         styles=styles,

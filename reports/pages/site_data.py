@@ -67,7 +67,12 @@ def site_data(report: Report) -> dict[str, Any]:
         "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
         "units": _UNITS,
         "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
-        "first": {"group": FIRST.group, "target": FIRST.accuracy, "cost": FIRST.cost},
+        "first": {
+            "group": FIRST.group,
+            "target": FIRST.accuracy,
+            "cost": FIRST.cost,
+            "highlight": report.mine if report.mine in families else "",
+        },
         "filters": [
             {"id": f.key, "name": f.name, "scenes": [places.index(k) for k in f.scenes]}
             for f in chosen

@@ -53,7 +53,7 @@
   // The question that the address asks; what it does not say is the first question's.
   const asked = () => {
     const said = new URLSearchParams(location.hash.slice(1)), known = choices();
-    const first = { ...data.first, scenes: "all", highlight: "" };
+    const first = { scenes: "all", ...data.first };
     const question = {};
     for (const name of NAMES) {
       const value = said.get(name);
@@ -64,7 +64,7 @@
   };
 
   const address = (question = stepbench.question) =>
-    "#" + new URLSearchParams(NAMES.filter((name) => question[name]).map((name) => [name, question[name]]));
+    "#" + new URLSearchParams(NAMES.filter((name) => question[name] || data.first[name]).map((name) => [name, question[name]]));
 
   const stepbench = {
     data, columnOf, endingOf, resolutionOf, address,
