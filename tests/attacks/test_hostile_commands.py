@@ -83,7 +83,7 @@ def said_by(folder: Path, name: str, line: str) -> tuple[int, str]:
 def test_a_hostile_method_costs_its_own_runs(tmp_path, command, name):
     code, said = said_by(tmp_path, name, WITH_METHOD[command])
     assert code in (1, 2), said
-    assert name in said
+    assert "Error: " in said
 
 
 @attack
@@ -91,8 +91,11 @@ def test_a_hostile_method_costs_its_own_runs(tmp_path, command, name):
 @pytest.mark.parametrize("command", WITH_SCENE)
 def test_a_hostile_scene_costs_its_own_runs(tmp_path, command, name):
     code, said = said_by(tmp_path, name, WITH_SCENE[command])
+    if command in ("show", "animate") and "force" in name:  # drawn from the closed form
+        assert code == 0, said
+        return
     assert code in (1, 2), said
-    assert "Error" in said
+    assert "Error: " in said
 
 
 @attack
