@@ -114,7 +114,11 @@ def error_lines(
     bright = place | {"color": options.colors(), "opacity": options.opacity()}
     dashes = {"strokeDash": options.dashes_without_legend(), "order": vl.quantity(order)}
     return [
-        {"mark": {"type": "line", "strokeWidth": 1.8}, "encoding": bright | dashes},
+        {
+            "transform": [vl.COPIED],
+            "mark": {"type": "line", "strokeWidth": 1.8},
+            "encoding": bright | dashes,
+        },
         {
             "mark": {"type": "point", "filled": True, "size": size},
             "encoding": bright | {"shape": options.shapes(), "tooltip": tooltip},

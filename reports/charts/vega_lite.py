@@ -29,6 +29,10 @@ _LARGEST = 1e300
 _DIGITS = ((0.7, range(1, 10)), (2.0, (1, 2, 5)), (math.inf, (1,)))
 
 
+#: The transform of a layer whose dashes are not in the legend.
+COPIED: Spec = {"calculate": "'line of ' + datum.series", "as": "dashed"}
+
+
 @dataclass(frozen=True)
 class ChartOptions:
     """The line styles by label, the norm shown, and whether the chart is interactive."""
@@ -66,9 +70,14 @@ class ChartOptions:
         return self._by_series([style.shape for style in self.styles.values()], {})
 
     def dashes_without_legend(self) -> Spec:
-        """A channel: dashes per label; in the legend they would be drawn around the points, too."""
+        """A channel: dashes per label, of a layer with `COPIED`.
+
+        In the legend they would be drawn around the points, too. Channels of one domain share a
+        legend, so this one has a domain of its own.
+        """
+        domain = [f"line of {label}" for label in self.styles]
         dashes = [list(style.dash) for style in self.styles.values()]
-        return category("series", scale={"domain": list(self.styles), "range": dashes}, legend=None)
+        return category("dashed", scale={"domain": domain, "range": dashes}, legend=None)
 
     def opacity(self, full: float = 1.0) -> Spec:
         """A channel: in an interactive chart the lines that are not picked fade."""
