@@ -3,13 +3,12 @@
 ``from bench import solve, order, run, load`` is the interface for notebooks (`bench.notebook`).
 """
 
-from importlib import import_module
-from typing import Any
-
 _NOTEBOOK = ("solve", "order", "run", "load")
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str):
     if name in _NOTEBOOK:  # loaded late: every module of the bench imports this one
-        return getattr(import_module("bench.notebook"), name)
+        import bench.notebook
+
+        return getattr(bench.notebook, name)
     raise AttributeError(f"module 'bench' has no attribute {name!r}")

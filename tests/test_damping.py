@@ -58,7 +58,6 @@ def invoke(folder) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stderr
 
 
-@pytest.mark.long
 def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(folder):
     assert "damping" in invoke(folder)
     with Store(folder / "out") as store:
