@@ -1,6 +1,10 @@
 # Two commands do everything on a fresh machine with Python >= 3.11: `make run` and `make test`.
 PYTHON ?= python3
 BIN := .venv/bin
+# Hundreds of processes load the same modules: they are compiled once, also where the user's
+# environment says otherwise.
+export PYTHONDONTWRITEBYTECODE :=
+export PYTHONPYCACHEPREFIX := $(CURDIR)/.cache/pycache
 
 TESTS := $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 

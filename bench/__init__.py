@@ -8,7 +8,7 @@ _NOTEBOOK = ("solve", "order", "run", "load")
 
 def __getattr__(name: str):
     if name in _NOTEBOOK:  # loaded late: every module of the bench imports this one
-        import bench.notebook
+        import importlib
 
-        return getattr(bench.notebook, name)
+        return getattr(importlib.import_module("bench.notebook"), name)
     raise AttributeError(f"module 'bench' has no attribute {name!r}")

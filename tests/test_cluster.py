@@ -143,6 +143,7 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
     assert len(ran) >= 3
 
 
+@pytest.mark.long
 def test_budgets_hold_on_a_cluster(cluster):
     tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 1e-7)]
     with ClusterRunner(cluster.scheduler_address, Limits(0.5, 4.0)) as runner:
@@ -151,6 +152,7 @@ def test_budgets_hold_on_a_cluster(cluster):
     assert answer.status == "budget_exceeded"
 
 
+@pytest.mark.long
 def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
     missing = Sources(frozenset({str(tmp_path / "missing.py")}))
     tasks = [measure_task(cell, missing) for cell in cells("newmark", 0.1)]

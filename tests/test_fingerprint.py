@@ -55,6 +55,7 @@ EDITS = {
 }
 
 
+@pytest.mark.long
 def test_each_edit_of_the_project_changes_what_it_takes_part_in(tmp_path):
     for package in ("problems", "integrators", "bench"):
         shutil.copytree(

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from helpers import long
 from planted import Document
 
 from bench.running.scene_records import drawings, equations, rates, scene_record
@@ -49,7 +50,7 @@ def test_drawings_follow_the_motion():
         "exact solution."  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", ["svg", "png"])
+@pytest.mark.parametrize("suffix", ["svg", *long("png")])
 def test_show_writes_a_picture(stepbench, tmp_path, suffix):
     file = tmp_path / f"swing.{suffix}"
     result = stepbench("show", "pendulum", "--set", "th0=2.0", "-o", file)

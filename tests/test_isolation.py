@@ -9,6 +9,7 @@ from pathlib import Path
 
 import jax
 import pytest
+from helpers import long
 
 from bench.guard import limits
 from bench.plugins.registry import Registry
@@ -53,6 +54,7 @@ def test_each_fate_is_a_row_and_the_good_cells_are_measured(monkeypatch):
         assert len(good.run_s) == 2
 
 
+@pytest.mark.long
 def test_a_crash_while_timing_keeps_the_measured_row():
     cells = [
         Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01))
@@ -158,18 +160,20 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
     ("code", "words"),
     [
         ("def broken(:\n", "SyntaxError"),
-        ("import no_such_package\n", "No module named 'no_such_package'"),
-        ("raise SystemExit('bye')\n", "SystemExit: bye"),
-        ("x = 1\n", "defines no MechatronicSystem"),
-        (
-            "from problems.scenes.pendulum import Pendulum as P\n"
-            "class Pendulum(P):\n    'Another.'\n",
-            "is taken by stepbench",
-        ),
         (
             "from problems import MechatronicSystem\n"
             "class Half(MechatronicSystem):\n    'Half a scene.'\n",
             "it lacks mass, force, initial_state",
+        ),
+        *long(
+            ("import no_such_package\n", "No module named 'no_such_package'"),
+            ("raise SystemExit('bye')\n", "SystemExit: bye"),
+            ("x = 1\n", "defines no MechatronicSystem"),
+            (
+                "from problems.scenes.pendulum import Pendulum as P\n"
+                "class Pendulum(P):\n    'Another.'\n",
+                "is taken by stepbench",
+            ),
         ),
         (
             "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
@@ -195,6 +199,7 @@ def test_a_broken_plugin_is_listed_with_its_reason_and_stops_nothing(
     assert "Traceback" not in used.output
 
 
+@pytest.mark.long
 def test_a_plugin_file_takes_part_by_its_name(stepbench, tmp_path):
     (tmp_path / "heavy.py").write_text(
         "from dataclasses import dataclass\n"

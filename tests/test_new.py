@@ -20,7 +20,10 @@ def in_an_empty_folder(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("kind", "plural", "rest"),
-    [("integrator", "integrators", []), ("problem", "problems", ["--out", "scene_of_mine.py"])],
+    [
+        ("integrator", "integrators", []),
+        *long(("problem", "problems", ["--out", "scene_of_mine.py"])),
+    ],
 )
 def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, rest):
     result = stepbench("new", kind, f"my_{kind}", *rest)
@@ -33,9 +36,8 @@ def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, r
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
-@pytest.mark.parametrize(
-    ("kind", "integrator"), [("integrator", None), *long(("problem", "newmark"))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "integrator"), [("integrator", None), ("problem", "newmark")])
 def test_the_command_that_it_names_next_runs(stepbench, kind, integrator):
     told = stepbench("new", kind, "brand_new").stdout
     command = next(line.split() for line in told.splitlines() if "solve" in line)

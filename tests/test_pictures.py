@@ -40,6 +40,7 @@ def drawn(folder):
     return {f.name: re.sub(r"(clip|gradient_)\d+", r"\1", f.read_text()) for f in folder.iterdir()}
 
 
+@pytest.mark.long
 def test_two_engines_draw_what_one_draws_and_are_kept(tmp_path, monkeypatch):
     assert rendering.draw(CHARTS, tmp_path / "one") == {}
     monkeypatch.setattr(rendering, "PART_SIZE", 400)
@@ -105,6 +106,7 @@ def test_an_engine_that_does_not_end_is_stopped(monkeypatch):
     rendering._end_engines()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="a signal of Linux")
 def test_engines_end_with_their_parent_though_they_draw():
     code = (

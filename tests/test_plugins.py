@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from helpers import long
 
 HEAD = """
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ def listed(stepbench, tmp_path):
     return call
 
 
-@pytest.mark.parametrize("name", ["None", "3", "''", "'two words'", "'a[b=1]'", "'1st'"])
+@pytest.mark.parametrize("name", ["None", "'two words'", *long("3", "''", "'a[b=1]'", "'1st'")])
 def test_a_name_that_cannot_be_written_is_unavailable_with_its_reason(listed, stepbench, name):
     scenes = listed(f"{SCENE}    name = {name}\n")
     assert not scenes["HeavyBob"]["available"]

@@ -73,6 +73,7 @@ def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
     assert euler["maps"] == []
 
 
+@pytest.mark.long
 def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
     names = "generalized_alpha[gamma=updated]", "newmark[beta=1/6]"
     result = stepbench("stability", *names, "--out", tmp_path)

@@ -142,6 +142,7 @@ def test_an_adaptive_program_traces_its_step_once(kind, monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.long
 def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
     suite = make_suite(*read_profile("quick"), Inventory())
     scenes = {cell.problem for cell in suite.cells.values()}
