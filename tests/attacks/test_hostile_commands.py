@@ -73,7 +73,7 @@ def said_by(folder: Path, name: str, line: str) -> tuple[int, str]:
     plugins.mkdir()
     hostile.write(plugins, [name])
     started = Started(folder, *line.format(name).split(), "--plugins", plugins / f"{name}.py")
-    code = started.finish(240)
+    code = started.finish(500)
     return code, started.said
 
 
@@ -122,6 +122,6 @@ def test_hostile_plugins_are_listed_with_the_others(tmp_path, name):
 def test_check_says_what_is_wrong_with_a_hostile_plugin(tmp_path, name):
     hostile.write(tmp_path, [name])
     started = Started(tmp_path, "check", tmp_path / f"{name}.py", "--json")
-    assert started.finish(240) == 1, started.said
+    assert started.finish(500) == 1, started.said
     verdicts, _ = json.JSONDecoder().raw_decode(started.said)
     assert any(not verdict["passed"] for verdict in verdicts), verdicts
