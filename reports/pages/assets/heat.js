@@ -33,7 +33,7 @@
   const cell = (method, index, answer) => {
     const scene = data.scenes[index], own = answer?.scenes[index];
     const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
-    const known = own?.states[data.methods.indexOf(method)] ?? (tried ? "unjudged" : "untried");
+    const known = own?.states[data.methods.indexOf(method)] ?? (tried && !own ? "unjudged" : "untried");
     const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
     const [sign, meaning] = STATES[state];
     const text = reached ? stepbench.times(ratio) : sign;
