@@ -12,7 +12,7 @@ from reports.formatting import NO_VALUE, number, order_text
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
 from reports.questions.phrases import Sentence
-from reports.questions.sentences import Words
+from reports.questions.words import Words
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table

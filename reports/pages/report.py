@@ -21,7 +21,7 @@ from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
 from reports.questions.answers import Answer, answer
 from reports.questions.question import FIRST
-from reports.questions.sentences import Words, words_of
+from reports.questions.words import Words, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of

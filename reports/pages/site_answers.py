@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from reports.names import family_name
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.questions.answers import Answer, SceneAnswer, answers
@@ -110,5 +111,7 @@ def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any
         "multiples": MULTIPLES,
         "pairs": own.pairs,
         "methods": {place[label]: parts(profile) for label, profile in own.methods.items()},
-        "families": {family: parts(profile) for family, profile in own.families.items()},
+        "families": {
+            family_name(family): parts(profile) for family, profile in own.families.items()
+        },
     }

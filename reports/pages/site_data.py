@@ -9,7 +9,7 @@ from typing import Any
 from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
-from reports.names import scene_name
+from reports.names import family_name, scene_name
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.pages.site_answers import answers_of
@@ -144,7 +144,7 @@ def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, 
     return {
         "label": label,
         "short": short,
-        "family": family,
+        "family": family_name(family),
         "light": style.color,
         "dark": style.dark,
         "shape": style.shape,
