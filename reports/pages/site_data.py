@@ -16,6 +16,7 @@ from reports.pages.site_answers import answers_of
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
 from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
+from reports.text.winners import tie_text
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
@@ -66,6 +67,7 @@ def site_data(report: Report) -> dict[str, Any]:
         "cost_names": RANKED_COSTS,
         "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
         "units": _UNITS,
+        "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
         "first": {
             "group": FIRST.group,

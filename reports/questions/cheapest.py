@@ -58,6 +58,8 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
         if second and second.run:
             at += ["; next: ", words.method(second.label), ", "]
             at.append(words.run(second.run, times(second.ratio)))
+        elif len(first) == 1 and not scene.verdict.unknown:
+            at.append("; no other reaches it")
         where.setdefault(tuple(s.label for s in first), []).append([*at, ")"])
     said: Sentence = [*aim(question), ", "]
     for k, labels in enumerate(

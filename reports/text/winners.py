@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bench.results.records import Record
+from bench.results.timings import LEAST_QUOTIENT, LEVEL
 from reports.formatting import milliseconds, named, number
 from reports.ranking import (
     GROUP,
+    LEAST_OPERATIONS,
     TARGET,
     RankEntry,
     several_contestants,
@@ -82,6 +84,22 @@ def cost_text(value: float | None, cost: str) -> str:
     if cost == "seconds":
         return f"{milliseconds(value)} ms"
     return number(value) if cost == "operations" else f"{value:g}"
+
+
+def tie_text(cost: str) -> str:
+    """The costs that cannot be told apart."""
+    if cost == "residuals":
+        return "equal counts"
+    if cost == "operations":
+        return f"counts that differ by at most {_percent(LEAST_OPERATIONS - 1)}"
+    return (
+        f"times that differ by at most {_percent(LEAST_QUOTIENT - 1)}, or by less than the "
+        f"{_percent(LEVEL)} interval of their samples"
+    )
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.3g} %"
 
 
 def times(ratio: float | None) -> str:

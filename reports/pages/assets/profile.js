@@ -6,13 +6,15 @@
   if (!place) return;
   const LEFT = 52, TOP = 12, BOTTOM = 44, HIGH = 400;
 
-  // Lines by name: those of the methods, or the best of each family.
+  // Lines by name: those of the methods, or the best of each family; in brackets the pairs of
+  // those that were not tried on all.
   const linesOf = (profile) => {
+    const named = (name, key) => key in profile.tried ? `${name} (of ${profile.tried[key]})` : name;
     if (menu.value === "families" && profile.families) {
       return Object.entries(profile.families).map(([family, parts]) =>
-        ({ name: family, method: data.methods.find((m) => m.family === family), parts: parts.map((n) => n / 1000) }));
+        ({ name: named(family, family), method: data.methods.find((m) => m.family === family), parts: parts.map((n) => n / 1000) }));
     }
-    return Object.entries(profile.methods).map(([m, parts]) => ({ name: data.methods[m].short, method: data.methods[m], parts: parts.map((n) => n / 1000) }));
+    return Object.entries(profile.methods).map(([m, parts]) => ({ name: named(data.methods[m].short, m), method: data.methods[m], parts: parts.map((n) => n / 1000) }));
   };
 
   const draw = (question) => {

@@ -64,7 +64,7 @@
     card.replaceChildren(...(own ? own.sentences.map((parts) => html("p", {}, ...parts.map(part)))
       : [html("p", {}, data.complete
         ? "No scene here has runs that can be judged by this question." : "The other answers are being read.")]));
-    card.append(html("p", { class: "note" }, `Error: of the worst component, relative, ${data.norm}. A tie: costs that cannot be told apart.`));
+    card.append(html("p", { class: "note" }, `Error: of the worst component, relative to its largest value in the reference, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
     standings(own ? own.standings : [], stepbench.chosen().length);
   });
 })();
