@@ -210,9 +210,7 @@ def _profile_faults(data: dict[str, Any], records: list[Record], names: list[str
                     solved = sum(not isinstance(s, str) and s <= multiple for s in known)
                     counted = round(1000 * solved / len(known)) if known else 0
                     if own and abs(own[i] - counted) > 1:
-                        found.append(
-                            f"profile {key} {chosen['id']} {name} at {multiple}: {own[i]}, {counted}"
-                        )
+                        found.append(f"profile {key} {name} at {multiple}: {own[i]}, {counted}")
                 if bool(own) != bool(states):
                     found.append(f"profile {key}: {name} is shown {bool(own)}")
     return found

@@ -85,3 +85,14 @@ def test_a_wrong_number_is_found(odd, place):
     else:
         data["profiles"]["a|residuals"]["all"]["methods"]["0"][10] += 100
     assert len(faults(folder, data)) == 1
+
+
+def test_runs_that_were_not_tried_are_no_failures(odd):
+    data = odd[1]
+    names = [m["label"] for m in data["methods"]]
+    states = data["answers"]["a|1e-4|operations"]["scenes"]
+    (states,) = (
+        s["states"] for s, k in zip(states, data["scenes"], strict=True) if k["id"] == "broken"
+    )
+    assert {names[int(k)]: s for k, s in states.items()} == {"one": [1.0, 0], "two": "failed"}
+    assert data["failed"] == 1

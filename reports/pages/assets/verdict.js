@@ -6,9 +6,9 @@
     far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured",
   };
 
-  for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange(() => {
+  for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const said = stepbench.answer()?.verdicts?.[place.dataset.verdict];
-    place.replaceChildren(...(said || ["This accuracy cannot be judged on this scene."]).map(stepbench.part));
+    place.replaceChildren(...(said || [stepbench.unjudged(Number(place.dataset.verdict), question)]).map(stepbench.part));
   });
 
   const row = (scene, index, state, question) => {
