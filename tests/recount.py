@@ -51,7 +51,7 @@ def faults(folder: Path, data: dict[str, Any]) -> list[str]:
             states = {
                 names[int(k)]: s if isinstance(s, str) else s[0] for k, s in shown["states"].items()
             }
-            check(f"{at}: states", states, own["states"])
+            check(f"{at}: states", states, {k: _rounded(s) for k, s in own["states"].items()})
             check(f"{at}: first", sorted(names[k] for k in shown["first"]), sorted(own["first"]))
             second = shown["second"] and f"{shown['second'][1]:.4g}"
             check(f"{at}: second", second, own["second"])
@@ -98,7 +98,7 @@ def _scene(runs: list[Record], group: str, target: float, cost: str) -> dict[str
     least, cheapest = min(lone.values(), key=lambda b: b[0], default=(0, None))
     for name, rs in own.items():
         if twin[name] in best:
-            states[name] = float(f"{best[twin[name]][0] / least:.4g}")
+            states[name] = best[twin[name]][0] / least
         elif twin[name] in able:
             states[name] = "unknown"
         else:
@@ -115,6 +115,10 @@ def _scene(runs: list[Record], group: str, target: float, cost: str) -> dict[str
         "several": len(distinct) > 1,
         "families": {k: rs[0].family for k, rs in own.items()},
     }
+
+
+def _rounded(state: Any) -> Any:
+    return state if isinstance(state, str) else float(f"{state:.4g}")
 
 
 def _error(r: Record, group: str) -> float:

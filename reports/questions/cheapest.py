@@ -93,9 +93,10 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     least = f"the {LEAST_COST[found.question.cost]}"
     count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
     said = [*aim(found.question), ", ", *words.methods(lead)]
-    scenes = "" if most == len(found.scenes) else " on which several can be compared"
-    said += [f" {one if len(lead) == 1 else 'each ' + several} {least} on {count} of "]
-    said += [f"the {most} scenes{scenes}" if scenes else f"{most} scenes"]
+    said.append(f" {one if len(lead) == 1 else 'each ' + several} {least} on ")
+    where_said = _compared(found, most)
+    some = f"{count} of {'the ' if where_said else ''}{most}"
+    said.append(f"{f'all {most}' if count == most else some} scenes{where_said}")
     if len(lead) == 1:
         if count <= _NAMED and count < most:
             said += [" (", *listed([scene_ref(k)] for k in where[lead[0]]), ")"]
@@ -113,6 +114,14 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
         said += [] if any(alone[label] for label in labels) else [", tied"]
     more = sum(map(len, list(others.values())[2:]))
     return [*said, f"; {more} more on at least one." if more else "."]
+
+
+def _compared(found: Answer, most: int) -> str:
+    """The scenes that are counted, if not all on which the question can be judged."""
+    if most == len(found.scenes):
+        return ""
+    reached = sum(s.reached for s in found.scenes.values())
+    return " where it is reached" if most == reached else " where several can be compared"
 
 
 def _alone(alone: str, wins: int, count: int) -> str:
@@ -144,7 +153,7 @@ def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -
     return []
 
 
-def families(found: Answer, voting: Mapping[str, SceneAnswer]) -> list[Sentence]:
+def families(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> list[Sentence]:
     """The best family, if its members together are first more often than any of them."""
     own: Counter[str] = Counter()
     single: Counter[str] = Counter()
@@ -156,5 +165,8 @@ def families(found: Answer, voting: Mapping[str, SceneAnswer]) -> list[Sentence]
     members = {e.label for e in entries if e.family == family}
     if len({e.family for e in entries}) < 2 or len(members) < 2 or count <= max(single.values()):
         return []
-    name, of = family_name(family), len(voting)
-    return [[f"By family: {name} methods are cheapest on {count} of {of} scenes."]]
+    who = words.methods(k for k, _ in single.most_common() if k in members)
+    of = f"all {count}" if count == len(voting) else count
+    return [
+        [f"By family: {family_name(family)} methods (", *who, f") are cheapest on {of} of them."]
+    ]

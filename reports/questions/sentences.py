@@ -37,7 +37,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
     elif len(voting) <= _EACH and voting:
         said.append(on_each(found.question, voting, words))
     elif voting:
-        said += [cheapest(found, voting, words), *families(found, voting)]
+        said += [cheapest(found, voting, words), *families(found, voting, words)]
     elif any(s.verdict.first for s in found.scenes.values()):
         said.append([*aim(found.question), ", no scene has two methods to compare."])
     return [

@@ -80,10 +80,16 @@ class Verdict:
 
 
 def cost_text(value: float | None, cost: str) -> str:
-    """A cost with its unit; counts as they are."""
+    """A cost with its unit; counts as they are, operations with three digits."""
     if cost == "seconds":
-        return f"{milliseconds(value)} ms"
-    return number(value) if cost == "operations" else f"{value:g}"
+        long = value is not None and value >= 1
+        return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
+    if cost == "operations":
+        for size, word in ((1e9, "billion"), (1e6, "million")):
+            if value is not None and value >= size:
+                return f"{number(value / size)} {word}"
+        return number(value)
+    return f"{value:g}"
 
 
 def tie_text(cost: str) -> str:
