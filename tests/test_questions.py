@@ -176,7 +176,7 @@ def test_a_kind_of_scenes_is_named_if_it_parts_the_wins():
     tags |= {f"s{k}": ["smooth", "stiff"] for k in (2, 3, 4)}
     assert ", the stiff ones; two on s0 and s1." in said(records, tags=tags)[0]
     tags["s1"] = ["smooth", "stiff"]
-    assert ", all stiff ones; two" in said(records, tags=tags)[0]
+    assert ", all of them stiff; two" in said(records, tags=tags)[0]
     assert "smooth" not in said(records, tags=tags)[0]  # all are
 
 

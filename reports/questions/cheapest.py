@@ -140,7 +140,7 @@ def _times_next(label: str, voting: Mapping[str, SceneAnswer]) -> list[Part]:
 
 
 def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -> list[Part]:
-    """', all constrained ones' if the scenes have a tag in common that parts them from others."""
+    """', all of them constrained' if the scenes have a tag in common that parts them from others."""
     if not _NAMED <= len(own) < len(voting):
         return []
     for tag in words.tags.get(own[0], ()):
@@ -148,8 +148,8 @@ def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -
         if tag in OF_THE_BENCH:
             continue
         if set(own) <= set(having) and len(having) < len(voting):
-            every = "all" if len(having) > len(own) else "the"
-            return [f", {every} {tag_name(tag)} ones"]
+            some = len(having) > len(own)
+            return [f", all of them {tag_name(tag)}" if some else f", the {tag_name(tag)} ones"]
     return []
 
 
