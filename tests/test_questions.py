@@ -319,3 +319,18 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     assert len(method_card(tmp_path, "good")) == 7  # of two variants
     with pytest.raises(SpecError, match="did you mean 'poor'"):
         method_card(tmp_path, "pooor")
+
+
+def test_those_behind_the_first_are_named_or_counted():
+    rivals = tuple("abcde")
+    wins = (
+        (1, 9, 9, 9, 9),
+        (1, 9, 9, 9, 9),
+        *(tuple(1 + 8 * (k != n) for k in range(5)) for n in (1, 2, 3)),
+    )
+    tail = said(field(*wins, rivals=rivals))[0].partition("; ")[2]
+    assert tail == "b on s2; c on s3; d on s4."
+    wins += ((9, 9, 9, 9, 1),)
+    assert said(field(*wins, rivals=rivals))[0].endswith(
+        "; b on s2; c on s3; 2 more on at least one."
+    )

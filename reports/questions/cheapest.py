@@ -21,6 +21,8 @@ _TAKES["residuals"] = ("needs", "need")
 _UNITS = {"operations": " operations", "seconds": "", "residuals": " residual evaluations"}
 #: Scenes are named instead of counted up to this many.
 _NAMED = 2
+#: Contestants behind the first are told up to this many, and the last one instead of "1 more".
+_OTHERS = 2
 
 
 def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
@@ -107,12 +109,13 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     others: dict[tuple[str, ...], list[str]] = {}
     for label in order[len(lead) :]:
         others.setdefault(tuple(where[label]), []).append(label)
-    for own, labels in list(others.items())[:2]:
+    shown = _OTHERS if len(others) > _OTHERS + 1 else len(others)
+    for own, labels in list(others.items())[:shown]:
         said += ["; ", *words.methods(labels), " on "]
         named = listed([scene_ref(k)] for k in own)
         said += named if len(own) <= _NAMED else [str(len(own)), *_kind(own, voting, words)]
         said += [] if any(alone[label] for label in labels) else [", tied"]
-    more = sum(map(len, list(others.values())[2:]))
+    more = sum(map(len, list(others.values())[shown:]))
     return [*said, f"; {more} more on at least one." if more else "."]
 
 
@@ -140,7 +143,7 @@ def _times_next(label: str, voting: Mapping[str, SceneAnswer]) -> list[Part]:
 
 
 def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -> list[Part]:
-    """', all of them constrained' if the scenes have a tag in common that parts them from others."""
+    """', all of them stiff' if the scenes have a tag in common that parts them from others."""
     if not _NAMED <= len(own) < len(voting):
         return []
     for tag in words.tags.get(own[0], ()):
