@@ -157,9 +157,10 @@ def _twins(own: dict[str, list[Record]]) -> dict[str, str]:
             for norm, a in norms.items():
                 b = two.errors[g].get(norm)
                 trust = 100 * max(r.reference_error.get(g, {}).get(norm, 0) for r in (one, two))
-                if (a is None) != (b is None):
-                    return False
-                if a is not None and max(a, b) > trust and abs(a - b) > 1e-3 * max(a, b):
+                if a is None or b is None:
+                    if a is not b:
+                        return False
+                elif max(a, b) > trust and abs(a - b) > 1e-3 * max(a, b):
                     return False
         return True
 

@@ -12,7 +12,9 @@ from recount import faults
 from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
 from reports.pages.report import read_report
+from reports.pages.site import _command
 from reports.pages.site_data import site_data
+from reports.questions.phrases import plain
 
 NONE = Rows(t=[], values={})
 
@@ -96,3 +98,24 @@ def test_runs_that_were_not_tried_are_no_failures(odd):
     )
     assert {names[int(k)]: s for k, s in states.items()} == {"one": [1.0, 0], "two": "failed"}
     assert data["failed"] == 1
+
+
+def test_a_method_s_page_tells_how_it_stands_on_each_scene(odd):
+    report = read_report(odd[0], interactive=False)
+    tables = {m.label: m.scenes for m in report.methods}
+    states = {k: {row[0]: row[1] for row in table.rows} for k, table in tables.items()}
+    assert states["cut"] == states["shy"] == {"broken": "not tried"}
+    assert states["two"]["broken"] == "no run reached the end"
+    assert (states["two"]["coarse"], states["two"]["missed"]) == ("not judged", "not reached")
+    assert (states["one"]["won"], states["unseen"]["dark"]) == ("reached", "reached")
+    cards = {m.label: " ".join(map(plain, m.card)) for m in report.methods}
+    assert "With none to compare: alone." in cards["one"]
+    assert "At a cost that is not measured: dark and darkest." in cards["unseen"]
+    assert "was tried on no scene" in cards["cut"]
+
+
+def test_the_command_of_a_scene_repeats_its_run():
+    one = run("s", "one", 10, controls="tolerance", rtol=1e-4, atol=1e-6)
+    assert _command([one]) == "stepbench solve s one --rtol 0.0001 --t-end 1"
+    one.atol = 1e-9
+    assert _command([one]) == "stepbench solve s one --rtol 0.0001 --atol 1e-09 --t-end 1"
