@@ -157,6 +157,25 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
 
 
 @in_chromium
+def test_a_scene_that_cannot_be_judged_says_why(page, folder):
+    for group, words in (
+        ("lam", "No run on this scene has an error in multiplier lam."),
+        ("a", ""),
+    ):
+        address = (folder / "report" / "scene-spring_mass.html").as_uri()
+        page.get("about:blank")
+        page.get(f"{address}#group={group}&target=1e-4&cost=operations")
+        said, hidden = page.execute_script(
+            """
+            const table = document.querySelector("[data-methods]");
+            return [document.querySelector("[data-verdict]").textContent, !table.offsetParent];
+            """
+        )
+        assert hidden == bool(words)
+        assert said == words or (not words and "alone reaches it: 9600 operations" in said)
+
+
+@in_chromium
 def test_the_address_restores_the_view_and_a_method_is_put_in_front(page, folder):
     fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
     visit(page, folder, fragment)
