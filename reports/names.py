@@ -37,6 +37,8 @@ BUILT_IN = _ALPHA_FAMILY | {
     "implicit_euler": "Implicit Euler",
     "dopri8": "Dopri8",
 }
+#: Names of families; others are called as their methods state it.
+_FAMILIES = {"generalized-alpha": "generalized-α", "ida": "IDA", "scipy_dae": "scipy DAE"}
 #: Options whose value says enough.
 _BARE = ("rho_inf", "alpha")
 #: Values that go without saying, as the method is known by them.
@@ -104,6 +106,11 @@ def scene_name(scene: str) -> str:
     """A scene as a person reads it: `slider_crank[l1=2]` is `slider crank[l1=2]`."""
     name, bracket, rest = scene.partition("[")
     return name.replace("_", " ") + bracket + rest
+
+
+def family_name(family: str) -> str:
+    """A family of integrators as a person reads it."""
+    return _FAMILIES.get(family, family)
 
 
 def _parts(label: str) -> tuple[str, Options, str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES
-from bench.results.records import UNSUPPORTED, Record
+from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.series import (
     Series,
@@ -166,11 +166,11 @@ def rank(
 ) -> list[RankEntry]:
     """Rank the integrators of every scene for every target and cost that can be judged.
 
-    One that does not support a scene was not tried there.
+    One that does not support a scene, or whose runs were all interrupted, was not tried there.
     """
     entries = []
     for scene, all_series in scenes.items():
-        series = [s for s in all_series if any(r.status != UNSUPPORTED for r in s.records)]
+        series = [s for s in all_series if any(r.status not in NOT_TRIED for r in s.records)]
         runs, firsts = ok_runs(series), contestants(series)
         present = groups_of(runs)
         costs = {

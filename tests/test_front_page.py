@@ -142,6 +142,40 @@ def test_the_bar_drives_words_charts_and_heat_table_together(page, folder):
 
 
 @in_chromium
+def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
+    visit(page, folder, "#group=lam&target=1e-4&cost=operations&scenes=all")
+    assert "reached, of 1 scene" in shown(page)["standings"]
+    cells = heat_cells(page)
+    assert cells["good[rho_inf=0.8]", "spring_mass"] == (["unjudged", "start"], "·")
+    assert cells["ringing[rho_inf=1]", "spring_mass"][0][0] == "untried"
+    labels = page.execute_script(
+        'return [...document.querySelectorAll("#heat .unjudged a")].map((a) => a.ariaLabel);'
+    )
+    assert labels
+    assert all(": No run on this scene has an error in multiplier" in s for s in labels)
+    assert "Tied: counts that differ by at most 10 %." in shown(page)["answer"]
+
+
+@in_chromium
+def test_a_scene_that_cannot_be_judged_says_why(page, folder):
+    for group, words in (
+        ("lam", "No run on this scene has an error in multiplier lam."),
+        ("a", ""),
+    ):
+        address = (folder / "report" / "scene-spring_mass.html").as_uri()
+        page.get("about:blank")
+        page.get(f"{address}#group={group}&target=1e-4&cost=operations")
+        said, hidden = page.execute_script(
+            """
+            const table = document.querySelector("[data-methods]");
+            return [document.querySelector("[data-verdict]").textContent, !table.offsetParent];
+            """
+        )
+        assert hidden == bool(words)
+        assert said == words or (not words and "alone reaches it: 9600 operations" in said)
+
+
+@in_chromium
 def test_the_address_restores_the_view_and_a_method_is_put_in_front(page, folder):
     fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
     visit(page, folder, fragment)

@@ -16,7 +16,8 @@ from reports.questions.method_card import method_card
 from reports.questions.phrases import Ref, listed, plain, rendered
 from reports.questions.profile import profiles
 from reports.questions.question import ALL, FIRST, Question, filters
-from reports.questions.sentences import scene_sentence, sentences, words_of
+from reports.questions.sentences import scene_sentence, sentences
+from reports.questions.words import words_of
 from reports.series import series_of
 
 COUNTS = Question("a", 1e-4, "residuals")
@@ -91,8 +92,8 @@ def test_a_target_that_the_reference_cannot_judge_is_no_answer():
     found = answer(scenes_of(records), COUNTS)
     assert (found.scenes, found.unjudged) == ({}, {"s": 2e-6})
     assert said(records) == [
-        "It cannot be judged on s (2e-06), as the target is below a hundred times the reference's "
-        "own error."
+        "1e-4 cannot be judged on s (2e-06): the reference's own error there is more than a "
+        "hundredth of it."
     ]
     assert answer(scenes_of(records), Question("lam", 1e-4, "residuals")).unjudged == {}
 
@@ -107,23 +108,22 @@ def field(*wins, rivals=("one", "two")):
     ]
 
 
-AIM = "To 1e-4 in acceleration (largest over all steps), "
+AIM = "To 1e-4 in acceleration (largest over time), "
 
 
 def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     records = field((100, 200), (100, 300), (50, 50), (90, 30), (None, None))
     assert said(records) == [
-        AIM
-        + "one needs the fewest residual evaluations on 3 of 4 scenes, alone on 2 (the next one "
-        "at 2 to 3 times the cost); two on s2 and s3.",
-        "one and two each reach it on 4 of 5 scenes tried, the most of all.",
+        AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where it is reached, "
+        "alone on 2 (the next costs 2 to 3 times as much); two on s2 and s3.",
+        "one and two reach it on the most scenes: 4 of 5 tried.",
         "Nobody reaches it on s4 (nearest: one, 0.01).",
     ]
     assert said(records, on=["s0"]) == [
         AIM + "on s0 one needs the fewest residual evaluations, 100; next is two with 2 times that."
     ]
     assert said(records, on=["s4"]) == [
-        "Nobody reaches 1e-4 in acceleration (largest over all steps) on s4 (nearest: one, 0.01)."
+        "Nobody reaches 1e-4 in acceleration (largest over time) on s4 (nearest: one, 0.01)."
     ]
     assert said(field((1, 2), (3, 4)))[1] == (
         "Every method reaches it on every scene on which it was tried."
@@ -131,34 +131,72 @@ def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     assert (
         said(field((100, None)))[0] == AIM + "on s0 one alone reaches it: 100 residual evaluations."
     )
-    assert said([run("s", "one", 5)])[0] == AIM + "no scene has several methods to compare."
+    assert said([run("s", "one", 5)])[0] == AIM + "no scene has two methods to compare."
+
+
+def test_a_few_scenes_are_named_with_their_costs():
+    head = AIM + "one needs the fewest residual evaluations on "
+    assert said(field((100, 200), (100, 300)))[0] == (
+        head + "s0 (100; next: two, 2 times) and s1 (100; next: two, 3 times)."
+    )
+    assert said(field((100, 200), (50, 10)))[0] == (
+        head + "s0 (100; next: two, 2 times); two on s1 (10; next: one, 5 times)."
+    )
+    tied = field((7, 7, 9), (100, 200, None), (8, 8, 8), rivals=("one", "two", "three"))
+    assert said(tied) == [
+        head + "s1 (100; next: two, 2 times); one and two tie on s0 (7; next: three, 1.29 times); "
+        "one, two and three tie on s2 (8).",
+        "one and two reach it on all 3 scenes; no other does.",
+    ]
+    assert said(tied, on=["s0"]) == [
+        AIM + "on s0 one and two tie for the fewest residual evaluations, 7; next is three with "
+        "1.29 times that."
+    ]
+    dark = [*field((1, 2)), run("s0", "dark", None, work={"residuals": None})]
+    scene = answer(scenes_of(dark), COUNTS).scenes["s0"]
+    sentence = scene_sentence(COUNTS, "s0", scene, words_of(scenes_of(dark), {}))
+    assert plain(sentence).endswith(" Not compared, as the cost is not measured: dark.")
+
+
+def test_who_reaches_it_on_the_most_scenes():
+    both = field((1, 2, None), (1, None, 2), (1, 2, 3), (None, 1, 1), rivals=("a", "b", "c"))
+    assert said(both)[1] == "a, b and c reach it on the most scenes: 3 of 4 tried."
+    fewer = [r for r in both if (r.problem, r.integrator) != ("s1", "b")]
+    assert said(fewer)[1] == (
+        "a (3 of 4 tried), b (3 of 3 tried) and c (3 of 4 tried) reach it on the most scenes."
+    )
+    assert not any("most scenes" in s for s in said(field((1, None), (None, 2))))
 
 
 def test_a_kind_of_scenes_is_named_if_it_parts_the_wins():
     records = field((9, 1), (9, 1), (1, 9), (1, 9), (1, 9))
     tags = {f"s{k}": ["smooth", "mechatronic"] if k < 2 else ["smooth"] for k in range(5)}
-    head = AIM + "one needs the fewest residual evaluations on 3 of 5 scenes, alone on each"
+    head = AIM + "one needs the fewest residual evaluations on 3 of 5 scenes, always alone"
     assert said(records, tags=tags)[0].startswith(head)
     tags |= {f"s{k}": ["smooth", "stiff"] for k in (2, 3, 4)}
     assert ", the stiff ones; two on s0 and s1." in said(records, tags=tags)[0]
     tags["s1"] = ["smooth", "stiff"]
-    assert ", all stiff ones; two" in said(records, tags=tags)[0]
+    assert ", all of them stiff; two" in said(records, tags=tags)[0]
     assert "smooth" not in said(records, tags=tags)[0]  # all are
 
 
 def test_a_family_is_named_if_it_is_first_more_often_than_each_member():
     rivals = ("one", "two", "three")
-    for wins, named in ((((1, 9, 5), (1, 9, 5), (9, 1, 5)), True), (((1, 9, 5), (1, 9, 5)), False)):
+    one, two = (1, 9, 5), (9, 1, 5)
+    for wins, named in (((one, one, two, two), True), ((one, one, one, one), False)):
         records = field(*wins, rivals=rivals)
         for r in records:
             r.family = "other" if r.integrator == "three" else "pair"
         family = [s for s in said(records) if s.startswith("By family")]
-        assert family == ["By family: pair methods are first on 3 of 3."] * named
+        assert (
+            family
+            == ["By family: pair methods (one and two) are cheapest on all 4 of them."] * named
+        )
 
 
 def test_unknown_costs_are_told():
     records = [*field((1, 2), (1, 2)), run("s0", "dark", None, work={"residuals": None})]
-    assert said(records)[-1] == "Left out where their cost is not measured: dark."
+    assert said(records)[-1] == "Reached at a cost that is not measured: dark on s0."
 
 
 costs = st.one_of(st.none(), st.integers(1, 4))
@@ -191,9 +229,23 @@ def test_the_counts_are_those_of_the_records(wins, chosen):
         both = [r for part in parts for r in part.standings if r.label == s.label]
         assert (s.alone, s.tied) == (sum(r.alone for r in both), sum(r.tied for r in both))
     text = plain(sentences(found, words_of(scenes_of(field(*wins, rivals=rivals)), {}))[0])
-    if match := re.search(r"on (\d) of (\d) scenes", text.split(";")[0]):
-        assert int(match[1]) == max(s.alone + s.tied for s in found.standings)
-        assert int(match[2]) == sum(any(w) for w in wins)
+    compared = [k for k, w in enumerate(wins) if any(w)]
+    if len(compared) > 3:
+        match = re.search(r"on (?:(\d) of (?:the )?|all )(\d) scenes", text.split(";")[0])
+        assert int(match[1] or match[2]) == max(s.alone + s.tied for s in found.standings)
+        assert int(match[2]) == len(compared)
+    elif len(compared) > 1:
+        clauses = (
+            re.sub(r" \([^)]*\)", "", text.rstrip(".")).partition("acceleration, ")[2].split("; ")
+        )
+        for clause in clauses:
+            who, _, where = clause.rpartition(" on ")
+            for k in re.findall(r"s(\d)", where):
+                compared.remove(int(k))
+                cheapest = min(filter(None, wins[int(k)]))
+                own = [n for n, c in zip(rivals, wins[int(k)], strict=True) if c == cheapest]
+                assert re.findall("one|two|three", who) == own
+        assert compared == []
 
 
 def test_integrators_that_do_the_same_stand_alike_and_are_named_once():
@@ -252,18 +304,33 @@ def test_a_profile_counts_scenes_and_accuracies():
 
 def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     plant(tmp_path, everything())
-    reaches = "reaches 1e-4 in acceleration (largest over all steps) on"
+    reaches = "reaches 1e-4 in acceleration (largest over time) on"
     assert method_card(tmp_path, "good[rho_inf=0.8]") == [
         f"good 0.8 {reaches} 2 of 2 scenes tried.",
         "Cheapest alone: spring mass.",
-        "Dearer than the cheapest: pendulum (1.92 times adaptive).",
-        "Cost of its cheapest runs: 9600 operations.",
+        "Dearer than the cheapest: pendulum (1.92 times the cost of adaptive).",
+        "Cost where it reaches it: 9600 operations.",
     ]
     assert method_card(tmp_path, "poor") == [
         f"poor {reaches} 0 of 1 scene tried.",
-        "Does not get there: spring mass (nearest: 0.00938).",
+        "Does not reach it: spring mass (smallest error: 0.00938).",
     ]
-    assert "Fails: pendulum (2 newton_failed)." in method_card(tmp_path, "fragile")
+    assert "Fails: pendulum (2 newton failed)." in method_card(tmp_path, "fragile")
     assert len(method_card(tmp_path, "good")) == 7  # of two variants
     with pytest.raises(SpecError, match="did you mean 'poor'"):
         method_card(tmp_path, "pooor")
+
+
+def test_those_behind_the_first_are_named_or_counted():
+    rivals = tuple("abcde")
+    wins = (
+        (1, 9, 9, 9, 9),
+        (1, 9, 9, 9, 9),
+        *(tuple(1 + 8 * (k != n) for k in range(5)) for n in (1, 2, 3)),
+    )
+    tail = said(field(*wins, rivals=rivals))[0].partition("; ")[2]
+    assert tail == "b on s2; c on s3; d on s4."
+    wins += ((9, 9, 9, 9, 1),)
+    assert said(field(*wins, rivals=rivals))[0].endswith(
+        "; b on s2; c on s3; 2 more on at least one."
+    )

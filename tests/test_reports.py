@@ -137,13 +137,13 @@ def test_rivals_that_tie_are_named_or_counted() -> None:
     for record, seconds in zip(records, (1.0, 1.05, 1.2), strict=True):
         record.run_s = [seconds] * 7
     row = dict(zip((table := targets_table(series_of(records))).head, table.rows[0], strict=True))
-    assert row["least time"] == "one, h=0.01: 1000 ms (tied: two)"
+    assert row["least time"] == "one, h=0.01: 1 s (tied: two)"
     assert row["fewest operations"] == "one, h=0.01: 3000 (tied: two and three)"
     records += [planted("pendulum", "four", {"q": (1.0, 2)}, h=1e-2, operations={})]
     row = targets_table(series_of(records)).rows[0]
     assert row[2:] == [
         "one, h=0.01: 3000 (tied: two and three); not measured: four",
-        "one, h=0.01: 1000 ms (tied: two); not measured: four",
+        "one, h=0.01: 1 s (tied: two); not measured: four",
         "one, h=0.01: 300 (tied: two, three and 1 more)",
     ]
 

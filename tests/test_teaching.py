@@ -52,7 +52,7 @@ def test_every_term_is_one_sentence_and_is_found_in_texts():
         assert not re.search(r"\. [A-Z]", term.definition)
         for form in term.forms:
             assert [t for _, _, t in terms_in(f"the {form}, then")] == [term]
-    assert list(terms_in("reordered in the normal border")) == []
+    assert list(terms_in("reordered in the normal border by order statistics")) == []
 
 
 def test_the_first_use_of_a_term_and_every_doi_are_links(tmp_path):

@@ -19,6 +19,8 @@ SCHEMA = 2
 INTERRUPTED = "interrupted"
 #: Status of a cell whose integrator cannot take the scene: no failure of a run.
 UNSUPPORTED = "unsupported"
+#: Statuses of cells whose integrator was not tried: nothing is known of its result.
+NOT_TRIED = {INTERRUPTED, UNSUPPORTED}
 
 #: No more timing samples of a run are taken once they have lasted this long, in s: a long run
 #: averages the machine's noise itself.

@@ -7,17 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
-from bench.results.records import Damping, IntegratorFacts, SceneRecord
+from bench.results.records import NOT_TRIED, Damping, IntegratorFacts, SceneRecord
 from reports.formatting import NO_VALUE, number, order_text
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
 from reports.questions.phrases import Sentence
-from reports.questions.sentences import Words
+from reports.questions.words import Words
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.run_tables import failures_table
 from reports.text.table import Table
+
+#: An integrator that is not known to reach the accuracy.
+_STATES = {"far": "not reached", "failed": "no run reached the end"}
 
 
 @dataclass
@@ -132,7 +135,9 @@ def _scenes_table(
             for g in groups
         }
         entry = asked.get((scene, label))
-        state = "not judged" if entry is None else "reached" if entry.reached else "not reached"
+        state = _STATES.get(str(entry.state), "reached") if entry else "not judged"
+        if all(r.status in NOT_TRIED for r in s.records):
+            state = "not tried"
         rows.append(
             {
                 "scene": scene,

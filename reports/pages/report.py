@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
-from bench.results.records import UNSUPPORTED, Environment, Record, SceneRecord
+from bench.results.records import NOT_TRIED, Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
@@ -21,7 +21,7 @@ from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
 from reports.questions.answers import Answer, answer
 from reports.questions.question import FIRST
-from reports.questions.sentences import Words, words_of
+from reports.questions.words import Words, words_of
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
@@ -154,7 +154,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         atlas=atlas_chapter(experiments),
         methods=method_chapters(series, ranking, facts, known, described, first, words),
         names=dict(words.names),
-        failed=sum(r.status not in ("ok", UNSUPPORTED) for r in runs),
+        failed=sum(r.status not in {"ok", *NOT_TRIED} for r in runs),
         series=series,
         scene_records=described,
         styles=styles,

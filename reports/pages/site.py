@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -157,5 +158,7 @@ def _command(runs: list[Record]) -> str:
     able = [r for r in good if reaches(r, GROUP, TARGET)] or good[:1]
     best = min(able, key=lambda r: cost_of(r, COST) or float("inf"))
     control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
+    if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
+        control += f" --atol {best.atol:g}"
     words = ["stepbench", "solve", best.problem, best.integrator]
     return f"{shlex.join(words)} {control} --t-end {best.t_end:g}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from reports.names import family_name
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.questions.answers import Answer, SceneAnswer, answers
@@ -100,7 +101,10 @@ def _of_scene(
 
 
 def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any]:
-    """Thousandths of the pairs (scene, target) within each of `MULTIPLES`, by method and family."""
+    """Thousandths of the pairs (scene, target) within each of `MULTIPLES`, by method and family.
+
+    ``tried`` has the number of pairs of those that were not tried on all.
+    """
     own = profiles(found)
 
     def parts(profile: Profile) -> list[int]:
@@ -109,6 +113,16 @@ def _profile(found: Sequence[Answer], place: Mapping[str, int]) -> dict[str, Any
     return {
         "multiples": MULTIPLES,
         "pairs": own.pairs,
+        "tried": {
+            name: profile.pairs
+            for name, profile in (
+                *((str(place[label]), own.methods[label]) for label in own.methods),
+                *((family_name(family), own.families[family]) for family in own.families),
+            )
+            if profile.pairs < own.pairs
+        },
         "methods": {place[label]: parts(profile) for label, profile in own.methods.items()},
-        "families": {family: parts(profile) for family, profile in own.families.items()},
+        "families": {
+            family_name(family): parts(profile) for family, profile in own.families.items()
+        },
     }

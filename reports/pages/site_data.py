@@ -9,13 +9,14 @@ from typing import Any
 from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
-from reports.names import scene_name
+from reports.names import family_name, scene_name
 from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.pages.site_answers import answers_of
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
 from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
+from reports.text.winners import tie_text
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
@@ -66,6 +67,7 @@ def site_data(report: Report) -> dict[str, Any]:
         "cost_names": RANKED_COSTS,
         "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
         "units": _UNITS,
+        "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
         "first": {
             "group": FIRST.group,
@@ -144,7 +146,7 @@ def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, 
     return {
         "label": label,
         "short": short,
-        "family": family,
+        "family": family_name(family),
         "light": style.color,
         "dark": style.dark,
         "shape": style.shape,

@@ -12,7 +12,7 @@ from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Part, Sentence, listed, plain
 from reports.questions.question import FIRST, Question
-from reports.questions.sentences import Words, accuracy, scene_ref, words_of
+from reports.questions.words import Words, accuracy, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, error_of, series_of
@@ -51,10 +51,12 @@ def card(
         "Dearer than the cheapest: ",
         [_loss(name, ratio, tried[name], words) for ratio, name in sorted(losses, reverse=True)],
     )
+    single = [name for name, e in reached.items() if e.ratio and not tried[name].verdict.votes]
+    said += _listed("With none to compare: ", [[scene_ref(name)] for name in single])
+    unknown = [name for name, e in own.items() if e.state == "unknown"]
+    said += _listed("At a cost that is not measured: ", [[scene_ref(name)] for name in unknown])
     missed = [name for name, e in own.items() if e.state == "far"]
-    said += _listed(
-        "Does not get there: ", [_missed(k, label, scenes[k], question) for k in missed]
-    )
+    said += _listed("Does not reach it: ", [_missed(k, label, scenes[k], question) for k in missed])
     failed = [name for name, e in own.items() if e.state == "failed"]
     said += _listed("Fails: ", [_failed(name, label, scenes[name]) for name in failed])
     return [*said, *_costs(reached, question)]
@@ -107,18 +109,21 @@ def _win(name: str, scene: SceneAnswer, words: Words) -> Sentence:
 
 def _loss(name: str, ratio: float, scene: SceneAnswer, words: Words) -> Sentence:
     first = words.methods((s.label for s in scene.verdict.first), most=1)
-    return [scene_ref(name), f" ({times(ratio)} ", *first, ")"]
+    return [scene_ref(name), f" ({times(ratio)} the cost of ", *first, ")"]
 
 
 def _missed(name: str, label: str, series: Sequence[Series], question: Question) -> Sentence:
     errors = [error_of(r, question.group, NORM) for s in series if s.label == label for r in s.ok]
     known = [e for e in errors if e is not None]
-    part: list[Part] = [f" (nearest: {number(min(known))})"] if known else []
+    part: list[Part] = [f" (smallest error: {number(min(known))})"] if known else []
     return [scene_ref(name), *part]
 
 
 def _failed(name: str, label: str, series: Sequence[Series]) -> Sentence:
-    return [scene_ref(name), *(f" ({s.statuses})" for s in series if s.label == label)]
+    return [
+        scene_ref(name),
+        *(f" ({s.statuses.replace('_', ' ')})" for s in series if s.label == label),
+    ]
 
 
 def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentence]:
@@ -126,4 +131,4 @@ def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentenc
     if not values:
         return []
     ends = dict.fromkeys(cost_text(v, question.cost) for v in (values[0], values[-1]))
-    return [[f"Cost of its cheapest runs: {' to '.join(ends)} {_UNITS[question.cost]}."]]
+    return [[f"Cost where it reaches it: {' to '.join(ends)} {_UNITS[question.cost]}."]]

@@ -191,7 +191,7 @@ _BY_FORM = {form: term for term in TERMS for form in term.forms or (term.name,)}
 _FORMS = re.compile(
     r"(?<![\w-])("
     + "|".join(map(re.escape, sorted(_BY_FORM, key=len, reverse=True)))
-    + r")(?![\w-])"
+    + r")(?![\w-]| statistics)"
 )
 
 

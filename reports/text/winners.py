@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bench.results.records import Record
+from bench.results.timings import LEAST_QUOTIENT, LEVEL
 from reports.formatting import milliseconds, named, number
 from reports.ranking import (
     GROUP,
+    LEAST_OPERATIONS,
     TARGET,
     RankEntry,
     several_contestants,
@@ -78,10 +80,32 @@ class Verdict:
 
 
 def cost_text(value: float | None, cost: str) -> str:
-    """A cost with its unit; counts as they are."""
+    """A cost with its unit; counts as they are, operations with three digits."""
     if cost == "seconds":
-        return f"{milliseconds(value)} ms"
-    return number(value) if cost == "operations" else f"{value:g}"
+        long = value is not None and value >= 1
+        return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
+    if cost == "operations":
+        for size, word in ((1e9, "billion"), (1e6, "million")):
+            if value is not None and value >= size:
+                return f"{number(value / size)} {word}"
+        return number(value)
+    return f"{value:g}"
+
+
+def tie_text(cost: str) -> str:
+    """The costs that cannot be told apart."""
+    if cost == "residuals":
+        return "equal counts"
+    if cost == "operations":
+        return f"counts that differ by at most {_percent(LEAST_OPERATIONS - 1)}"
+    return (
+        f"times that differ by at most {_percent(LEAST_QUOTIENT - 1)}, or by less than the "
+        f"{_percent(LEVEL)} interval of their samples"
+    )
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.3g} %"
 
 
 def times(ratio: float | None) -> str:

@@ -10,7 +10,7 @@
     far: ["–", "runs reached the end, none reached the accuracy"],
     failed: ["✕", "no run reached the end"],
     untried: ["", "not tried"],
-    unjudged: ["·", "this accuracy cannot be judged on this scene"],
+    unjudged: ["·", "cannot be judged"],
   };
   // The darkest cell is the cheapest; from this multiple on it is the lightest.
   const MOST = 100;
@@ -33,9 +33,9 @@
   const cell = (method, index, answer) => {
     const scene = data.scenes[index], own = answer?.scenes[index];
     const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
-    const known = own?.states[data.methods.indexOf(method)] ?? (tried ? "unjudged" : "untried");
+    const known = own?.states[data.methods.indexOf(method)] ?? (tried && !own ? "unjudged" : "untried");
     const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
-    const [sign, meaning] = STATES[state];
+    const sign = STATES[state][0], meaning = state === "unjudged" ? stepbench.unjudged(index, stepbench.question) : STATES[state][1];
     const text = reached ? stepbench.times(ratio) : sign;
     const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.times(ratio)} times the cheapest` : meaning];
     if (reached) {
@@ -89,7 +89,7 @@
   });
 
   const legend = document.getElementById("heat-legend");
-  legend.append(...["reached", "far", "failed", "unknown", "untried"].map((state) => {
+  legend.append(...["reached", "far", "failed", "unknown", "unjudged", "untried"].map((state) => {
     const [sign, meaning] = STATES[state], reached = state === "reached";
     const sample = html("i", { class: state, "aria-hidden": "true" }, reached ? "1.0" : sign);
     sample.style.setProperty("--near", "100%");

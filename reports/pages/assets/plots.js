@@ -9,19 +9,22 @@
   // Errors that are so many times smaller than what the reference can judge are drawn at the lower one.
   const BELOW = 30;
 
+  // Endings of runs that were not tried: nothing is known of their results.
+  const NOT_TRIED = ["unsupported", "interrupted"];
+
   // All runs of a scene as points; failed runs keep their cost only.
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
     const points = [];
     for (let k = 0; k < runs.columns[0].length / 4; k++) {
       const ending = stepbench.endingOf(runs, k);
-      points.push({
+      if (!NOT_TRIED.includes(ending)) points.push({
         k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),
         error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN,
       });
     }
     return { method: data.methods[runs.method], index: runs.method, points };
-  });
+  }).filter((curve) => curve.points.length);
 
   // Powers of ten in a range, so many at most.
   const decades = ([low, high], most) => {

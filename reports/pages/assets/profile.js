@@ -6,13 +6,15 @@
   if (!place) return;
   const LEFT = 52, TOP = 12, BOTTOM = 44, HIGH = 400;
 
-  // Lines by name: those of the methods, or the best of each family.
+  // Lines by name: those of the methods, or the best of each family; in brackets the pairs of
+  // those that were tried on clearly fewer than all.
   const linesOf = (profile) => {
+    const named = (name, key) => profile.tried[key] < .9 * profile.pairs ? `${name} (of ${profile.tried[key]})` : name;
     if (menu.value === "families" && profile.families) {
       return Object.entries(profile.families).map(([family, parts]) =>
-        ({ name: family, method: data.methods.find((m) => m.family === family), parts: parts.map((n) => n / 1000) }));
+        ({ name: named(family, family), method: data.methods.find((m) => m.family === family), parts: parts.map((n) => n / 1000) }));
     }
-    return Object.entries(profile.methods).map(([m, parts]) => ({ name: data.methods[m].short, method: data.methods[m], parts: parts.map((n) => n / 1000) }));
+    return Object.entries(profile.methods).map(([m, parts]) => ({ name: named(data.methods[m].short, m), method: data.methods[m], parts: parts.map((n) => n / 1000) }));
   };
 
   const draw = (question) => {
@@ -44,7 +46,7 @@
       axis.append(svg("text", { x: onX(m), y: onY(0) + 16, "text-anchor": "middle" }, `${m}×`));
     }
     axis.append(svg("text", { class: "title", x: (LEFT + wide - right) / 2, y: HIGH - 6, "text-anchor": "middle" },
-      `at most so many times the least ${stepbench.costName(question)}`));
+      `at most so many times the least ${stepbench.costName(question)} (${profile.pairs} pairs of scene and accuracy)`));
     chart.append(grid, axis);
     const names = svg("g", { class: "legend" });
     let next = TOP;

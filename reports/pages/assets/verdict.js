@@ -6,9 +6,9 @@
     far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured",
   };
 
-  for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange(() => {
+  for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const said = stepbench.answer()?.verdicts?.[place.dataset.verdict];
-    place.replaceChildren(...(said || ["This accuracy cannot be judged on this scene."]).map(stepbench.part));
+    place.replaceChildren(...(said || [stepbench.unjudged(Number(place.dataset.verdict), question)]).map(stepbench.part));
   });
 
   const row = (scene, index, state, question) => {
@@ -27,6 +27,7 @@
     const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || {};
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).sort((one, two) => multiple(one) - multiple(two) || 0);
+    table.closest("section").hidden = !found.length;
     const head = ["method", stepbench.costName(question), "multiple of the best", `error in ${question.group}`];
     table.replaceChildren(
       html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${data.norm}`),

@@ -14,6 +14,10 @@
     return node;
   };
   stepbench.part = part;
+  // The reason for which a question has no answer on a scene.
+  stepbench.unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
+    ? `${target} cannot be judged on this scene: the reference's own error is more than a hundredth of it.`
+    : `No run on this scene has an error in ${data.group_names[group]}.`;
 
   const card = document.getElementById("answer"), table = document.getElementById("standings");
   if (!card) return;
@@ -45,7 +49,7 @@
         html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     }));
-    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} scenes`), html("thead", {}, head), body);
+    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}`), html("thead", {}, head), body);
     const rest = rows.length - shown.length;
     if (rest > 0 || !folded) {
       const button = html("button", { type: "button", class: "more" }, folded ? `${rest} more` : "fewer");
@@ -63,8 +67,9 @@
     document.querySelector("main h1").textContent = title;
     card.replaceChildren(...(own ? own.sentences.map((parts) => html("p", {}, ...parts.map(part)))
       : [html("p", {}, data.complete
-        ? "No scene here has runs that can be judged by this question." : "The other answers are being read.")]));
-    card.append(html("p", { class: "note" }, `Error: of the worst component, relative, ${data.norm}. A tie: costs that cannot be told apart.`));
-    standings(own ? own.standings : [], stepbench.chosen().length);
+        ? "No run here can be judged by this question." : "The other answers are being read.")]));
+    card.append(html("p", { class: "note" }, `Error: of the worst component, relative to its largest value in the reference, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
+    const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
+    standings(own ? own.standings : [], judged);
   });
 })();

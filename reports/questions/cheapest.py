@@ -1,0 +1,175 @@
+"""Sentences on who reaches an accuracy at the least cost: on one scene, on a few, on many."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from bench.results.records import Record
+from reports.formatting import number_range
+from reports.names import family_name
+from reports.questions.answers import Answer, SceneAnswer
+from reports.questions.phrases import Part, Sentence, listed
+from reports.questions.question import OF_THE_BENCH, Question, tag_name
+from reports.questions.words import Words, aim, scene_ref
+from reports.ranking import LEAST_COST
+from reports.text.winners import cost_text, times
+
+#: What the cheapest does: alone, and with others.
+_TAKES = {"operations": ("takes", "take"), "seconds": ("takes", "take")}
+_TAKES["residuals"] = ("needs", "need")
+_UNITS = {"operations": " operations", "seconds": "", "residuals": " residual evaluations"}
+#: Scenes are named instead of counted up to this many.
+_NAMED = 2
+#: Contestants behind the first are told up to this many, and the last one instead of "1 more".
+_OTHERS = 2
+
+
+def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
+    """'To 1e-4 in ..., on pendulum IDA takes the fewest operations: 3000; next is ...'."""
+    verdict = answer.verdict
+    first, second = verdict.first, verdict.second
+    said = [*aim(question), ", on ", scene_ref(scene), " ", *words.methods(s.label for s in first)]
+    best = min(first, key=lambda s: s.value or 0.0)
+    if not verdict.votes or (len(first) == 1 and not second and not verdict.unknown):
+        said.append(
+            " alone reaches it: " if verdict.votes else " reaches it, with none to compare: "
+        )
+        said += [_cost(best.run, best.value, question.cost, words), _UNITS[question.cost]]
+    else:
+        said.append(f" {_does(len(first) > 1, question.cost)}, ")
+        said.append(_cost(best.run, best.value, question.cost, words))
+    if second and second.run:
+        said += ["; next is ", words.method(second.label), " with "]
+        said.append(words.run(second.run, f"{times(second.ratio)} that"))
+    return [*said, "."]
+
+
+def _does(tie: bool, cost: str) -> str:
+    verb = "tie for" if tie else _TAKES[cost][0]
+    return f"{verb} the {LEAST_COST[cost]}"
+
+
+def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
+    """'To 1e-4 in ..., A takes the fewest operations on s (100; next: B, 2 times); B on t (9).'."""
+    where: dict[tuple[str, ...], list[Sentence]] = {}
+    for name, scene in voting.items():
+        first, second = scene.verdict.first, scene.verdict.second
+        best = min(first, key=lambda s: s.value or 0.0)
+        at: Sentence = [scene_ref(name), " (", _cost(best.run, best.value, question.cost, words)]
+        if second and second.run:
+            at += ["; next: ", words.method(second.label), ", "]
+            at.append(words.run(second.run, times(second.ratio)))
+        elif len(first) == 1 and not scene.verdict.unknown:
+            at.append("; no other reaches it")
+        where.setdefault(tuple(s.label for s in first), []).append([*at, ")"])
+    said: Sentence = [*aim(question), ", "]
+    for k, labels in enumerate(
+        sorted(where, key=lambda labels: (len(labels) > 1, -len(where[labels])))
+    ):
+        tie = len(labels) > 1
+        said += [*(["; "] if k else []), *words.methods(labels)]
+        said.append(f" {_does(tie, question.cost)}" if not k else " tie" if tie else "")
+        said += [" on ", *listed(where[labels])]
+    return [*said, "."]
+
+
+def _cost(run: Record | None, value: float | None, cost: str, words: Words) -> Part:
+    text = cost_text(value, cost)
+    return words.run(run, text) if run else text
+
+
+def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
+    """'To 1e-4 in ..., A takes the fewest operations on 7 of 12 scenes, alone on 5; B on 3.'."""
+    where: dict[str, list[str]] = {}
+    alone: Counter[str] = Counter()
+    for name, scene in voting.items():
+        for s in scene.verdict.first:
+            where.setdefault(s.label, []).append(name)
+            alone[s.label] += len(scene.verdict.first) == 1
+    order = sorted(where, key=lambda label: (-len(where[label]), -alone[label]))
+    lead = [
+        k for k in order if (len(where[k]), alone[k]) == (len(where[order[0]]), alone[order[0]])
+    ]
+    one, several = _TAKES[found.question.cost]
+    least = f"the {LEAST_COST[found.question.cost]}"
+    count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
+    said = [*aim(found.question), ", ", *words.methods(lead)]
+    said.append(f" {one if len(lead) == 1 else 'each ' + several} {least} on ")
+    where_said = _compared(found, most)
+    some = f"{count} of {'the ' if where_said else ''}{most}"
+    said.append(f"{f'all {most}' if count == most else some} scenes{where_said}")
+    if len(lead) == 1:
+        if count <= _NAMED and count < most:
+            said += [" (", *listed([scene_ref(k)] for k in where[lead[0]]), ")"]
+        said += [_alone("alone", wins, count), *_times_next(lead[0], voting)]
+        said += _kind(where[lead[0]], voting, words)
+    else:
+        said.append(_alone("each alone", wins, count))
+    others: dict[tuple[str, ...], list[str]] = {}
+    for label in order[len(lead) :]:
+        others.setdefault(tuple(where[label]), []).append(label)
+    shown = _OTHERS if len(others) > _OTHERS + 1 else len(others)
+    for own, labels in list(others.items())[:shown]:
+        said += ["; ", *words.methods(labels), " on "]
+        named = listed([scene_ref(k)] for k in own)
+        said += named if len(own) <= _NAMED else [str(len(own)), *_kind(own, voting, words)]
+        said += [] if any(alone[label] for label in labels) else [", tied"]
+    more = sum(map(len, list(others.values())[shown:]))
+    return [*said, f"; {more} more on at least one." if more else "."]
+
+
+def _compared(found: Answer, most: int) -> str:
+    """The scenes that are counted, if not all on which the question can be judged."""
+    if most == len(found.scenes):
+        return ""
+    reached = sum(s.reached for s in found.scenes.values())
+    return " where it is reached" if most == reached else " where several can be compared"
+
+
+def _alone(alone: str, wins: int, count: int) -> str:
+    if wins == count:
+        return ", always alone" if count > 1 else ""
+    return f", {alone} on {wins}" if wins else ", always tied" if count > 1 else ", tied"
+
+
+def _times_next(label: str, voting: Mapping[str, SceneAnswer]) -> list[Part]:
+    """How much the next one costs where an integrator is alone."""
+    seconds = [
+        s.verdict.second for s in voting.values() if [e.label for e in s.verdict.first] == [label]
+    ]
+    ratios = [s.ratio for s in seconds if s and s.ratio]
+    return [f" (the next costs {number_range(ratios)} times as much)"] if ratios else []
+
+
+def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -> list[Part]:
+    """', all of them stiff' if the scenes have a tag in common that parts them from others."""
+    if not _NAMED <= len(own) < len(voting):
+        return []
+    for tag in words.tags.get(own[0], ()):
+        having = [k for k in voting if tag in words.tags.get(k, ())]
+        if tag in OF_THE_BENCH:
+            continue
+        if set(own) <= set(having) and len(having) < len(voting):
+            some = len(having) > len(own)
+            return [f", all of them {tag_name(tag)}" if some else f", the {tag_name(tag)} ones"]
+    return []
+
+
+def families(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> list[Sentence]:
+    """The best family, if its members together are first more often than any of them."""
+    own: Counter[str] = Counter()
+    single: Counter[str] = Counter()
+    for scene in voting.values():
+        own.update({s.family for s in scene.verdict.first})
+        single.update(s.label for s in scene.verdict.first)
+    (family, count), *_ = own.most_common(1)
+    entries = [e for s in found.scenes.values() for e in s.entries.values()]
+    members = {e.label for e in entries if e.family == family}
+    if len({e.family for e in entries}) < 2 or len(members) < 2 or count <= max(single.values()):
+        return []
+    who = words.methods(k for k, _ in single.most_common() if k in members)
+    of = f"all {count}" if count == len(voting) else count
+    return [
+        [f"By family: {family_name(family)} methods (", *who, f") are cheapest on {of} of them."]
+    ]

@@ -1,0 +1,54 @@
+"""Names, scenes and accuracies as the sentences of an answer write them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.records import Record
+from reports.names import scene_name, short_names
+from reports.questions.phrases import Ref, Sentence, listed
+from reports.questions.question import Question
+from reports.series import Series
+
+
+@dataclass(frozen=True)
+class Words:
+    """Names of the report's integrators, and tags of its scenes."""
+
+    names: Mapping[str, str]
+    tags: Mapping[str, Sequence[str]]
+
+    def method(self, label: str) -> Ref:
+        """A reference to an integrator."""
+        return Ref("method", label, self.names[label])
+
+    def run(self, record: Record, text: str) -> Ref:
+        """A reference to a run."""
+        return Ref("run", record.key, text)
+
+    def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
+        """References to integrators as a list."""
+        return listed(([self.method(label)] for label in labels), most)
+
+
+def words_of(scenes: Mapping[str, Sequence[Series]], tags: Mapping[str, Sequence[str]]) -> Words:
+    """The words of a report: short names of all its integrators, and the tags of its scenes."""
+    return Words(short_names(s.label for series in scenes.values() for s in series), tags)
+
+
+def scene_ref(scene: str) -> Ref:
+    """A reference to a scene."""
+    return Ref("scene", scene, scene_name(scene))
+
+
+def accuracy(question: Question) -> Sentence:
+    """The accuracy with its norm: '1e-4 in acceleration (largest over time)'."""
+    norm = Ref("term", "error", NORM_NAMES[NORM])
+    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
+
+
+def aim(question: Question) -> Sentence:
+    """The accuracy as the aim of a sentence."""
+    return ["To ", *accuracy(question)]
