@@ -18,8 +18,8 @@ MOST_PANELS, _MOST_ROWS = 6, 8
 _GREY, _LINE = "#5a6675", "#c9d0d9"
 #: Looks of the parts of a bar: fill opacity.
 _LOOKS = {"cheapest alone": 1.0, "tied for cheapest": 0.55, "reaches it": 0.22, "tried": 0.0}
-#: An error of zero, or below, is drawn here.
-_LEAST = 1e-16
+#: Errors outside of this range are drawn at its ends.
+_LEAST, _MOST = 1e-16, 1e2
 
 
 def card_chart(
@@ -105,14 +105,14 @@ def _panel(
     group, cost, target = found.question.group, found.question.cost, found.question.target
     lines = {
         s.label: [
-            (c, max(e, _LEAST))
+            (c, _drawn(e))
             for r in s.ok
             if (c := cost_of(r, cost)) and (e := error_of(r, group, NORM)) is not None
         ]
         for s in series
     }
     points = [point for line in lines.values() for point in line]
-    inner = Box(place.x + 44, place.y + 26, place.width - 48, place.height - 52)
+    inner = Box(place.x + 44, place.y + 26, place.width - 56, place.height - 52)
     x_of = _scale([c for c, _ in points], inner.x, inner.width)
     errors = [*(e for _, e in points), target]
     y_of = _scale(errors, inner.y + inner.height, -inner.height)
@@ -141,9 +141,9 @@ def _panel(
                 text(f"{at:.0e}".replace("e-0", "e-").replace("e+0", "e"), inner.x - 5,
                      y_of(at) + 4, 12, fill=_GREY, text_anchor="end")
             )  # fmt: skip
-    for k, at in enumerate(_ends([c for c, _ in points])):
-        anchor = {"text_anchor": "end"} if k else {}
-        parts.append(text(_power(at), x_of(at), bottom + 15, 12, fill=_GREY, **anchor))
+    for at in _ends([c for c, _ in points]):
+        look = {"fill": _GREY, "text_anchor": "middle"}
+        parts.append(text(_power(at), x_of(at), bottom + 15, 12, **look))
     for label in sorted(lines, key=lambda k: k in first):  # the cheapest above the others
         best, style = label in first, style_of(label)
         drawn = [(x_of(c), y_of(e)) for c, e in lines[label]]
@@ -152,22 +152,27 @@ def _panel(
     for label in first:
         entry = own.entries[label]
         if entry.run and entry.value and (error := error_of(entry.run, group, NORM)) is not None:
-            at = (x_of(entry.value), y_of(max(error, _LEAST)))
+            at = (x_of(entry.value), y_of(_drawn(error)))
             parts.append(tag("circle", cx=at[0], cy=at[1], r=5, fill=style_of(label).color))
     return parts
 
 
+def _drawn(error: float) -> float:
+    return min(max(error, _LEAST), _MOST)
+
+
 def _power(value: float) -> str:
-    """A power of ten: 1e-4, 1, 1e6."""
-    return f"1e{round(math.log10(value))}" if value != 1 else "1"
+    """A number with one digit: 1e-4, 1, 3e6."""
+    digit, _, power = f"{value:.0e}".partition("e")
+    return f"{digit}e{int(power)}" if int(power) else digit
 
 
 def _ends(values: Sequence[float]) -> list[float]:
-    """The first and the last power of ten within the values; their own ends if there are none."""
+    """The first and the last power of ten within the values, or the least of them."""
     if not values:
         return []
     low, high = math.ceil(math.log10(min(values))), math.floor(math.log10(max(values)))
-    return [10.0**low, 10.0**high] if low < high else [10.0**low] if low == high else []
+    return sorted({10.0**low, 10.0**high}) if low <= high else [min(values)]
 
 
 def _scale(values: Sequence[float], start: float, length: float) -> Callable[[float], float]:
