@@ -105,7 +105,7 @@ def test_many_scenes_are_counted_in_bars():
     content = card_of(many())
     shown = [said for said, _ in texts(content)]
     for name, counts in (
-        ("one", "first on 11, reaches 11 of 12"),
+        ("one", "first on 11 scenes, reaches 11 of 12"),
         ("two", "first on 2, reaches 12 of 12"),
         ("three", "first on 0, reaches 12 of 12"),
     ):

@@ -40,7 +40,7 @@ def standings(found: Answer, words: Words, box: Box) -> list[str]:
     parts = []
     for k, row in enumerate(rows):
         place = Box(box.x, box.y + k * height, box.width, height)
-        parts += _row(row, words.names[row.label], box.width / most, place)
+        parts += _row(row, words.names[row.label], box.width / most, place, "" if k else " scenes")
     x, y = box.x, box.y + box.height
     for name, opacity in _LOOKS.items():
         parts.append(_bar(x, y - 12, 14, 12, _GREY, opacity))
@@ -53,9 +53,9 @@ def standings(found: Answer, words: Words, box: Box) -> list[str]:
     return parts
 
 
-def _row(row: Standing, name: str, unit: float, place: Box) -> list[str]:
+def _row(row: Standing, name: str, unit: float, place: Box, scenes: str) -> list[str]:
     first = row.alone + row.tied
-    said = f"first on {first}, reaches {row.reached} of {row.tried}"
+    said = f"first on {first}{scenes}, reaches {row.reached} of {row.tried}"
     right = place.x + place.width
     room = place.width - text_width(said, 15) - 16
     color, y = style_of(row.label).color, place.y + 24
