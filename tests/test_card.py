@@ -70,7 +70,7 @@ def stored(records, title="A suite"):
 
 def card_of(records, title="A suite", question=COUNTS):
     runs = stored(records, title)
-    return card_svg(runs, answer(runs.series, question), "all scenes")
+    return card_svg(runs, answer(runs.series, question), "all")
 
 
 def many(names=("one", "two", "three"), scenes=12):
@@ -128,7 +128,7 @@ def test_panels_of_few_scenes_name_the_cheapest_and_mark_its_run():
     assert winners == {"s0": "one, two", "s1": "two", "s2": "one"}
     assert content.count("<circle") == 4
     check_places(found)
-    assert "nobody reaches it" in card_of([run("s", n, 9, error=1.0) for n in ("one", "two")])
+    assert "not reached" in card_of([run("s", n, 9, error=1.0) for n in ("one", "two")])
 
 
 @pytest.mark.parametrize("scenes", [1, 2, 3, 6, 7, 30])

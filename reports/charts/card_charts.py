@@ -119,7 +119,7 @@ def _panel(
     bottom, right = inner.y + inner.height, inner.x + inner.width
     asked = y_of(target)
     first = own.first
-    winners = ", ".join(words.names[k] for k in first) if own.reached else "nobody reaches it"
+    winners = ", ".join(words.names[k] for k in first) if own.reached else "not reached"
     title = fitted(scene_name(name), 15, 0.5 * place.width)
     room = place.width - text_width(title, 15) - 12
     color = style_of(first[0]).color if first else _GREY
@@ -137,10 +137,8 @@ def _panel(
     ]  # fmt: skip
     for at in _ends(errors):
         if inner.y <= y_of(at) <= bottom and abs(y_of(at) - asked) > 13:
-            parts.append(
-                text(f"{at:.0e}".replace("e-0", "e-").replace("e+0", "e"), inner.x - 5,
-                     y_of(at) + 4, 12, fill=_GREY, text_anchor="end")
-            )  # fmt: skip
+            look = {"fill": _GREY, "text_anchor": "end"}
+            parts.append(text(_power(at), inner.x - 5, y_of(at) + 4, 12, **look))
     for at in _ends([c for c, _ in points]):
         look = {"fill": _GREY, "text_anchor": "middle"}
         parts.append(text(_power(at), x_of(at), bottom + 15, 12, **look))

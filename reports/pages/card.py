@@ -64,7 +64,7 @@ def write_card(
     if scenes not in chosen:
         raise SpecError(f"There is no set of scenes {scenes!r}; {suggest(scenes, chosen)}.")
     found = answer(stored.series, question).on(chosen[scenes].scenes)
-    save(path, card_svg(stored, found, chosen[scenes].name))
+    save(path, card_svg(stored, found, chosen[scenes].name.removesuffix(" scenes")))
     return path
 
 
@@ -78,7 +78,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     found
         The answer on the scenes that are asked for.
     scenes
-        These scenes in words.
+        These scenes in a word: all, stiff.
     """
     words = words_of(stored.series, stored.tags)
     said = sentences(found, words)[:_MOST_SENTENCES]
@@ -86,7 +86,9 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     if not found.scenes:
         raise SpecError(f"There is nothing to show on a card: {' '.join(told)}")
     wide = WIDTH - 2 * _MARGIN
-    asked = f"{plain(accuracy(found.question))} · {LEAST_COST[found.question.cost]} · {scenes}"
+    asked = (
+        f"{plain(accuracy(found.question))} · {LEAST_COST[found.question.cost]} · {scenes} scenes"
+    )
     size = next(
         (s for s in range(40, 26, -2) if fitted(stored.title, s, wide, True)[-1] != "…"), 26
     )
