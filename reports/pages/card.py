@@ -9,7 +9,7 @@ from bench.results.quantities import GROUPS
 from problems.spec import SpecError, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
-from reports.charts.svg_text import Box, Word, fitted, svg, tag, text, wrapped, xml
+from reports.charts.svg_text import Box, Word, fitted, svg, tag, text, text_width, wrapped, xml
 from reports.formatting import words as listed
 from reports.questions.answers import Answer, answer
 from reports.questions.phrases import Sentence, plain
@@ -89,9 +89,8 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     asked = (
         f"{plain(accuracy(found.question))} · {LEAST_COST[found.question.cost]} · {scenes} scenes"
     )
-    size = next(
-        (s for s in range(40, 26, -2) if fitted(stored.title, s, wide, True)[-1] != "…"), 26
-    )
+    sizes = (s for s in range(40, 26, -2) if text_width(stored.title, s, bold=True) <= wide)
+    size = next(sizes, 26)
     rule = {"height": 1, "fill": "#c9d0d9"}
     foot = HEIGHT - 30
     mark = "measured by stepbench"
