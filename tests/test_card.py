@@ -94,7 +94,7 @@ def test_the_sentences_of_the_card_are_those_of_the_answer(folder, tmp_path):
         assert told
         assert all(sentence in shown for sentence in told)
         root = ElementTree.fromstring(content)
-        assert " ".join(told) in root.findtext(f"{SVG}desc")
+        assert " ".join(told) in (root.findtext(f"{SVG}desc") or "")
         assert (root.attrib["width"], root.attrib["height"]) == (str(WIDTH), str(HEIGHT))
         assert "2025-03-01 · Model 1, 8 cores" in shown
         assert "measured by stepbench" in shown
@@ -144,6 +144,17 @@ def test_long_names_stay_within_the_card(scenes):
     assert "…" in content
 
 
+def test_long_sentences_are_smaller_and_complete():
+    names = [f"method_{'of_a_name_' * 2}{k}" for k in range(3)]
+    runs = stored(many(names))
+    found = answer(runs.series, COUNTS)
+    told = [plain(s) for s in sentences(found, words_of(runs.series, {}))[:3]]
+    lines = texts(card_svg(runs, found, "all"))
+    assert all(sentence in " ".join(said for said, _ in lines) for sentence in told)
+    own = [float(a["font-size"]) for said, a in lines if said.startswith("To 1e-4")]
+    assert 15 <= own[0] < 24
+
+
 def test_text_that_is_too_wide_ends_in_an_ellipsis():
     assert fitted("short", 10, 100) == "short"
     cut = fitted("a long text", 10, 40)
@@ -186,7 +197,7 @@ def test_a_browser_needs_no_more_room_than_was_measured(tmp_path):
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
+    options.binary_location = CHROMIUM or ""
     for flag in ("headless=new", "no-sandbox", "disable-gpu"):
         options.add_argument(f"--{flag}")
     (tmp_path / "card.svg").write_text(card_of(many()), encoding="utf-8")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
@@ -79,7 +79,7 @@ def tag(name: str, content: str = "", **attributes: object) -> str:
     return f"<{name}{given}>{content}</{name}>" if content else f"<{name}{given}/>"
 
 
-def text(content: str, x: float, y: float, size: float, **attributes: object) -> str:
+def text(content: str, x: float, y: float, size: float, **attributes: str) -> str:
     """A line of text."""
     return tag("text", xml(content), x=x, y=y, font_size=size, **attributes)
 
@@ -98,10 +98,10 @@ def polyline(points: Sequence[tuple[float, float]], **attributes: object) -> str
 def svg(width: int, height: int, title: str, about: str, parts: Iterable[str]) -> str:
     """A picture with a white ground, and its text for screen readers."""
     named = tag("title", xml(title)) + tag("desc", xml(about))
-    frame: Mapping[str, object] = {
+    frame = {
         "xmlns": "http://www.w3.org/2000/svg",
-        "width": width,
-        "height": height,
+        "width": str(width),
+        "height": str(height),
         "viewBox": f"0 0 {width} {height}",
         "role": "img",
         "font_family": FONTS,
