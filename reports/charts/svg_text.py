@@ -70,7 +70,7 @@ def wrapped(words: Iterable[Word], size: float, width: float) -> list[list[Word]
     return lines
 
 
-def tag(name: str, content: str = "", **attributes: object) -> str:
+def tag(name: str, content: str = "", /, **attributes: object) -> str:
     """An element; ``_`` in a name of an attribute stands for a hyphen."""
     given = "".join(
         f" {key.rstrip('_').replace('_', '-')}={quoteattr(_text(value))}"
