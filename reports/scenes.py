@@ -1,10 +1,14 @@
-"""The scenes of a run folder: their order, and their titles in a report."""
+"""The scenes of a run folder: their order, their titles in a report, and their runs as series."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
-from bench.results.records import Plan, Record
+from bench.results.records import Environment, Plan, Record
+from bench.results.store import Store
+from reports.series import Series, series_of
 
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]
@@ -26,3 +30,36 @@ def scene_titles(keys: Sequence[Key]) -> dict[Key, str]:
         else f"{problem}, t_end={t_end:g} s"
         for problem, t_end in keys
     }
+
+
+@dataclass(frozen=True)
+class StoredRuns:
+    """The runs of a store: ``series`` and ``tags`` by the titles of the scenes."""
+
+    title: str
+    series: dict[str, list[Series]]
+    tags: dict[str, list[str]]
+    environments: list[Environment]
+
+
+def stored_runs(folder: Path) -> StoredRuns:
+    """Read the runs of a run folder.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    """
+    with Store(folder) as store:
+        plan, described = store.plan(), store.scenes()
+        records, environments = list(store.records().values()), store.environments()
+    titles = scene_titles(scene_keys(plan, described, records))
+    return StoredRuns(
+        plan.heading(records) if plan else "Results",
+        {
+            title: series_of(r for r in records if (r.problem, r.t_end) == key)
+            for key, title in titles.items()
+        },
+        {title: described[key].tags for key, title in titles.items() if key in described},
+        list(environments.values()),
+    )

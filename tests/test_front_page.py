@@ -329,3 +329,29 @@ def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
     assert len(more["answers"]) == len(more["group_names"]) * 9 * 3
     for name, part in first["answers"]["a|1e-4|operations"].items():
         assert more["answers"]["a|1e-4|operations"][name] == part
+
+
+@in_chromium
+def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
+    visit(page, folder)
+    tops = page.execute_script(
+        "return ['.opening > .card', '#panels > .panel'].map((cards) =>"
+        " [...document.querySelectorAll(cards)].map((card) => card.getBoundingClientRect().top))"
+    )
+    assert [len(set(own)) for own in tops] == [1, 1]
+    assert min(map(len, tops)) > 1
+    near = page.execute_script(
+        """
+        const plots = [...document.querySelectorAll("#panels .plot")];
+        return plots.flatMap((plot) => [...plot.querySelectorAll(".name")].flatMap((name) => {
+          const box = name.getBBox(), right = box.x + box.width, low = box.y + box.height;
+          return [...plot.querySelectorAll(".winner")].map((ring) => {
+            const [x, y, r] = ["cx", "cy", "r"].map((key) => Number(ring.getAttribute(key)));
+            const [dx, dy] = [Math.max(box.x - x, x - right, 0), Math.max(box.y - y, y - low, 0)];
+            return Math.hypot(dx, dy) - r;
+          });
+        }));
+        """
+    )
+    assert near
+    assert min(near) > 0

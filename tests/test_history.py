@@ -86,6 +86,16 @@ def test_the_table_shows_what_changed_alone(folders, stepbench, monkeypatch):
     same = stepbench("history", folders[0], folders[0]).stdout
     assert "Nothing changed." in same
     assert "What changed" not in same
+    # Each run is named once, in full on a narrow screen, too; no change is told twice.
+    assert text.count("ok -> diverged") == 1
+    monkeypatch.setenv("COLUMNS", "60")
+    assert "…" not in stepbench("history", *folders).stdout
+
+
+def test_further_runs_change_nothing_in_the_others(folders, tmp_path, stepbench):
+    alone = plant(tmp_path / "alone", [r for r in everything() if r.integrator == "poor"])
+    text = stepbench("history", alone, folders[0]).stdout
+    assert "Nothing changed in the runs that are in both." in text
 
 
 def test_one_folder_has_no_history(folders, stepbench):

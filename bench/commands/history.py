@@ -52,7 +52,7 @@ def history(folders: tuple[Path, ...], form: str | None) -> None:
         return
     for comparison in found.comparisons:
         say(f"{comparison.old} -> {comparison.new}")
-        for line in [*comparison.state(), *comparison.summary()]:
+        for line in comparison.state():  # the table has the rest
             say(f"  {line}")
     changed = found.changed
     if changed:
@@ -68,16 +68,18 @@ def _table(found: History) -> Table:
     from bench.commands.terminal import new_table
 
     table = new_table(f"What changed of {len(found.cells)} runs")
-    table.add_column("run")
+    table.add_column("run", overflow="fold")
     table.add_column("quantity", style="cyan", no_wrap=True)
     for store in found.stores:
-        table.add_column(Text(store.folder), justify="right")
+        table.add_column(Text(store.folder), justify="right", overflow="fold")
+    last = None
     for run, line in found.changed[:_MOST]:
         cells = [
             Text("\n".join(filter(None, (_text(value), told))))
             for value, told in zip(line.values, line.changed, strict=True)
         ]
-        table.add_row(Text(str(run)), line.quantity, *cells)
+        table.add_row(Text("" if run == last else str(run)), line.quantity, *cells)
+        last = run
     return table
 
 

@@ -53,6 +53,7 @@ for command in (
         history.history,
         results.open_,
         results.figure,
+        results.card,
     ),
     *(stability.stability, atlas.atlas, outcome_map.map_),
 ):

@@ -1,4 +1,4 @@
-"""The commands for stored results: `export`, `compare`, `merge`, `open` and `figure`."""
+"""The commands for stored results: `export`, `compare`, `merge`, `open`, `figure` and `card`."""
 
 from __future__ import annotations
 
@@ -215,3 +215,35 @@ def figure(
     )
     options.tell_set_aside_of(folder)
     click.echo(f"Figure: {written}")
+
+
+@click.command()
+@click.argument("folder", type=PathName("folder"), default=options.RESULTS)
+@click.option("--group", metavar="q|v|a|lam|x|y", help="The error in question; a if not given.")
+@click.option("--target", type=float, help="Its largest value, 1e-1 to 1e-9; 1e-4 if not given.")
+@click.option("--cost", metavar="operations|seconds|residuals", help="operations if not given.")
+@click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
+@options.with_file("File that ends in .svg or .png; card.svg if not given.")
+def card(
+    folder: Path,
+    group: str | None,
+    target: float | None,
+    cost: str | None,
+    scenes: str | None,
+    out: Path | None,
+) -> None:
+    """Write a summary card of the results in FOLDER, for a slide or a README.
+
+    \b
+    Examples:
+      stepbench card stepbench-results -o card.png
+      stepbench card --group lam --target 1e-6 --cost seconds --scenes constrained
+    """
+    given = {"group": group, "target": target, "cost": cost, "scenes": scenes}
+    written = view("card")(
+        folder,
+        out or Path("card.svg"),
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    options.tell_set_aside_of(folder)
+    click.echo(f"Card: {written}")

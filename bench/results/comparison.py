@@ -115,6 +115,8 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
             )
         if self.same:
             said.append("Nothing changed.")
+        elif self.shared and not (self.endings or self.changes):
+            said.append("Nothing changed in the runs that are in both.")
         return said + self.judgement()
 
     def judgement(self) -> list[str]:

@@ -86,7 +86,7 @@ def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) ->
     split = parts(texts, max(1, min(cores(), sum(map(len, texts.values())) // PART_SIZE)))
     engines = [_taken() for _ in split]
     with ThreadPoolExecutor(len(split)) as pool:
-        found = pool.map(partial(_drawn, form=form, options=options), engines, split)
+        found = pool.map(partial(_drawn, by=f"vegalite_to_{form}", options=options), engines, split)
         drawn = {name: picture for part in found for name, picture in part.items()}
     return {name: drawn[name] for name in charts}
 
@@ -94,6 +94,11 @@ def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) ->
 def picture(chart: Spec, form: str = "svg", **options: float) -> Picture:
     """Draw one chart; see ``pictures``."""
     return pictures({"": chart}, form, **options)[""]
+
+
+def png_of(svg: str) -> Picture:
+    """Draw an SVG as PNG, a pixel for each of its units."""
+    return _drawn(_taken(), {"": svg}, "svg_to_png", {})[""]
 
 
 def parts(texts: Mapping[str, str], count: int) -> list[dict[str, str]]:
@@ -154,15 +159,15 @@ def _taken() -> GuardedProcess:
 
 
 def _drawn(
-    engine: GuardedProcess, texts: Mapping[str, str], form: str, options: Mapping[str, float]
+    engine: GuardedProcess, texts: Mapping[str, str], by: str, options: Mapping[str, float]
 ) -> dict[str, Picture]:
     found = {}
     for name, text in texts.items():
-        answer = engine.ask(_converted, text, form, options)
+        answer = engine.ask(_converted, text, by, options)
         if not engine.alive:
             # Somebody else may have ended it: the chart is guilty if a second one dies of it.
             engine = _engine()
-            answer = engine.ask(_converted, text, form, options)
+            answer = engine.ask(_converted, text, by, options)
             engine = engine if engine.alive else _engine()
         if isinstance(answer, NoAnswer):
             answer = Picture(reason=answer.message.rstrip("."))
@@ -178,11 +183,11 @@ def _ready(notify: Notify) -> bool:
     return True
 
 
-def _converted(state: bool, text: str, form: str, options: dict[str, float]) -> Picture:
+def _converted(state: bool, text: str, by: str, options: dict[str, float]) -> Picture:
     import vl_convert
 
     try:
-        content = getattr(vl_convert, f"vegalite_to_{form}")(text, **options)
+        content = getattr(vl_convert, by)(text, **options)
     except BaseException as error:  # a panic of the library is no Exception
         reason = clean(str(error)).strip().partition("\n")[0][:300].rstrip(".")
         return Picture(reason=reason or type(error).__name__)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.results.quantities import NORM
-from bench.results.store import Store
 from problems.spec import SpecError, suggest
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer, answer
@@ -14,8 +13,8 @@ from reports.questions.phrases import Part, Sentence, listed, plain
 from reports.questions.question import FIRST, Question
 from reports.questions.words import Words, accuracy, scene_ref, words_of
 from reports.ranking import RankEntry
-from reports.scenes import scene_keys, scene_titles
-from reports.series import Series, error_of, series_of
+from reports.scenes import stored_runs
+from reports.series import Series, error_of
 from reports.text.winners import cost_text, times
 
 #: The cost of a run in the sentences of a card.
@@ -79,14 +78,7 @@ def method_card(folder: Path, integrator: str, question: Question = FIRST) -> li
     SpecError
         If the store has no such integrator.
     """
-    with Store(folder) as store:
-        plan, described = store.plan(), store.scenes()
-        records = list(store.records().values())
-    titles = scene_titles(scene_keys(plan, described, records))
-    scenes = {
-        title: series_of(r for r in records if (r.problem, r.t_end) == key)
-        for key, title in titles.items()
-    }
+    scenes = stored_runs(folder).series
     words = words_of(scenes, {})
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series))
     chosen = [k for k in labels if integrator in (k, k.partition("[")[0])]

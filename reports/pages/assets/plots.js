@@ -102,9 +102,15 @@
     return group;
   };
 
+  // Points on the way from one to another, 8 px apart.
+  const steps = (p, q) => {
+    const count = Math.ceil(Math.hypot(q.x - p.x, q.y - p.y) / 8) || 1;
+    return Array.from({ length: count }, (_, k) => ({ x: p.x + k / count * (q.x - p.x), y: p.y + k / count * (q.y - p.y) }));
+  };
+
   // A place for a text near a point, away from other points and texts.
   const placed = (text, p, at, points, taken) => {
-    const wide = 7.2 * text.length, high = 15;
+    const wide = 8.8 * text.length, high = 15;
     let best = null;
     for (const far of [9, 16, 26, 44, 70]) for (const [dx, dy] of [[1, -.5], [1, .5], [-1, -.5], [-1, .5], [0, -1], [0, 1]]) {
       const left = p.x + dx * far - (dx < 0 ? wide : dx ? 0 : wide / 2), top = p.y + dy * (far + 4) - high / 2;
@@ -234,7 +240,7 @@
     });
     if (at.floor !== null && at.floor < at.inside.y1) {
       chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));
-      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.inside.y1 - 6 }, "below: the reference cannot judge"));
+      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, "below: the reference cannot judge"));
     }
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
@@ -245,9 +251,9 @@
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
     for (const item of drawn) chart.append(item.node = curve(item, fits));
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
-    // Names keep away from lines, too.
-    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.failed).flatMap((p, k, own) =>
-      [0, .25, .5, .75].map((part) => ({ x: p.x + part * ((own[k + 1] || p).x - p.x), y: p.y + part * ((own[k + 1] || p).y - p.y) }))));
+    // Names keep away from lines and from the asked accuracy, too.
+    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.failed).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
+      .concat(steps({ x: at.inside.x0, y }, { x: at.inside.x1, y }));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
       const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;

@@ -25,6 +25,7 @@
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || {};
+    table.closest(".card").hidden = !Object.keys(states).length;
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
