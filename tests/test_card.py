@@ -20,7 +20,8 @@ from reports.pages.card import HEIGHT, WIDTH, card_svg, write_card
 from reports.questions.answers import answer
 from reports.questions.phrases import plain
 from reports.questions.question import Question
-from reports.questions.sentences import sentences, words_of
+from reports.questions.sentences import sentences
+from reports.questions.words import words_of
 from reports.scenes import StoredRuns, stored_runs
 
 COUNTS = Question("a", 1e-4, "residuals")
@@ -145,7 +146,7 @@ def test_long_names_stay_within_the_card(scenes):
 
 
 def test_long_sentences_are_smaller_and_complete():
-    names = [f"method_{'of_a_name_' * 2}{k}" for k in range(3)]
+    names = [f"method_{'of_a_name_' * 4}{k}" for k in range(3)]
     runs = stored(many(names))
     found = answer(runs.series, COUNTS)
     told = [plain(s) for s in sentences(found, words_of(runs.series, {}))[:3]]
@@ -187,7 +188,7 @@ def test_wrong_input_is_refused_in_a_sentence(folder, tmp_path, monkeypatch, giv
 
 def test_there_is_no_card_without_an_answer():
     vague = [run("s", n, 10, reference_error={"a": {"max": 1e-5}}) for n in ("one", "two")]
-    with pytest.raises(SpecError, match="nothing to show on a card: It cannot be judged on s"):
+    with pytest.raises(SpecError, match="nothing to show on a card: 1e-4 cannot be judged on s"):
         card_of(vague)
 
 

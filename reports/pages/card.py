@@ -14,7 +14,8 @@ from reports.formatting import words as listed
 from reports.questions.answers import Answer, answer
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters
-from reports.questions.sentences import accuracy, sentences, words_of
+from reports.questions.sentences import sentences
+from reports.questions.words import accuracy, words_of
 from reports.ranking import LEAST_COST, RANKED_COSTS
 from reports.scenes import StoredRuns, stored_runs
 
