@@ -15,7 +15,7 @@ from bench.results.store import StoreError
 from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
-from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
+from reports.charts.over_time import ERRORS, MOST_COMPONENTS, histories, trajectory
 from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
@@ -41,6 +41,10 @@ ALL_RUNS = 6
 MOST_LINES, MOST_STILL = 12, 24
 #: Notes of a run that a chart shows over time, and their meaning.
 _HISTORIES = {
+    "time": (
+        tuple(ERRORS),
+        "the relative error of the worst component of each group; down is better",
+    ),
     "drift": (
         ("position", "velocity", "energy"),
         "how far the constraints are violated, and how far the energy has changed",
@@ -102,6 +106,7 @@ class StudySections:
             made.append(_bills(series, f"{anchor}-operations"))
             made.append(self._accuracy(series, f"{anchor}-accuracy"))
         if "trajectory" in figures:
+            made.insert(0, self._histories(series, f"{anchor}-errors", "time"))
             made.append(self._histories(series, f"{anchor}-drift", "drift"))
             made.append(self._histories(series, f"{anchor}-steps", "steps"))
         first, every = orders_table(series, (study.norm,)), orders_table(series)
