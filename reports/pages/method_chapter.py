@@ -16,7 +16,7 @@ from reports.questions.sentences import Words
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.run_tables import failures_table
+from reports.text.run_tables import failures_table, unsupported_table
 from reports.text.table import Table
 
 
@@ -33,6 +33,7 @@ class MethodChapter:
     orders: Table | None
     damping: Table | None
     failures: Table | None
+    unsupported: Table | None
     command: str
 
 
@@ -72,6 +73,7 @@ def method_chapters(
     found = []
     for label, by_scene in own.items():
         first = next(iter(by_scene.values()))
+        runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
         facts = known.get(name)
         analysed = {name: damping[name]} if name in damping else {}
@@ -85,10 +87,8 @@ def method_chapters(
                 scenes=_scenes_table(label, by_scene, asked),
                 orders=_orders_table(by_scene, facts.orders if facts else {}),
                 damping=_own(damping_table(analysed, list(records.items())), "Its damping"),
-                failures=_own(
-                    failures_table([r for s in by_scene.values() for r in s.records]),
-                    "Its runs that did not reach the end",
-                ),
+                failures=_own(failures_table(runs), "Its runs that did not reach the end"),
+                unsupported=_own(unsupported_table(runs), "Scenes that it does not support"),
                 command=f'stepbench stability "{name}"' if first.controls == "step" else "",
             )
         )
