@@ -32,6 +32,7 @@ from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.report import read_report
 from reports.series import series_of
 from reports.text.observations import observations
 from reports.text.ranking_tables import targets_table
@@ -189,6 +190,22 @@ def test_a_step_pattern_is_a_line_of_its_own() -> None:
     text = {f.integrators: f.text for f in observations(series_of(even + uneven))}
     assert "second order" in text[("m",)]
     assert "first order" in text[("m x 0.3/0.7",)]
+
+
+def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> None:
+    good = planted("pendulum", "good", {"a": (1.0, 2)}, h=0.1)
+    refused = [
+        planted("pendulum", "odd", {}, h=h, status="unsupported", message="It takes no rods.")
+        for h in (0.1, 0.05)
+    ]
+    report = read_report(plant(tmp_path, [good, *refused]), interactive=True)
+    assert (report.failures, report.failed) == (None, 0)
+    assert report.unsupported
+    assert report.unsupported.rows == [["odd", "pendulum", "2", "It takes no rods."]]
+    own = {m.label: m for m in report.methods}
+    assert (own["odd"].failures, own["good"].unsupported) == (None, None)
+    assert own["odd"].unsupported
+    assert own["odd"].unsupported.rows == report.unsupported.rows
 
 
 def test_failures_are_listed_with_their_reason_and_do_no_harm(
