@@ -154,7 +154,9 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
-        methods=method_chapters(series, ranking, facts, known, described, first, words),
+        methods=method_chapters(
+            series, ranking, facts, known, described, first, words, experiments
+        ),
         names=dict(words.names),
         failed=sum(r.status not in ("ok", UNSUPPORTED) for r in runs),
         series=series,
