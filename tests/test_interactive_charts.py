@@ -116,6 +116,17 @@ def test_errors_over_time_are_drawn_logarithmically_a_panel_for_each_group(style
     assert float(table(chart["datasets"]["histories"])[8]["error_a"]) == 1e-7
 
 
+def test_a_legend_has_short_names_and_the_data_the_printed_ones():
+    label = "generalized_alpha[rho_inf=0.8]"
+    rows = curves(1.0, {"q": 1})
+    rows.notes = {"error_q": [10.0**-k for k in range(61)]}
+    chart = histories([(label, rows)], line_styles([label]))
+    color = chart["concat"][0]["layer"][0]["encoding"]["color"]
+    assert color["scale"]["domain"] == [label]
+    assert "g\\u03b1 0.8" in color["legend"]["labelExpr"]
+    assert {row["series"] for row in table(chart["datasets"]["histories"])} == {label}
+
+
 def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
     folder = plant(tmp_path, everything())
     chapters = {c.name: c for c in read_report(folder, interactive=True).scenes}
