@@ -79,7 +79,7 @@ def short_name(label: str) -> str:
 
 
 def short_names(labels: Iterable[str]) -> dict[str, str]:
-    """A short name for each label; no two are the same.
+    """A short name for each label, in their order; no two are the same.
 
     Left out are options that all members of a family have in common, and those that always come
     with another one.
@@ -99,7 +99,7 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
     for name_of in (short_name, str):
         counts = Counter(found.values())
         found = {k: name_of(k) if counts[v] > 1 else v for k, v in found.items()}
-    return found
+    return {label: found[label] for label in parts}
 
 
 def scene_name(scene: str) -> str:

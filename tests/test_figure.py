@@ -159,7 +159,8 @@ def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepb
     drawing = ElementTree.parse(files["svg"]).getroot()
     assert drawing.get("width") == "250pt"
     words = " ".join(text for text in drawing.itertext())
-    assert "good[rho_inf=0.8]" in words
+    assert "good 0.8" in words  # its short name
+    assert "good[rho_inf=0.8]" not in words
     assert "undefined" not in words
     assert "NaN" not in files["svg"].read_text()
     image = files["png"].read_bytes()

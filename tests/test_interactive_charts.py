@@ -6,15 +6,17 @@ import csv
 import io
 
 import pytest
-from planted import curves, everything
+from planted import curves, everything, plant
 
 from bench.results.quantities import NORMS
 from bench.results.records import Rows
+from bench.results.store import Store
 from reports import sampling
 from reports.charts.errors import acceleration_accuracy
 from reports.charts.line_styles import line_styles
-from reports.charts.over_time import histories, trajectory
+from reports.charts.over_time import ERRORS, histories, trajectory
 from reports.charts.work_precision_with_menus import work_precision_with_menus
+from reports.pages.report import read_report
 from reports.series import series_of
 
 
@@ -102,6 +104,46 @@ def test_only_what_varies_is_drawn_over_time(styles):
     assert values[0] == ""  # no step led to the start
     assert [float(v) for v in values[1:]] == pytest.approx(rows.notes["h"][1:])
     assert histories([(label, curves(1.0, {"q": 1}))], styles) is None
+
+
+def test_errors_over_time_are_drawn_logarithmically_a_panel_for_each_group(styles):
+    label, rows = next(iter(styles)), curves(1.0, {"q": 1})
+    rows.notes = {f"error_{g}": [0.0, *(10.0**-k for k in range(60))] for g in ("q", "a")}
+    chart = histories([(label, rows)], styles, notes=tuple(ERRORS))
+    axes = [panel["layer"][0]["encoding"]["y"] for panel in chart["concat"]]
+    assert [axis["title"] for axis in axes] == ["error in position q", "error in acceleration a"]
+    assert {axis["scale"]["type"] for axis in axes} == {"log"}
+    assert float(table(chart["datasets"]["histories"])[8]["error_a"]) == 1e-7
+
+
+def test_a_legend_has_short_names_and_the_data_the_printed_ones():
+    label = "generalized_alpha[rho_inf=0.8]"
+    rows = curves(1.0, {"q": 1})
+    rows.notes = {"error_q": [10.0**-k for k in range(61)]}
+    chart = histories([(label, rows)], line_styles([label]))
+    color = chart["concat"][0]["layer"][0]["encoding"]["color"]
+    assert color["scale"]["domain"] == [label]
+    assert "g\\u03b1 0.8" in color["legend"]["labelExpr"]
+    assert {row["series"] for row in table(chart["datasets"]["histories"])} == {label}
+
+
+def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
+    folder = plant(tmp_path, everything())
+    chapters = {c.name: c for c in read_report(folder, interactive=True).scenes}
+    assert all("errors" not in name for name in _over_time(chapters["pendulum"]))
+    with Store(folder, create=True) as store:
+        for key, record in store.records().items():
+            if rows := store.rows(key) if record.problem == "pendulum" else None:
+                rows.notes = {"error_q": [1e-3 * (1 + k) for k in range(len(rows.t))]}
+                store.save(record, rows)
+    chapters = {c.name: c for c in read_report(folder, interactive=True).scenes}
+    assert _over_time(chapters["pendulum"])[0] == "scene-2-1-errors"
+    assert _over_time(chapters["spring_mass"]) == ["scene-1-1-trajectory"]
+
+
+def _over_time(chapter):
+    figures = [f for study in chapter.studies for f in study.figures if f.topic == "time"]
+    return [name for figure in figures for name in figure.charts]
 
 
 def test_a_study_chooses_what_is_drawn_over_time(styles):

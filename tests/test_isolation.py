@@ -228,6 +228,10 @@ def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
     bench = worker.Worker(Registry())
     first, second = (Cell("pendulum", "newmark", 1.0, Steps(h)) for h in (0.1, 0.05))
     before = bench.measure(first)
+    # Of all steps of this short run the errors are stored: the largest is that of the record.
+    noted = {g: before.rows.notes[f"error_{g}"] for g in ("q", "v", "a", "lam")}
+    largest = {g: before.record.errors[g]["max"] for g in noted}
+    assert {g: max(values) for g, values in noted.items()} == pytest.approx(largest, rel=5e-3)
     assert worker.memory_mappings() > 100
     monkeypatch.setattr(worker, "MOST_MAPPINGS", 100)
     monkeypatch.setattr(worker, "COUNTED_EVERY", 1)

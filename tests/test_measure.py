@@ -149,7 +149,9 @@ def errors_of(scene, off):
 
 
 def test_a_group_is_judged_by_its_worst_component_and_every_norm_has_one_denominator():
-    errors, floors, components = errors_of(Named(), [[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])
+    errors, floors, components, histories = errors_of(
+        Named(), [[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]]
+    )
     # The largest values of the components are 8 and 10, that of the norm is 10.
     assert components["q"]["max"] == [3 / 8, 4 / 10]
     assert components["q"]["end"] == [0.0, 2 / 10]
@@ -160,6 +162,8 @@ def test_a_group_is_judged_by_its_worst_component_and_every_norm_has_one_denomin
         # Trapezoids of the squares over 4 s: x 9/2 + 3*9/2 = 18, y 16/2 + 3*(16+4)/2 = 38.
         "rms": pytest.approx(max(np.sqrt(18 / 4) / 8, np.sqrt(38 / 4) / 10), rel=1e-15),
     }
+    # At each row the worst component counts, whichever it is there.
+    assert histories["error_q"].tolist() == [0.0, max(3 / 8, 4 / 10), 2 / 10]
     # Norms of the differences: 0, 5, 2.
     assert errors["|q|"] == {
         "max": 5 / 10,
@@ -172,7 +176,7 @@ def test_a_group_is_judged_by_its_worst_component_and_every_norm_has_one_denomin
 
 
 def test_a_natural_size_replaces_the_largest_value_of_its_component():
-    errors, floors, components = errors_of(Scaled(), [[0.0, 0.0], [3.0, 0.01], [0.0, -0.02]])
+    errors, floors, components, _ = errors_of(Scaled(), [[0.0, 0.0], [3.0, 0.01], [0.0, -0.02]])
     assert components["q"]["max"] == [3 / 8, 0.02 / 0.5]
     assert errors["q"]["max"] == 3 / 8
     assert errors["q"]["end"] == 0.02 / 0.5
@@ -181,7 +185,7 @@ def test_a_natural_size_replaces_the_largest_value_of_its_component():
 
 def test_a_component_that_hardly_moves_is_measured_by_its_group(monkeypatch):
     monkeypatch.setattr(Known, "exact", np.array([[10.0, 1e-9], [0.0, -1e-12], [1.0, 0.0]]))
-    _, _, components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]])
+    components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
     assert components["q"]["max"] == [0.0, pytest.approx(1e-7)]
 
 
@@ -217,9 +221,15 @@ def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(method, resol
     stored = rows_of(run)
     assert len(stored.t) < 240
     reference = Reference(scene, 2.0)
-    _, _, components = relative_errors(run, reference)
+    _, _, components, histories = relative_errors(run, reference)
     worst = np.abs(run.a - reference(run.t)["a"]).max(axis=0) / np.abs(reference.largest["a"][0])
     assert components["a"]["max"] == pytest.approx(worst, rel=1e-12)
+    run.notes |= histories
+    kept = rows_of(run)
+    assert kept.t == stored.t
+    exact = [histories["error_a"][np.searchsorted(run.t, t)] for t in kept.t]
+    assert kept.notes["error_a"] == pytest.approx(exact, rel=5e-3)
+    assert max(len(f"{value:g}") for value in kept.notes["error_a"]) <= len("1.23e-05")
 
 
 def test_a_very_long_run_keeps_a_bounded_number_of_rows():

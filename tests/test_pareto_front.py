@@ -16,6 +16,7 @@ from bench.results.quantities import NORMS
 from bench.results.store import Store
 from reports.charts.line_styles import line_styles
 from reports.charts.pareto_front import pareto_chart
+from reports.names import short_names
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pareto_front import pareto_front
@@ -110,7 +111,7 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
 def test_a_scene_with_one_integrator_has_no_front():
     alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
     assert pareto_chart(alone, styles([run("a", 1, 1)]), True) is None
-    assert pareto_table(alone, {}) is None
+    assert pareto_table(alone, {}, {}) is None
 
 
 def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
@@ -121,11 +122,13 @@ def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
     rows = page.rows("Not beaten in acceleration and cost at once")
     assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
     with Store(tmp_path) as store:
-        series = series_of(r for r in store.records().values() if r.problem == "pendulum")
+        records = list(store.records().values())
+    series = series_of(r for r in records if r.problem == "pendulum")
+    names = short_names(r.integrator for r in records)
     runs = pareto_front(series, "a", "residuals")
     cell = rows[1]["fewest residual evaluations"]
     for name in {r.integrator for r in runs}:
-        said = f"{name} ({sum(r.integrator == name for r in runs)})"
+        said = f"{names[name]} ({sum(r.integrator == name for r in runs)})"
         assert said in cell
         assert said.replace("[", "\\[").replace("]", "\\]").replace("_", "\\_") in paper
     assert cell.count("(") == len({r.integrator for r in runs})

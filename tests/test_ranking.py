@@ -12,6 +12,7 @@ from planted import planted
 from bench.results.records import IntegratorFacts
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
+from reports.formatting import NO_VALUE
 from reports.ranking import RankEntry, contestants, rank, told_apart
 from reports.series import series_of
 from reports.text.ranking_tables import integrators_table, targets_table, winners_table
@@ -235,27 +236,24 @@ def test_the_ranking_equals_a_direct_query(found):
 
 
 def profile(found):
-    """Points (tau, part) and the scenes tried, by integrator."""
+    """Points (tau, part) by integrator."""
     labels = [s.label for s in found]
-    spec = performance_profile(found, line_styles(labels), interactive=False)
+    spec = performance_profile(found, line_styles(labels))
     head, *rows = (line.split(",") for line in spec["datasets"]["profile"].splitlines())
     points: dict[str, list] = {}
-    tried = {}
     for row in (dict(zip(head, row, strict=True)) for row in rows):
         points.setdefault(row["series"], []).append((float(row["tau"]), float(row["part"])))
-        tried[row["series"]] = row["tried"]
-    return points, tried
+    return points
 
 
 def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
-    points, tried = profile(found)
+    points = profile(found)
     # the best in operations on won, tied and untimed, of four; "alone" and "vague" do not count
     assert max(part for tau, part in points["lean"] if tau <= 1) == pytest.approx(3 / 4)
     assert points["lean"][-1] == (100.0, pytest.approx(3 / 4))
     assert max(part for tau, part in points["quick"] if tau <= 1) == pytest.approx(1 / 4)
     assert max(part for tau, part in points["quick"] if tau <= 3) == pytest.approx(2 / 4)
     assert max(part for _, part in points["quick"]) == pytest.approx(3 / 4)
-    assert tried["quick"] == "4 of 4 scenes (reached on 3)"
 
 
 def test_the_profile_counts_not_tried_apart_from_not_reached():
@@ -271,24 +269,21 @@ def test_the_profile_counts_not_tried_apart_from_not_reached():
     found += [entry("s0", "once", 100.0)]
     found += [entry("s0", "poor", 100.0), *(entry(s, "poor", None, False) for s in scenes[1:])]
     found += [entry("s1", "dark", 100.0), *(entry(s, "dark", None) for s in scenes[2:])]
-    points, tried = profile(found)
+    points = profile(found)
     parts = {label: max(part for _, part in own) for label, own in points.items()}
     assert parts == {"all": 1.0, "once": 1.0, "poor": 0.25, "dark": 1.0}
-    assert tried["once"] == "1 of 4 scenes (reached on 1)"
-    assert tried["poor"] == "4 of 4 scenes (reached on 1)"
-    assert tried["dark"] == "1 of 4 scenes (reached on 1)"
 
 
 def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
-    spec = cost_heat_map(found, interactive=False)
+    spec = cost_heat_map(found, line_styles(s.label for s in found))
     head, *rows = (line.split(",") for line in spec["datasets"]["ranking"].splitlines())
     cells = {(r[head.index("scene")], r[head.index("series")]): r for r in rows}
-    ratio, how = head.index("ratio"), head.index("run")
+    ratio = head.index("ratio")
     assert float(cells["won", "quick"][ratio]) == 3.0
     assert cells["won", "coarse"][ratio] == ""
-    assert cells["won", "coarse"][how] == "not reached"
+    assert cells["won", "coarse"][head.index("text")] == NO_VALUE
     assert math.isclose(float(cells["tied", "lean"][ratio]), 1.0)
-    assert cost_heat_map([], interactive=True) is None
+    assert cost_heat_map([], {}) is None
 
 
 def test_each_integrator_is_described_by_claims_and_measurements(found):

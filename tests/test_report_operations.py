@@ -9,6 +9,7 @@ from planted import planted
 from bench.results.quantities import PARTS
 from bench.results.records import Record, flatten
 from reports.charts.bills import MOST_BARS, bills
+from reports.charts.line_styles import line_styles
 from reports.series import series_of
 from reports.text.run_tables import runs_table, summary_table
 from reports.text.seconds_per_operation import disagreements
@@ -25,6 +26,10 @@ def run(name: str, h: float, ns: float, calls: str = "", factor: float = 1.0) ->
 
 def told(*records: Record) -> dict[tuple[str, ...], str]:
     return {o.integrators: o.text for o in disagreements(series_of(records))}
+
+
+def drawn(records):
+    return bills(series_of(records), line_styles(r.integrator for r in records))
 
 
 def test_a_method_far_from_the_median_is_told_with_its_own_reason():
@@ -59,22 +64,22 @@ def test_fixed_costs_of_short_runs_are_told():
 def test_runs_without_a_bill_or_a_time_are_left_out():
     unknown = planted("pendulum", "one", {"q": (1.0, 2)}, h=0.1, operations={})
     assert told(unknown) == {}
-    assert bills(series_of([unknown])) is None
+    assert drawn([unknown]) is None
 
 
 def test_a_bar_shows_the_parts_of_its_run_and_their_sum():
-    chart = bills(series_of([run("one", 0.01, 2.0), run("two", 0.01, 2.0, factor=2)]))
+    chart = drawn([run("one", 0.01, 2.0), run("two", 0.01, 2.0, factor=2)])
     assert chart is not None
     altair.Chart.from_dict(chart, validate=True)
     text = chart["datasets"]["bills"]
     assert text.count("\n") == 1 + 2 * 3
-    assert '"one, h=0.01: 100000",residuals,60.0,0,60000.0' in text
+    assert '"one, h=0.01: 100000",one,residuals,60.0,0,60000.0' in text
     assert "two, h=0.01: 200000" in text
 
 
 def test_of_many_runs_the_finest_of_each_integrator_is_drawn():
     records = [run("one", 0.01 / k, 2.0) for k in range(1, MOST_BARS + 2)]
-    chart = bills(series_of(records))
+    chart = drawn(records)
     assert chart is not None
     assert "h=0.0004:" in chart["datasets"]["bills"]
     assert "h=0.01:" not in chart["datasets"]["bills"]

@@ -28,9 +28,11 @@ from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows, Study, median
 from bench.results.store import Store
 from reports.formatting import milliseconds, number
+from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.report import read_report
 from reports.series import series_of
 from reports.text.observations import observations
 from reports.text.ranking_tables import targets_table
@@ -97,18 +99,20 @@ def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> N
 def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Document) -> None:
     rows = {row["relative error"]: row for row in page.rows("Cheapest way to an accuracy", 1)}
     records = [r for r in stored(folder) if r.problem == "pendulum" and r.status == "ok"]
+    names = short_names(r.integrator for r in stored(folder))
     for target in (1e-2, 1e-4, 1e-6):
         reached = [r for r in records if r.errors["a"]["max"] <= target]
         fewest = min(reached, key=lambda r: r.work["residuals"])
         fastest = min(reached, key=lambda r: median(r.run_s))
         row = rows[f"a to {target:.0e}"]
         assert row["fewest residual evaluations"].startswith(
-            f"{fewest.integrator}, {fewest.resolution}: {fewest.work['residuals']}"
+            f"{names[fewest.integrator]}, {fewest.resolution}: {fewest.work['residuals']}"
         )
         ties = sum(r.work["residuals"] == fewest.work["residuals"] for r in reached)
         assert ("tied" in row["fewest residual evaluations"]) == (ties > 1)
+        time = milliseconds(median(fastest.run_s))
         assert row["least time"].startswith(
-            f"{fastest.integrator}, {fastest.resolution}: {milliseconds(median(fastest.run_s))} ms"
+            f"{names[fastest.integrator]}, {fastest.resolution}: {time} ms"
         )
         assert row["reached by"] == f"{len({r.integrator for r in reached})} of 5"
 
@@ -188,6 +192,22 @@ def test_a_step_pattern_is_a_line_of_its_own() -> None:
     assert "first order" in text[("m x 0.3/0.7",)]
 
 
+def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> None:
+    good = planted("pendulum", "good", {"a": (1.0, 2)}, h=0.1)
+    refused = [
+        planted("pendulum", "odd", {}, h=h, status="unsupported", message="It takes no rods.")
+        for h in (0.1, 0.05)
+    ]
+    report = read_report(plant(tmp_path, [good, *refused]), interactive=True)
+    assert (report.failures, report.failed) == (None, 0)
+    assert report.unsupported
+    assert report.unsupported.rows == [["odd", "pendulum", "2", "It takes no rods."]]
+    own = {m.label: m for m in report.methods}
+    assert (own["odd"].failures, own["good"].unsupported) == (None, None)
+    assert own["odd"].unsupported
+    assert own["odd"].unsupported.rows == report.unsupported.rows
+
+
 def test_failures_are_listed_with_their_reason_and_do_no_harm(
     folder: Path, page: Document, paper: str
 ) -> None:
@@ -234,7 +254,7 @@ def test_the_pages_ask_nothing_of_any_network_and_their_links_lead_somewhere(
             return set(node).union(*(keys(v) for v in node.values()))
         return set().union(*(keys(v) for v in node)) if isinstance(node, list) else set()
 
-    assert len(page.charts) == 13
+    assert len(page.charts) == 11
     assert "url" not in keys(list(page.charts.values()))
 
 

@@ -168,10 +168,11 @@ def order(
     )
     records = [record for record, _ in results]
     orders = summary.orders(records)
+    failed = [record for record in records if record.status != "ok"]
     refused = all(record.status == UNSUPPORTED for record in records)
     if as_json:
         click.echo(json.dumps(orders, indent=2))
-    elif not refused:
+    elif len(failed) < len(records):
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import order_table
 
@@ -179,7 +180,6 @@ def order(
     if refused:
         reason = records[0].message
         raise click.ClickException(f"{method.spec} does not take {scene.spec}: {reason}")
-    failed = [record for record in records if record.status != "ok"]
     for record in failed:
         click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
     if len(failed) == len(records):

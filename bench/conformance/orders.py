@@ -112,7 +112,7 @@ def _refine(
         run = solved(method, scene, t_end, Steps(length / steps))
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
         if not trouble:  # coarse steps may be too coarse
-            errors, own, _ = relative_errors(run, known)
+            errors, own, *_ = relative_errors(run, known)
             for group in claims:
                 error = errors[group][_NORM]
                 floors[group] = max(floors[group], own[group][_NORM])

@@ -26,6 +26,11 @@ def whole(group: str) -> str:
     return f"|{group}|"
 
 
+def error_note(group: str) -> str:
+    """Name of the note of a run's rows that holds the error of a group at each: "error_q"."""
+    return f"error_{group}"
+
+
 #: Titles of the errors of a run. The error of a group is that of its worst component.
 ERROR_NAMES = GROUP_NAMES | {whole(g): f"{name}, 2-norm" for g, name in GROUP_NAMES.items()}
 #: The error that is meant where no other is named.

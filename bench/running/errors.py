@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, NORMS, whole
+from bench.results.quantities import GROUPS, NORMS, error_note, whole
 from integrators.contract import Trajectory
 from problems.reference import Reference
 
@@ -33,11 +33,14 @@ class ErrorTable(NamedTuple):
         The reference's own estimated errors, relative like ``errors``.
     components
         By group and norm, the error of each component.
+    histories
+        By `error_note`, the error of the group's worst component at each of the k rows.
     """
 
     errors: dict[str, dict[str, float | None]]
     reference_errors: dict[str, dict[str, float]]
     components: dict[str, dict[str, list[float | None]]]
+    histories: dict[str, Float[np.ndarray, " k"]]
 
 
 class Scales(NamedTuple):
@@ -121,7 +124,7 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
     reference
         The values that are taken as exact, with their own estimated error.
     """
-    t, exact, table = trajectory.t, reference(trajectory.t), ErrorTable({}, {}, {})
+    t, exact, table = trajectory.t, reference(trajectory.t), ErrorTable({}, {}, {}, {})
     for group in GROUPS:
         if not exact[group].shape[1]:
             continue
@@ -129,6 +132,7 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
         sizes, unsure = scales(reference, group), reference.error[group]
         each = {name: component_errors(difference, t, sizes, name) for name in NORMS}
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
+        table.histories[error_note(group)] = (np.abs(difference) / sizes.components).max(axis=1)
         table.errors[group] = {name: finite(e.max()) for name, e in each.items()}
         table.errors[whole(group)] = {
             name: finite(float(whole_error(difference, t, sizes, name))) for name in NORMS

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, LEVELS
+from bench.results.quantities import GROUPS, LEVELS, error_note
 from bench.results.records import Rows
 from bench.running.errors import finite
 from integrators.contract import Steps, Trajectory
@@ -85,8 +86,14 @@ def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -
     )
 
 
+#: Notes that are errors: three digits of them take half the room, and no chart shows more.
+_ERRORS = {error_note(group) for group in GROUPS}
 #: Of groups with more components than this, only the first ones are stored.
 MOST_COMPONENTS = 100
+
+
+def _noted(error: float) -> float | None:
+    return float(f"{error:.3g}") if math.isfinite(error) else None
 
 
 def rows_of(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
@@ -109,6 +116,7 @@ def rows_of(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
         t=t[keep].tolist(),
         values={n: rows[keep, :MOST_COMPONENTS].tolist() for n, rows in groups.items()},
         notes={
-            n: list(map(finite, np.asarray(r)[keep])) for n, r in values.get("notes", {}).items()
+            n: list(map(_noted if n in _ERRORS else finite, np.asarray(r)[keep]))
+            for n, r in values.get("notes", {}).items()
         },
     )

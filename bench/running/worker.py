@@ -124,30 +124,31 @@ class Worker:
         self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
     ) -> None:
         # A failure from here on is not the integrator's fault.
+        histories: dict[str, Any] = {}
         if errors:
             try:
                 reference = self._reference(scene, record.t_end)
                 if reference.missing:
                     _add(record, f"No errors are known. {reference.missing}")
                 else:
-                    record.errors, record.reference_error, record.components = relative_errors(
-                        run, reference
-                    )
+                    found = relative_errors(run, reference)
+                    record.errors, record.components = found.errors, found.components
+                    record.reference_error, histories = found.reference_errors, found.histories
             except BaseException as error:
                 _add(record, f"No errors are known, the reference failed: {why(error)}")
-        histories = {}
+        drift = {}
         for name, measured in (
             ("residual of the constraints", measure.violations),
             ("energy drift", measure.energy_drift),
         ):
             try:
-                histories |= measured(scene, run)
+                drift |= measured(scene, run)
             except BaseException as error:
                 _add(record, f"No {name} is known: {why(error)}")
-        largest = {name: finite(values.max()) for name, values in histories.items()}
+        largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
-        run.notes |= histories
+        run.notes |= histories | drift
 
     def _bill(self, record: Record, run: Trajectory) -> None:
         try:

@@ -1,61 +1,46 @@
-"""Charts over all scenes: a heat map of costs, and the performance profile."""
+"""Still charts over all scenes, of the first question: a heat map of costs, and the profile."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST, GROUP_NAMES
+from bench.results.quantities import COST
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
 from reports.ranking import (
     GROUP,
-    RANKED_COSTS,
-    RANKED_GROUPS,
     TARGET,
-    TARGETS,
     RankEntry,
     several_contestants,
 )
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
-_FIRST = {"group": GROUP, "target": str(TARGET), "cost": COST}
 
 
-def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> vl.Spec | None:
+def cost_heat_map(entries: Sequence[RankEntry], styles: Mapping[str, LineStyle]) -> vl.Spec | None:
     """Cost relative to the cheapest, integrator by scene; None if there is nothing to draw."""
     rows = [
         {
             "scene": s.scene,
             "series": s.label,
-            "group": s.group,
-            "target": str(s.target),
-            "cost": s.cost,
             "ratio": vl.short(s.ratio),
-            "value": vl.short(s.value),
-            "run": s.run.resolution if s.run else "cost not known" if s.reached else "not reached",
             "text": NO_VALUE if s.ratio is None else number(float(f"{s.ratio:.2g}")),
         }
         for s in entries
-        if interactive or _shown_first(s)
+        if _asked_first(s)
     ]
     if not rows:
         return None
     data = vl.Dataset("ranking", rows)
     labels = list(dict.fromkeys(s.label for s in entries))
     scenes = list(dict.fromkeys(s.scene for s in entries))
+    axis = {"labelLimit": 420, "labelExpr": vl.short_label(styles)}
     place = {
         "x": vl.category("scene", title=None, sort=scenes, axis={"labelAngle": -35}),
-        "y": vl.category("series", title=None, sort=labels, axis={"labelLimit": 420}),
+        "y": vl.category("series", title=None, sort=labels, axis=axis),
     }
-    tooltip = [
-        vl.category("series", title="integrator"),
-        vl.category("scene"),
-        vl.category("run", title="cheapest run"),
-        vl.quantity("value", title="cost", format=".3g"),
-        vl.quantity("ratio", title="times the best", format=".3g"),
-    ]
     shade = {
         "type": "log",
         "domain": [1, _FAR],
@@ -71,13 +56,11 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> vl.Spec | 
     ink = {"condition": {"test": "!isValid(datum.ratio)", "value": vl.GREY}, "value": "#fff"}
     chart: vl.Spec = {
         "datasets": vl.datasets([data]),
-        "params": _menus() if interactive else [],
         "data": data.source,
-        "transform": _menu_filters() if interactive else [],
         "layer": [
             {
                 "mark": {"type": "rect", "stroke": "#80808060"},
-                "encoding": place | {"color": color, "tooltip": tooltip},
+                "encoding": place | {"color": color},
             },
             {
                 "mark": {"type": "text", "fontSize": 11},
@@ -91,7 +74,7 @@ def cost_heat_map(entries: Sequence[RankEntry], interactive: bool) -> vl.Spec | 
 
 
 def performance_profile(
-    entries: Sequence[RankEntry], styles: Mapping[str, LineStyle], interactive: bool
+    entries: Sequence[RankEntry], styles: Mapping[str, LineStyle]
 ) -> vl.Spec | None:
     """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
@@ -100,36 +83,24 @@ def performance_profile(
     Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
     several = several_contestants(entries)
-    cases: dict[tuple[str, float, str], list[RankEntry]] = {}
-    for s in entries:
-        if s.scene in several and (interactive or _shown_first(s)):
-            cases.setdefault((s.group, s.target, s.cost), []).append(s)
-    rows = []
-    for (group, target, cost), case in cases.items():
-        scenes = len({s.scene for s in case})
-        for label in dict.fromkeys(s.label for s in case) if scenes > 1 else ():
-            own = [s for s in case if s.label == label and not (s.reached and s.value is None)]
-            if not own:
-                continue
-            ratios = sorted(s.ratio for s in own if s.ratio is not None)
-            named = {"series": label, "group": group, "target": str(target), "cost": cost}
-            named["tried"] = f"{len(own)} of {scenes} scenes (reached on {len(ratios)})"
-            steps = [(1.0, 0), *((r, i) for i, r in enumerate(ratios, 1))]
-            steps.append((_FAR, sum(r <= _FAR for r in ratios)))
-            rows += [
-                {**named, "tau": vl.short(tau), "part": vl.short(done / len(own))}
-                for tau, done in steps
-                if tau <= _FAR
-            ]
+    asked = [s for s in entries if s.scene in several and _asked_first(s)]
+    scenes, rows = len({s.scene for s in asked}), []
+    for label in dict.fromkeys(s.label for s in asked) if scenes > 1 else ():
+        own = [s for s in asked if s.label == label and not (s.reached and s.value is None)]
+        ratios = sorted(s.ratio for s in own if s.ratio is not None and s.ratio <= _FAR)
+        steps = [(1.0, 0), *((r, i) for i, r in enumerate(ratios, 1)), (_FAR, len(ratios))]
+        rows += [
+            {"series": label, "tau": vl.short(tau), "part": vl.short(done / len(own))}
+            for tau, done in (steps if own else ())
+        ]
     if not rows:
         return None
     labels = list(dict.fromkeys(row["series"] for row in rows))
-    options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    options = vl.ChartOptions({label: styles[label] for label in labels})
     data = vl.Dataset("profile", rows)
     scale = {"type": "log", "domain": [1, _FAR]}
     layer: vl.Spec = {
         "data": data.source,
-        "transform": _menu_filters() if interactive else [],
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
             "x": vl.quantity("tau", title="times the best cost", scale=scale),
@@ -138,31 +109,10 @@ def performance_profile(
             "strokeDash": options.dashes(),
             "opacity": options.opacity(),
             "order": vl.quantity("tau"),
-            "tooltip": [
-                vl.category("series", title="integrator"),
-                vl.category("tried"),
-                vl.quantity("tau", title="times the best", format=".3g"),
-                vl.quantity("part", title="part of the scenes tried", format=".3g"),
-            ],
         },
     }
-    if interactive:
-        layer["params"] = [vl.pick()]
-    return vl.arrange([{"layer": [layer]}], [data], 1, params=_menus() if interactive else ())
+    return vl.arrange([{"layer": [layer]}], [data], 1)
 
 
-def _shown_first(s: RankEntry) -> bool:
-    return (s.group, str(s.target), s.cost) == tuple(_FIRST.values())
-
-
-def _menus() -> list[vl.Spec]:
-    """Menus for group, target and cost."""
-    return [
-        vl.menu("group", _FIRST["group"], {g: GROUP_NAMES[g] for g in RANKED_GROUPS}, "error in "),
-        vl.menu("target", _FIRST["target"], {str(t): f"{t:.0e}" for t in TARGETS}, " of at most "),
-        vl.menu("cost", _FIRST["cost"], RANKED_COSTS, " at the cost of "),
-    ]
-
-
-def _menu_filters() -> list[vl.Spec]:
-    return [{"filter": f"datum.{name} === {name}"} for name in _FIRST]
+def _asked_first(s: RankEntry) -> bool:
+    return (s.group, s.target, s.cost) == (GROUP, TARGET, COST)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.results.quantities import PARTS
 from reports.charts import vega_lite as vl
+from reports.charts.line_styles import LineStyle
 from reports.formatting import number
 from reports.series import Series, cost_of
 
@@ -16,7 +17,7 @@ MOST_BARS = 24
 _COLORS = ("#2f8f6b", "#8cc9ae", "#e3b778", "#b8692f", "#7a3f1d")
 
 
-def bills(series: Sequence[Series]) -> vl.Spec | None:
+def bills(series: Sequence[Series], styles: Mapping[str, LineStyle]) -> vl.Spec | None:
     """Parts of each run's operations, in percent; None if no run has a bill.
 
     The label of a bar ends with the sum. Rows are those of the series, from coarse to fine.
@@ -30,12 +31,18 @@ def bills(series: Sequence[Series]) -> vl.Spec | None:
     rows: list[dict[str, Any]] = []
     for s, r in runs:
         total = cost_of(r, "operations") or 0.0
-        bars.append(f"{s.label}, {r.resolution.split(',')[0]}: {number(total)}")
+        bars.append(f"{styles[s.label].name}, {r.resolution.split(',')[0]}: {number(total)}")
         for order, part in enumerate(PARTS):
             count = r.operations.get(part)
             if count:
                 percent = vl.short(100 * count / total)
-                row = {"line": bars[-1], "text": part, "percent": percent, "order": order}
+                row = {
+                    "line": bars[-1],
+                    "series": s.label,
+                    "text": part,
+                    "percent": percent,
+                    "order": order,
+                }
                 rows.append(row | {"count": vl.short(count)})
     data = vl.Dataset("bills", rows)
     legend = {"title": None, "orient": "top", "direction": "horizontal", "columns": len(PARTS)}
@@ -54,6 +61,7 @@ def bills(series: Sequence[Series]) -> vl.Spec | None:
             ),
             "order": vl.quantity("order"),
             "tooltip": [
+                vl.category("series", title="integrator"),
                 vl.category("line", title="run"),
                 vl.category("text", title="part"),
                 vl.quantity("count", title="operations", format=".3g"),

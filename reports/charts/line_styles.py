@@ -10,12 +10,13 @@ import colorsys
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 from typing import TypeVar
 
 from problems.spec import SpecError, split_spec
+from reports.names import short_names
 from reports.series import Series
 
 _T = TypeVar("_T")
@@ -67,12 +68,16 @@ _BRIGHTER = 2.0
 
 @dataclass(frozen=True)
 class LineStyle:
-    """Colour, that for dark pages, dashes, and mark: a name or an SVG path within -1 to 1."""
+    """Colour, that for dark pages, dashes, and mark: a name or an SVG path within -1 to 1.
+
+    ``name`` is the short name, which depends on the integrators beside it.
+    """
 
     color: str
     dark: str
     dash: tuple[float, ...]
     shape: str
+    name: str = field(default="", compare=False, repr=False)
 
 
 @cache
@@ -98,7 +103,7 @@ def style_of(label: str) -> LineStyle:
 
 def line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
     """The styles of these integrators, in their order."""
-    return {label: style_of(label) for label in labels}
+    return {label: replace(style_of(label), name=n) for label, n in short_names(labels).items()}
 
 
 def styles_of(series: Iterable[Series], styles: Mapping[str, LineStyle]) -> dict[str, LineStyle]:
@@ -113,15 +118,14 @@ def paper_line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
     come again, each time with other dashes.
     """
     found: dict[str, LineStyle] = {}
-    for label in dict.fromkeys(labels):
-        own = style_of(label)
+    for label, own in line_styles(labels).items():
         used = [(s.shape, s.dash) for s in found.values()]
         shape = _free(own.shape, _PAPER_MARKS, [shape for shape, _ in used])
         dash = _free(own.dash, _PAPER_DASHES, [dash for _, dash in used])
         if (shape, dash) in used:
             free = (p for p in product(_PAPER_MARKS, _PAPER_DASHES) if p not in used)
             shape, dash = next(free, (shape, dash))
-        found[label] = LineStyle(own.color, own.dark, dash, shape)
+        found[label] = replace(own, dash=dash, shape=shape)
     return found
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from bench.results.quantities import GROUP_NAMES, error_note
 from bench.results.records import Rows
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
@@ -16,7 +17,8 @@ MOST_COMPONENTS = 3
 #: Field and title of the horizontal axis.
 TIME = ("t", "time in s")
 #: Notes of a run by name: title of the axis, and whether it is logarithmic.
-HISTORIES = {
+ERRORS = {error_note(group): (f"error in {name}", True) for group, name in GROUP_NAMES.items()}
+HISTORIES = ERRORS | {
     "h": ("step size h in s", True),
     "gamma": ("weight gamma", False),
     "position": ("constraint residual, position", True),

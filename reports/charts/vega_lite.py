@@ -87,13 +87,22 @@ class ChartOptions:
 
     def _by_series(self, values: list[Any], legend: Spec) -> Spec:
         """A channel by series; all panels have one domain, so they share a legend."""
+        name = short_label(self.styles)
         if self.notes:
             norm = "norm" if self.interactive else json.dumps(self.norm)
             note = f"{json.dumps(self.notes)}[{norm}][datum.value]"
             # One column, as the lines are long; not cut at the usual width.
-            legend |= {"labelExpr": f"datum.value + {note}", "labelLimit": 0, "columns": 1}
+            legend |= {"labelExpr": f"{name} + {note}", "labelLimit": 0, "columns": 1}
+        elif name != "datum.value":
+            legend |= {"labelExpr": name}
         scale = {"domain": list(self.styles), "range": values}
         return category("series", scale=scale, legend={"title": None, **legend})
+
+
+def short_label(styles: Mapping[str, LineStyle]) -> str:
+    """The Vega expression of the short name of an integrator, in a legend or on an axis."""
+    short = {label: style.name for label, style in styles.items() if style.name not in ("", label)}
+    return f"({json.dumps(short)}[datum.value] || datum.value)" if short else "datum.value"
 
 
 @dataclass(frozen=True)

@@ -53,8 +53,8 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     if not single_file:
         write_pages(report, folder, data)
         (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
-        data = for_front(data)
-        rest = f"stepbench.more({chart_json(data, separators=(',', ':'))});\n"
+        rest = chart_json(for_front(data), separators=(",", ":"))
+        rest = f"stepbench.more({rest});\n"
         (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
     text = html(
         "page_of_report.html.j2",

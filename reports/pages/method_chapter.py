@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from bench.results.experiments import ExperimentResult
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts, SceneRecord
 from reports.formatting import NO_VALUE, number, order_text
@@ -16,7 +17,8 @@ from reports.questions.words import Words
 from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.run_tables import failures_table
+from reports.text.nearest_method import atlas_beside, nearest, stability_beside
+from reports.text.run_tables import failures_table, unsupported_table
 from reports.text.table import Table
 
 #: An integrator that is not known to reach the accuracy.
@@ -35,7 +37,9 @@ class MethodChapter:
     scenes: Table
     orders: Table | None
     damping: Table | None
+    beside: list[Table]
     failures: Table | None
+    unsupported: Table | None
     command: str
 
 
@@ -47,6 +51,7 @@ def method_chapters(
     records: Mapping[str, SceneRecord],
     answer: Answer,
     words: Words,
+    experiments: Sequence[ExperimentResult] = (),
 ) -> list[MethodChapter]:
     """The chapters of all integrators.
 
@@ -62,6 +67,8 @@ def method_chapters(
         Records of the scenes.
     answer, words
         The answer to the first question, and the names that its sentences use.
+    experiments
+        Results of the failure atlas.
     """
     asked = {
         (e.scene, e.label): e
@@ -72,9 +79,11 @@ def method_chapters(
     for scene, series in scenes.items():
         for s in series:
             own.setdefault(s.label, {})[scene] = s
+    families = {r.integrator: r.family for s in scenes.values() for x in s for r in x.records}
     found = []
     for label, by_scene in own.items():
         first = next(iter(by_scene.values()))
+        runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
         facts = known.get(name)
         analysed = {name: damping[name]} if name in damping else {}
@@ -88,14 +97,29 @@ def method_chapters(
                 scenes=_scenes_table(label, by_scene, asked),
                 orders=_orders_table(by_scene, facts.orders if facts else {}),
                 damping=_own(damping_table(analysed, list(records.items())), "Its damping"),
-                failures=_own(
-                    failures_table([r for s in by_scene.values() for r in s.records]),
-                    "Its runs that did not reach the end",
-                ),
+                beside=_beside(name, damping, families, experiments, words.names),
+                failures=_own(failures_table(runs), "Its runs that did not reach the end"),
+                unsupported=_own(unsupported_table(runs), "Scenes that it does not support"),
                 command=f'stepbench stability "{name}"' if first.controls == "step" else "",
             )
         )
     return found
+
+
+def _beside(
+    name: str,
+    damping: Mapping[str, Damping],
+    families: Mapping[str, str],
+    experiments: Sequence[ExperimentResult],
+    names: Mapping[str, str],
+) -> list[Table]:
+    """Stability and verdicts of the atlas beside the nearest built-in method."""
+    other = nearest(name, damping, families) if name in damping else ""
+    tables = [
+        stability_beside(name, other, damping, names) if other else None,
+        atlas_beside(name, other, experiments, names),
+    ]
+    return [table for table in tables if table]
 
 
 def _own(table: Table | None, caption: str) -> Table | None:

@@ -34,7 +34,7 @@ from reports.text.measurement import (
     state_sentence,
 )
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
-from reports.text.run_tables import failures_table, timing_table
+from reports.text.run_tables import failures_table, timing_table, unsupported_table
 from reports.text.table import Table
 from reports.text.winners import verdicts
 
@@ -61,6 +61,7 @@ class Report:
     integrators: Table | None
     damping: Table | None
     failures: Table | None
+    unsupported: Table | None
     lost_orders: Table | None
     timing: Table | None
     noise: str
@@ -138,7 +139,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
         ],
-        pareto=pareto_table(series, ids),
+        pareto=pareto_table(series, ids, words.names),
         scenes=chapters,
         integrators=integrators_table(series, ranking, facts),
         damping=damping_table(
@@ -146,13 +147,16 @@ def read_report(folder: Path, interactive: bool) -> Report:
             list(described.items()),
         ),
         failures=failures_table(runs),
+        unsupported=unsupported_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
         timing=timing_table(series_of(runs)),
         noise=noise_sentence(runs),
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
-        methods=method_chapters(series, ranking, facts, known, described, first, words),
+        methods=method_chapters(
+            series, ranking, facts, known, described, first, words, experiments
+        ),
         names=dict(words.names),
         failed=sum(r.status not in {"ok", *NOT_TRIED} for r in runs),
         series=series,
@@ -168,26 +172,32 @@ def _overview(
     styles: Mapping[str, LineStyle],
     interactive: bool,
 ) -> list[CaptionedCharts]:
-    """The charts over all scenes, with more than one integrator to compare."""
+    """The charts over all scenes, with more than one integrator to compare.
+
+    Of the first question the front page draws heat table and profile itself; a still report has
+    pictures of them.
+    """
     if len({s.label for s in entries}) < 2:
         return []
     front = "(choose above)" if interactive else f"({GROUP_NAMES[GROUP]}; {COST_NAMES[COST]})"
-    first = f"({accuracy_text(GROUP, TARGET)}; {COST_NAMES[COST]})"
-    which = "(choose above)" if interactive else first
-    made = [
+    which = f"({accuracy_text(GROUP, TARGET)}; {COST_NAMES[COST]})"
+    still = [
         (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
             f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried.",
-            {"overview-heat": cost_heat_map(entries, interactive)},
+            {"overview-heat": cost_heat_map(entries, styles)},
         ),
         (
             f"Performance profile {which}: part of the scenes on which an integrator costs at "
             "most so many times the best (Dolan and More 2002). On the left: part on which it is "
             "the cheapest; on the right: part on which it reaches the accuracy. Counted for each "
             "are the scenes with several contestants on which it was tried; how many, the "
-            "tooltip and the table of integrators say.",
-            {"overview-profile": performance_profile(entries, styles, interactive)},
+            "table of integrators says.",
+            {"overview-profile": performance_profile(entries, styles)},
         ),
+    ]
+    made = [
+        *([] if interactive else still),
         (
             f"Relative error, {NORM_NAMES[NORM]} (up), against cost (to the right) {front}. The "
             "broad line joins the runs that no other run of the scene beats in both (Pareto "

@@ -73,7 +73,9 @@ def scene_chapter(
         picture=_picture(new, f"{anchor}-scene") if new else None,
         parameters=parameters_table(new) if new else None,
         motion=motion_table(new) if new else None,
-        targets=targets_table(series) if series else None,
+        targets=targets_table(series, {k: s.name for k, s in sections.styles.items()})
+        if series
+        else None,
         summary=summary_table(series) if series else None,
         studies=[sections.make(study, f"{anchor}-{n}") for n, study in enumerate(studies, 1)],
         drift=drift_table(series),

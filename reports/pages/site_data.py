@@ -22,7 +22,8 @@ from reports.text.winners import tie_text
 _LARGEST = 40.0
 _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
-_NONE = "----"
+_LETTERS = 4
+_NONE = "-" * _LETTERS
 #: Units of the costs of a question.
 _UNITS = {"operations": "operations", "seconds": "s", "residuals": "evaluations"}
 #: Costs in the bar: "at the least time".
@@ -87,6 +88,7 @@ def site_data(report: Report) -> dict[str, Any]:
             _scene(name, series, report.scene_records.get(name))
             for name, series in report.series.items()
         ],
+        "letters": _LETTERS,
         "columns": columns,
         "resolutions": list(resolutions),
         "runs_of": runs_of,
@@ -95,15 +97,26 @@ def site_data(report: Report) -> dict[str, Any]:
     }
 
 
+def _shortened(text: str) -> str:
+    return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
+
+
 def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of the data that the first question needs."""
+    """The part of the data that the first question needs.
+
+    Its columns have the first three characters of a number: log10 to 2e-4, until the others come.
+    """
     kept = [k for k, name in enumerate(data["columns"]) if name in (FIRST.group, FIRST.cost)]
     profiles = data["profiles"].get(f"{FIRST.group}|{FIRST.cost}", {})
     return {
         **data,
+        "letters": _LETTERS - 1,
         "columns": [data["columns"][k] for k in kept],
         "runs_of": [
-            [runs | {"columns": [runs["columns"][k] for k in kept]} for runs in own]
+            [
+                (method, at, [_shortened(columns[k]) for k in kept], *endings)
+                for method, at, columns, *endings in own
+            ]
             for own in data["runs_of"]
         ],
         "answers": {
@@ -135,9 +148,10 @@ def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
 
 
 def for_front(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of the data that the front page needs: all but the verdicts on single scenes."""
+    """What the front page needs besides: runs, answers without verdicts on scenes, profiles."""
     return {
-        **data,
+        **{name: data[name] for name in ("letters", "columns", "resolutions", "runs_of")},
+        "profiles": data["profiles"],
         "answers": {k: answer | {"verdicts": []} for k, answer in data["answers"].items()},
     }
 
@@ -198,23 +212,21 @@ def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
 
 def _runs(
     series: Series, place: int, columns: Sequence[str], resolutions: dict[str, int]
-) -> dict[str, Any]:
-    """The runs of one method on one scene, from coarse to fine: numbers by column, and endings.
+) -> tuple[Any, ...]:
+    """The runs of one method on one scene, from coarse to fine.
 
-    Most methods have the same steps or tolerances: these are kept once, in ``resolutions``.
+    They are the method, the place of its resolutions, and text by column; if a run failed, also
+    the endings, and the place of each run's ending among them. Most methods have the same steps
+    or tolerances: these are kept once, in ``resolutions``.
     """
     control = "h" if series.controls == "step" else "rtol"
     at = f"{control}{column(step_or_tolerance(r) for r in series.records)}"
-    found = {
-        "method": place,
-        "at": resolutions.setdefault(at, len(resolutions)),
-        "columns": [column(_value(r, name) for r in series.records) for name in columns],
-    }
+    texts = [column(_value(r, name) for r in series.records) for name in columns]
+    found = place, resolutions.setdefault(at, len(resolutions)), texts
     endings = list(dict.fromkeys(r.status for r in series.records))
-    if endings != ["ok"]:
-        found["endings"] = endings
-        found["status"] = [endings.index(r.status) for r in series.records]
-    return found
+    if endings == ["ok"]:
+        return found
+    return *found, endings, [endings.index(r.status) for r in series.records]
 
 
 def _value(record: Record, name: str) -> float | None:

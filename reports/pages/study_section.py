@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from bench.results.store import StoreError
 from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
-from reports.charts.over_time import MOST_COMPONENTS, histories, trajectory
+from reports.charts.over_time import ERRORS, MOST_COMPONENTS, histories, trajectory
 from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
@@ -41,6 +41,10 @@ ALL_RUNS = 6
 MOST_LINES, MOST_STILL = 12, 24
 #: Notes of a run that a chart shows over time, and their meaning.
 _HISTORIES = {
+    "time": (
+        tuple(ERRORS),
+        "the relative error of the worst component of each group; down is better",
+    ),
     "drift": (
         ("position", "velocity", "energy"),
         "how far the constraints are violated, and how far the energy has changed",
@@ -99,9 +103,10 @@ class StudySections:
         figures = [figure for figure in study.figures if figure in makers]
         made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
         if "work_precision" in figures:
-            made.append(_bills(series, f"{anchor}-operations"))
+            made.append(_bills(series, self.styles, f"{anchor}-operations"))
             made.append(self._accuracy(series, f"{anchor}-accuracy"))
         if "trajectory" in figures:
+            made.insert(0, self._histories(series, f"{anchor}-errors", "time"))
             made.append(self._histories(series, f"{anchor}-drift", "drift"))
             made.append(self._histories(series, f"{anchor}-steps", "steps"))
         first, every = orders_table(series, (study.norm,)), orders_table(series)
@@ -209,6 +214,9 @@ class StudySections:
             styles = {label: self.styles[label_of(r)] for r, label, _ in shown}
         else:
             styles = line_styles(label for _, label, _ in shown)
+            for r, label, _ in shown:
+                name = f"{self.styles[label_of(r)].name}, {r.resolution}"
+                styles[label] = replace(styles[label], name=name)
         lines = [(label, rows) for _, label, rows in shown]
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]
@@ -236,13 +244,15 @@ class StudySections:
         return before_divergence(rows, self.scene.reference)
 
 
-def _bills(series: Sequence[Series], name: str) -> CaptionedCharts | None:
+def _bills(
+    series: Sequence[Series], styles: Mapping[str, LineStyle], name: str
+) -> CaptionedCharts | None:
     caption = (
         "Floating-point operations of each run by part; their sum stands after the name. They are "
         "those of the scene's equations and of linear algebra, counted from its traced programs "
         "and by formulas (LU of n unknowns 2/3 n^3)."
     )
-    return captioned(caption, {name: bills(series)})
+    return captioned(caption, {name: bills(series, styles)})
 
 
 def _components(study: Study) -> list[list[Any]]:

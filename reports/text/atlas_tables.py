@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from bench.results.experiments import ExperimentResult, PartResult, bounds
+from bench.results.experiments import CaseResult, ExperimentResult, PartResult, bounds
 from reports.formatting import number
 from reports.text.table import Table
 
@@ -19,8 +19,9 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     rows = []
     for f in found:
         verdict = "DIFFERS" if f.verdict == "not as predicted" else f.verdict
-        spared = [_spared(f, label) for label in added]
-        rows.append([f"{f.number}. {f.title}", f"{verdict}, {predicted_counts(f)}", *spared])
+        cases = [case for part in f.parts for case in part.cases]
+        cells = [spared(c for c in cases if c.label == label) for label in added]
+        rows.append([f"{f.number}. {f.title}", f"{verdict}, {predicted_counts(f)}", *cells])
     note = "Numbers that lie in the interval predicted for them, of all that were predicted."
     if added:
         note += " For a method that was added: the parts that spare it, of all that apply to it."
@@ -34,10 +35,9 @@ def predicted_counts(f: ExperimentResult) -> str:
     return f"{sum(bool(case.as_predicted) for case in cases)} of {len(cases)}"
 
 
-def _spared(f: ExperimentResult, label: str) -> str:
-    """The count of parts that spare the method, of those that apply to it: '2 of 3'."""
-    own = [c for part in f.parts for c in part.cases if c.label == label]
-    judged = [c.healthy for c in own if c.healthy is not None]
+def spared(cases: Iterable[CaseResult]) -> str:
+    """The count of a method's cases that spare it, of those that apply to it: '2 of 3'."""
+    judged = [c.healthy for c in cases if c.healthy is not None]
     return f"{sum(judged)} of {len(judged)}" if judged else "does not apply"
 
 

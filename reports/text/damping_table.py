@@ -9,7 +9,7 @@ from reports.formatting import number
 from reports.text.table import Table
 
 #: A radius above 1 by more than this is growth; a ratio below this is rounding.
-_GROWTH, _ROUNDING = 1e-9, 1e-12
+_GROWTH, ROUNDING = 1e-9, 1e-12
 
 
 def damping_table(
@@ -56,4 +56,4 @@ def _cell(damping: Damping, at: float) -> str:
         return f"grows {number(radius)} times per step"
     if ratio is None or period is None:
         return f"no oscillation, {number(radius)} left"
-    return f"{number(ratio if ratio > _ROUNDING else 0.0)} ({100 * period:+.2g}%)"
+    return f"{number(ratio if ratio > ROUNDING else 0.0)} ({100 * period:+.2g}%)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
+from types import MappingProxyType
 
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import IntegratorFacts, Record
@@ -34,7 +35,6 @@ from reports.series import (
     label_of,
     ok_runs,
     reference_error,
-    run_name,
     trusted_error,
     with_values,
 )
@@ -52,16 +52,18 @@ TIES = (
 )
 
 
-def targets_table(series: Sequence[Series]) -> Table | None:
+def targets_table(
+    series: Sequence[Series], names: Mapping[str, str] = MappingProxyType({})
+) -> Table | None:
     """The cheapest runs of a scene that reach each accuracy, by each cost.
 
-    None for fewer than two integrators.
+    ``names`` are short names by label. None for fewer than two integrators.
     """
     groups = [g for g in groups_of(ok_runs(series)) if g in RANKED_GROUPS]
     rows = []
     for group in groups if len(series) > 1 else ():
         for target in TARGETS:
-            row = _target_row(series, group, target)
+            row = _target_row(series, group, target, names)
             rows.append([f"{group} to {target:.0e}", *row])
     if not rows:
         return None
@@ -75,7 +77,9 @@ def targets_table(series: Sequence[Series]) -> Table | None:
     )
 
 
-def _target_row(series: Sequence[Series], group: str, target: float) -> list[str]:
+def _target_row(
+    series: Sequence[Series], group: str, target: float, names: Mapping[str, str]
+) -> list[str]:
     nothing = [""] * len(LEAST_COST)
     if trusted_error(ok_runs(series), group, NORM) > target:
         floor = reference_error(ok_runs(series), group, NORM)
@@ -84,15 +88,19 @@ def _target_row(series: Sequence[Series], group: str, target: float) -> list[str
     runs = [r for rs in reached.values() for r in rs]
     count = f"{sum(map(bool, reached.values()))} of {len(series)}"
     if runs:
-        return [count, *(_cheapest(runs, cost) for cost in LEAST_COST)]
+        return [count, *(_cheapest(runs, cost, names) for cost in LEAST_COST)]
     errors = with_values(ok_runs(series), lambda r: error_of(r, group, NORM))
     if errors:
         error, record = min(errors, key=_VALUE)
-        nothing[0] = f"nearest: {number(error)} by {run_name(record)}"
+        nothing[0] = f"nearest: {number(error)} by {_run(record, names)}"
     return [count, *nothing]
 
 
-def _cheapest(runs: Sequence[Record], cost: str) -> str:
+def _run(record: Record, names: Mapping[str, str]) -> str:
+    return f"{names.get(label_of(record), record.integrator)}, {record.resolution}"
+
+
+def _cheapest(runs: Sequence[Record], cost: str, names: Mapping[str, str]) -> str:
     """The cheapest run, the integrators that tie with it, and those of unknown cost.
 
     Each integrator stands by its own cheapest run.
@@ -103,11 +111,11 @@ def _cheapest(runs: Sequence[Record], cost: str) -> str:
     if not cheapest:
         return "not measured"
     (value, best), *others = cheapest.values()
-    said = f"{run_name(best)}: {cost_text(value, cost)}"
-    tied = [label_of(r) for _, r in others if not told_apart(best, r, cost)]
+    said = f"{_run(best, names)}: {cost_text(value, cost)}"
+    tied = [names.get(label_of(r), label_of(r)) for _, r in others if not told_apart(best, r, cost)]
     if tied:
         said += f" (tied: {named(tied, most=2)})"
-    unknown = dict.fromkeys(label for r in runs if (label := label_of(r)) not in cheapest)
+    unknown = dict.fromkeys(names.get(k, k) for r in runs if (k := label_of(r)) not in cheapest)
     return f"{said}; not measured: {named(unknown, most=2)}" if unknown else said
 
 
@@ -157,15 +165,20 @@ def standings_table(found: Answer, names: Mapping[str, str]) -> Table | None:
     )
 
 
-def pareto_table(scenes: Mapping[str, Sequence[Series]], ids: Mapping[str, str]) -> Table | None:
-    """Integrators with runs on the Pareto front of the acceleration; ``ids`` are anchors by key."""
+def pareto_table(
+    scenes: Mapping[str, Sequence[Series]], ids: Mapping[str, str], names: Mapping[str, str]
+) -> Table | None:
+    """Integrators with runs on the Pareto front of the acceleration.
+
+    ``ids`` are anchors of records by key, ``names`` short names by label.
+    """
     rows, links = [], {}
     for scene, series in compared_scenes(scenes).items():
         cells = []
         for j, cost in enumerate(RANKED_COSTS, 1):
             runs = pareto_front(series, GROUP, cost)
             counts = Counter(map(label_of, runs))
-            cells.append(", ".join(f"{label} ({n})" for label, n in counts.items()))
+            cells.append(", ".join(f"{names[label]} ({n})" for label, n in counts.items()))
             links[len(rows), j] = [ids[r.key] for r in runs]
         if any(cells):
             rows.append([scene, *(cell or "not measured" for cell in cells)])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from bench.results.orders import Fit
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORM_NAMES, NORMS, TRUST
-from bench.results.records import Record, median
+from bench.results.records import UNSUPPORTED, Record, median
 from reports.formatting import (
     NO_VALUE,
     component_text,
@@ -194,14 +195,24 @@ def drift_table(series: Sequence[Series]) -> Table | None:
 
 
 def failures_table(records: Sequence[Record]) -> Table | None:
-    """Every run that did not reach the end, with its reason."""
+    """Every run that its method supports and that did not reach the end, with its reason."""
     rows = [
         [r.integrator, r.problem, r.resolution, r.status, r.message or "no message"]
         for r in records
-        if r.status != "ok"
+        if r.status not in ("ok", UNSUPPORTED)
     ]
     head = ["integrator", "scene", "resolution", "status", "message"]
     return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None
+
+
+def unsupported_table(records: Sequence[Record]) -> Table | None:
+    """The scenes that a method does not take, with its reason; these runs are no failures."""
+    refused = Counter(
+        (r.integrator, r.problem, r.message) for r in records if r.status == UNSUPPORTED
+    )
+    rows = [[*names, str(runs), why or "no message"] for (*names, why), runs in refused.items()]
+    head = ["integrator", "scene", "runs", "reason"]
+    return Table("Scenes that a method does not support", head, rows, code=(0, 1)) if rows else None
 
 
 def timing_table(series: Sequence[Series]) -> Table | None:

@@ -16,7 +16,7 @@
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
     const points = [];
-    for (let k = 0; k < runs.columns[0].length / 4; k++) {
+    for (let k = 0; k < runs.columns[0].length / data.letters; k++) {
       const ending = stepbench.endingOf(runs, k);
       if (!NOT_TRIED.includes(ending)) points.push({
         k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),

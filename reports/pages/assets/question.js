@@ -13,26 +13,34 @@
   data.complete = !source.dataset.more;
   const single = source.dataset.single !== undefined;
 
-  // Numbers of a column, four characters each; NaN for none.
-  const numbers = (text) => {
-    const found = new Float64Array(text.length / 4);
+  // A run of a method on a scene is a list.
+  const named = (scenes) => scenes.map((own) => own.map(
+    ([method, at, columns, endings, status]) => ({ method, at, columns, endings, status })));
+  data.runs_of = named(data.runs_of);
+
+  // Numbers of a column, so many characters each; NaN for none.
+  const numbers = (text, letters) => {
+    const found = new Float64Array(text.length / letters), none = "-".repeat(letters);
     for (let k = 0; k < found.length; k++) {
-      const part = text.slice(4 * k, 4 * k + 4);
+      const part = text.slice(letters * k, letters * (k + 1));
       let bits = 0;
       for (const letter of part) bits = 64 * bits + VALUES.get(letter);
-      found[k] = part === "----" ? NaN : 10 ** (80 * bits / (2 ** 24 - 1) - 40);
+      // A fourth character that was left out is taken as its middle.
+      if (letters === 3) bits = 64 * bits + 31.5;
+      found[k] = part === none ? NaN : 10 ** (80 * bits / (2 ** 24 - 1) - 40);
     }
     return found;
   };
 
-  const decode = (text) => {
-    if (!decoded.has(text)) decoded.set(text, numbers(text));
-    return decoded.get(text);
+  const decode = (text, letters = 4) => {
+    const key = letters + text;
+    if (!decoded.has(key)) decoded.set(key, numbers(text, letters));
+    return decoded.get(key);
   };
   // The numbers of a column for the runs of one method on one scene, if the page has them.
   const columnOf = (runs, name) => {
     const k = data.columns.indexOf(name);
-    return k < 0 ? null : decode(runs.columns[k]);
+    return k < 0 ? null : decode(runs.columns[k], data.letters);
   };
   const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
   // The step or tolerance of a run in words.
@@ -76,7 +84,8 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["columns", "resolutions", "runs_of", "answers", "profiles"]) data[name] = rest[name];
+      for (const name of ["letters", "columns", "resolutions", "answers", "profiles"]) data[name] = rest[name];
+      data.runs_of = named(rest.runs_of);
       data.complete = true;
       follow();
     },

@@ -1,0 +1,80 @@
+"""A method beside the built-in one that is nearest to it: stability, and the failure atlas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from bench.results.experiments import ExperimentResult
+from bench.results.records import Damping
+from reports.formatting import number
+from reports.names import BUILT_IN
+from reports.text.atlas_tables import spared
+from reports.text.damping_table import ROUNDING
+from reports.text.table import Table
+
+
+def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:
+    """The nearest other built-in method: of the same family if there is one, else of any.
+
+    Near is what has damping ratios with the smallest mean distance, over the steps that both have;
+    "" if there is none. ``families`` are those of the methods by printed name.
+    """
+    others = [k for k in known if k != name and k.partition("[")[0] in BUILT_IN]
+    found = [(d, k) for k in others if (d := _distance(known[name], known[k])) < math.inf]
+    own = [pair for pair in found if families.get(pair[1]) == families.get(name)]
+    return min(own or found, default=(0.0, ""))[1]
+
+
+def _distance(one: Damping, other: Damping) -> float:
+    ratios = dict(zip(other.omega_h, other.ratio, strict=False))
+    apart = [
+        abs(mine - theirs)
+        for at, mine in zip(one.omega_h, one.ratio, strict=False)
+        if mine is not None and (theirs := ratios.get(at)) is not None
+    ]
+    return sum(apart) / len(apart) if apart else math.inf
+
+
+def stability_beside(
+    name: str, other: str, known: Mapping[str, Damping], names: Mapping[str, str]
+) -> Table:
+    """Spectral radius and damping ratio of both at every step; ``names`` are short names."""
+    pair = {k: names.get(k, k) for k in (name, other)}
+    head = [f"{what}, {short}" for what in ("radius", "damping") for short in pair.values()]
+    rows = []
+    for at in sorted({at for k in pair for at in known[k].omega_h}):
+        columns = [column for of in ("radius", "ratio") for column in _at(at, of, pair, known)]
+        rows.append([number(at), *columns])
+    return Table(
+        f"Its stability beside {pair[other]}",
+        ["omega h", *head],
+        rows,
+        code=(),
+        note="Spectral radius of a step, and numerical damping ratio, on the undamped oscillator "
+        "at the fastest oscillation of each scene and its nominal step. A radius above 1 grows.",
+    )
+
+
+def _at(at: float, of: str, pair: Mapping[str, str], known: Mapping[str, Damping]) -> list[str]:
+    columns = (dict(zip(known[k].omega_h, getattr(known[k], of), strict=False)) for k in pair)
+    values = (column.get(at) for column in columns)
+    return [number(0.0 if v is not None and abs(v) < ROUNDING else v) for v in values]
+
+
+def atlas_beside(
+    name: str, other: str, found: Sequence[ExperimentResult], names: Mapping[str, str]
+) -> Table | None:
+    """Parts of each experiment that spare both methods, of all that apply; None without any."""
+    both = [k for k in (name, other) if k]
+    rows = []
+    for f in found:
+        own = [[c for part in f.parts for c in part.cases if c.integrator == k] for k in both]
+        if any(own):
+            cells = [spared(cases) if cases else "not tried" for cases in own]
+            rows.append([f"{f.number}. {f.title}", *cells])
+    if not rows:
+        return None
+    head = ["failure", *(names.get(k, k) for k in both)]
+    note = "Parts of an experiment of the failure atlas that spare the method, of all that apply."
+    return Table("Failures of the atlas", head, rows, code=(), note=note)
