@@ -146,7 +146,7 @@ def test_long_names_stay_within_the_card(scenes):
 
 
 def test_long_sentences_are_smaller_and_complete():
-    names = [f"method_{'of_a_name_' * 4}{k}" for k in range(3)]
+    names = [f"method_{'of_a_name_' * 3}{k}" for k in range(3)]
     runs = stored(many(names))
     found = answer(runs.series, COUNTS)
     told = [plain(s) for s in sentences(found, words_of(runs.series, {}))[:3]]
