@@ -15,8 +15,8 @@ from test_questions import run, scenes_of
 from bench.commands.main import main
 from bench.results.records import Environment
 from problems.spec import SpecError
-from reports.charts.svg_text import fitted, text_width
-from reports.pages.card import HEIGHT, WIDTH, card_svg, write_card
+from reports.charts.svg_text import Box, fitted, text_width
+from reports.pages.card import HEIGHT, WIDTH, _paragraphs, card_svg, write_card
 from reports.questions.answers import answer
 from reports.questions.phrases import plain
 from reports.questions.question import Question
@@ -146,14 +146,11 @@ def test_long_names_stay_within_the_card(scenes):
 
 
 def test_long_sentences_are_smaller_and_complete():
-    names = [f"method_{'of_a_name_' * 3}{k}" for k in range(3)]
-    runs = stored(many(names))
-    found = answer(runs.series, COUNTS)
-    told = [plain(s) for s in sentences(found, words_of(runs.series, {}))[:3]]
-    lines = texts(card_svg(runs, found, "all"))
-    assert all(sentence in " ".join(said for said, _ in lines) for sentence in told)
-    own = [float(a["font-size"]) for said, a in lines if said.startswith("To 1e-4")]
-    assert 15 <= own[0] < 24
+    said = [("To 1e-4 " + "all of them tie and so on " * 12,)] * 2
+    shown = "".join(_paragraphs(said, Box(0, 0, 560, 400)))
+    lines = texts(f'<svg xmlns="http://www.w3.org/2000/svg">{shown}</svg>')
+    assert " ".join(words for words, _ in lines) == " ".join(" ".join(s).strip() for s in said)
+    assert 15 <= float(lines[0][1]["font-size"]) < 24
 
 
 def test_text_that_is_too_wide_ends_in_an_ellipsis():
