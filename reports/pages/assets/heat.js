@@ -55,7 +55,9 @@
     if (reached) {
       const near = 1 - Math.min(Math.log(ratio) / Math.log(MOST), 1);
       node.style.setProperty("--near", `${Math.round(8 + 92 * near)}%`);
-      node.classList.toggle("deep", near > .45);
+      // Where letters change their colour: each scheme has a shade of its own.
+      node.classList.toggle("middle", near > .56);
+      node.classList.toggle("deep", near > .74);
       if (own.first.includes(data.methods.indexOf(method))) node.classList.add("first");
     }
     return node;
