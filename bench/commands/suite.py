@@ -31,7 +31,7 @@ class _WithSuites(click.Command):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run of a suite left: the records of its cells, how many of them were measured now, the
+    """Outcome of a suite: the records of its cells, how many of them were measured now, the
     experiments of the failure atlas, and sentences on plugins that were lost."""
 
     records: list[Record]

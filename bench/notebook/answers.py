@@ -1,4 +1,4 @@
-"""What the functions for notebooks return: arrays, frames, and a chart where one is shown."""
+"""Answers of the functions for notebooks: arrays, frames, and a chart where one is shown."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class Link:
 
 @dataclass
 class Site:
-    """What all pages of a report show at their side, and the addresses of anchors.
+    """Contents at the side of all pages of a report, and the addresses of anchors.
 
     ``places`` are the addresses of anchors, relative to the run folder.
     """

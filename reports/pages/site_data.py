@@ -1,4 +1,4 @@
-"""What the scripts of the pages are given: plain data, numbers as columns of short text."""
+"""Data for the scripts of the pages: plain values, numbers as columns of short text."""
 
 from __future__ import annotations
 
