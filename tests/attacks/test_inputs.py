@@ -37,6 +37,7 @@ RIGHT = {
     "merge": ["{store}"],
     "open": ["{store}"],
     "figure": ["{store}", "convergence"],
+    "card": ["{store}"],
     "stability": ["newmark"],
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
