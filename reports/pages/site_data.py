@@ -47,7 +47,7 @@ def _four_characters(value: float | None) -> str:
 
 
 def site_data(report: Report) -> dict[str, Any]:
-    """What the scripts are given: methods, scenes, runs, and the answers to all questions."""
+    """Data for the scripts: methods, scenes, runs, and the answers to all questions."""
     families = {s.label: s.family for series in report.series.values() for s in series}
     labels = list(families)
     names, places = report.words.names, list(report.series)
@@ -148,7 +148,7 @@ def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
 
 
 def for_front(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What the front page needs besides: runs, answers without verdicts on scenes, profiles."""
+    """Further data of the front page: runs, answers without verdicts on scenes, profiles."""
     return {
         **{name: data[name] for name in ("letters", "columns", "resolutions", "runs_of")},
         "profiles": data["profiles"],
