@@ -55,7 +55,6 @@
     if (reached) {
       const near = 1 - Math.min(Math.log(ratio) / Math.log(MOST), 1);
       node.style.setProperty("--near", `${Math.round(8 + 92 * near)}%`);
-      node.classList.toggle("deep", near > .45);
       if (own.first.includes(data.methods.indexOf(method))) node.classList.add("first");
     }
     return node;
