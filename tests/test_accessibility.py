@@ -7,7 +7,7 @@ from importlib import resources
 
 import msgspec
 import pytest
-from planted import Document, everything, plant
+from planted import everything, plant
 from small_stores import AN_EXPERIMENT
 from test_browser import waited
 
