@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import re
 import shutil
+from html.parser import HTMLParser
 from importlib import resources
+from itertools import pairwise
 
 import msgspec
 import pytest
@@ -137,3 +141,81 @@ def test_every_shade_of_the_heat_table_can_be_read(browser, folder, scheme):
         """
     )
     assert grave(browser) == []
+
+
+@in_chromium
+def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, folder):
+    visit(browser, folder / "report.html")
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
+    assert 1 <= base64.b64decode(printed).count(b"/Type /Page\n") <= 4
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    seen = browser.execute_script(
+        "return Object.fromEntries(arguments[0].map((name) => [name, "
+        "document.querySelector(name).checkVisibility()]));",
+        ["nav.side", "#question button", "#question", "#answer", "#panels .plot", "#heat"],
+    )
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    hidden = {name for name, is_seen in seen.items() if not is_seen}
+    assert hidden == {"nav.side", "#question button"}
+
+
+class Outline(HTMLParser):
+    """Levels of the headings of a page, in order; those that a script adds are not seen."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.levels: list[int] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if re.fullmatch("h[1-6]", tag):
+            self.levels.append(int(tag[1]))
+
+
+def test_headings_follow_each_other_on_every_page(folder):
+    for page in [folder / "report.html", *folder.glob("report/*.html")]:
+        levels = Outline(page.read_text(encoding="utf-8")).levels
+        assert levels[0] == levels.count(1) == 1, page.name
+        for above, below in pairwise(levels):
+            assert below <= above + 1, (page.name, levels)
+
+
+@in_chromium
+def test_without_scripts_every_page_says_so_and_shows_its_tables(browser, folder):
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        for name in sorted(PAGES):
+            browser.get((folder / name).as_uri())
+            words = browser.find_element("tag name", "main").text
+            assert "need JavaScript" in words, name
+            tables = browser.find_elements("css selector", "main table.sortable")
+            folded = browser.find_elements("css selector", "main details table.sortable")
+            assert tables or name == "report/glossary.html", name
+            assert all(t.is_displayed() for t in tables if t not in folded), name
+    finally:
+        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+
+
+@in_chromium
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_no_page_is_wider_than_a_phone(browser, folder, name):
+    phone = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        visit(browser, folder / name)
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 420
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@in_chromium
+@pytest.mark.parametrize("rows", [".opening > .card", "#panels > .panel"])
+def test_cards_side_by_side_begin_at_the_same_height(browser, folder, rows):
+    visit(browser, folder / "report.html")
+    tops = browser.execute_script(
+        "const cards = [...document.querySelectorAll(arguments[0])];"
+        "return cards.map((card) => card.getBoundingClientRect().top);",
+        rows,
+    )
+    assert len(tops) == 2
+    assert tops[0] == tops[1]

@@ -81,10 +81,6 @@
       target.scrollIntoView({ block: "center" });
     };
     window.addEventListener("hashchange", reveal);
-    window.addEventListener("beforeprint", () => {
-      open = true;
-      show();
-    });
     show();
     reveal();
   }
