@@ -206,7 +206,7 @@ def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
     assert "As predicted: 5 of 5 numbers." in page
     assert page.count("<svg") >= 2
-    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv', "", page)
+    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv|<a href="[^"]*"', "", page)
     second = stepbench("atlas", "condition", "--out", tmp_path, "--json")
     assert "failure atlas" not in second.stderr
     with Store(tmp_path) as store:

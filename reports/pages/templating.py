@@ -16,7 +16,7 @@ from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
 from reports.formatting import file_name
 from reports.text.glossary import terms_in
-from reports.text.table import Table
+from reports.text.table import Table, whole
 
 #: Stands in the head of a page for its content-security policy, until all scripts are known.
 POLICY = "content-security-policy"
@@ -88,6 +88,7 @@ def html(
         "prose": _prose(address) if address else _doi,
         "doi": _doi,
         "file_name": file_name,
+        "whole": whole,
     }
     text = clean(environment.get_template(name).render(**values))
     own = ["'self'"] if linked or assets is not None else []

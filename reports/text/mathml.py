@@ -42,7 +42,7 @@ def mathml(text: str) -> Markup:
         row.append(base)
         k += 1
     joined = Markup("").join(row)
-    return Markup('<math display="block" tabindex="0"><mrow>{}</mrow></math>').format(joined)
+    return Markup('<math display="block"><mrow>{}</mrow></math>').format(joined)
 
 
 def _token(word: str) -> Markup:

@@ -12,6 +12,14 @@ from reports.formatting import NO_VALUE
 #: A number as `reports.formatting.number` writes it, with a mark of doubt or a sign for no number.
 _NUMBER = re.compile(rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|{NO_VALUE}|not counted|not determined|)")
 
+_WHOLE = re.compile(r"[-+]?\d+(?=[.e ])")
+
+
+def whole(cell: str) -> int:
+    """How many characters of a cell stand before the point of its number, all if it has none."""
+    found = _WHOLE.match(cell)
+    return found.end() if found else len(cell)
+
 
 @dataclass
 class Table:
@@ -35,6 +43,14 @@ class Table:
         """The columns of which every cell is a number, or a sign for none."""
         columns = enumerate(zip(*self.rows, strict=True))
         return {j for j, cells in columns if any(cells) and all(map(_NUMBER.fullmatch, cells))}
+
+    @property
+    def tails(self) -> list[int]:
+        """For each column the most characters from the point of a number on; else 0."""
+        return [
+            max(len(row[j]) - whole(row[j]) for row in self.rows) if j in self.numbers else 0
+            for j in range(len(self.head))
+        ]
 
     @classmethod
     def from_dicts(cls, caption: str, rows: Sequence[Mapping[str, str]], **more: Any) -> Table:

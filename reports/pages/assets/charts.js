@@ -47,6 +47,7 @@
     window.vegaEmbed(place, fit(chart, place.clientWidth || document.body.clientWidth), options).then(
       (result) => {
         place.view = result.view;
+        place.querySelector("summary")?.setAttribute("aria-label", "save this chart");
         // What a menu leaves without data is no fault: from here on only errors (1) are said.
         place.view.logLevel(1);
         place.parentElement.after(data);

@@ -55,9 +55,6 @@
     if (reached) {
       const near = 1 - Math.min(Math.log(ratio) / Math.log(MOST), 1);
       node.style.setProperty("--near", `${Math.round(8 + 92 * near)}%`);
-      // Where letters change their colour: each scheme has a shade of its own.
-      node.classList.toggle("middle", near > .59);
-      node.classList.toggle("deep", near > .77);
       if (own.first.includes(data.methods.indexOf(method))) node.classList.add("first");
     }
     return node;

@@ -236,7 +236,7 @@
     const chart = svg("svg", {
       class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,
       viewBox: `0 0 ${wide} ${fits.high}`, width: wide, height: fits.high,
-      role: large ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer),
+      role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer),
     });
     if (at.floor !== null && at.floor < at.inside.y1) {
       chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));

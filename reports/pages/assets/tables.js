@@ -37,6 +37,7 @@
       count.textContent = `show all ${found} rows`;
     };
     heads.forEach((head, column) => {
+      if (!head.textContent.trim()) return;
       const button = make("button", { type: "button", class: "sort" }, ...head.childNodes);
       head.append(button);
       button.addEventListener("click", () => {
@@ -80,10 +81,6 @@
       target.scrollIntoView({ block: "center" });
     };
     window.addEventListener("hashchange", reveal);
-    window.addEventListener("beforeprint", () => {
-      open = true;
-      show();
-    });
     show();
     reveal();
   }

@@ -1,0 +1,221 @@
+"""The pages of a report for all readers: axe-core finds no fault, headings follow each other."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+from html.parser import HTMLParser
+from importlib import resources
+from itertools import pairwise
+
+import msgspec
+import pytest
+from planted import everything, plant
+from small_stores import AN_EXPERIMENT
+from test_browser import waited
+
+from bench.results.experiments import CaseResult, PartResult
+from bench.results.store import Store
+from reports.pages.html_report import write_html_report
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+in_chromium = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
+)
+PAGES = {
+    "report.html",
+    "report/scene-pendulum.html",
+    "report/method-fragile.html",
+    "report/methods.html",
+    "report/failures.html",
+    "report/atlas.html",
+    "report/measured.html",
+    "report/glossary.html",
+}
+SHORT = {"report.html", "report/scene-pendulum.html"}
+CASE = CaseResult(
+    label="mine", integrator="mine", family="other", axis="h", x=[0.1, 0.05], y=[0.2, 0.1],
+    number=1.0, predicted=(0.9, 1.1), as_predicted=True, healthy=False,
+)  # fmt: skip
+DRAWN = """
+return [...document.querySelectorAll("script[data-chart]")].every(
+  (node) => document.getElementById(node.dataset.chart).view);
+"""
+PART = PartResult(text="a part", quantity="error", take="slope", healthy=(1.8, None), cases=[CASE])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = plant(tmp_path_factory.mktemp("planted"), everything())
+    words = dict.fromkeys(("title", "claim", "remedy", "source"), "A word.")
+    with Store(path, create=True) as store:
+        store.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, **words, parts=[PART]))
+    write_html_report(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "window-size=1400,1000"):
+        options.add_argument(f"--{flag}")
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def visit(browser, page, scheme="light"):
+    seen = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": seen})
+    browser.get("about:blank")
+    browser.get(page.as_uri())
+    waited(lambda: browser.execute_script("return window.stepbench?.data.complete ?? true"))
+    # Charts are drawn when they come into sight, or all of them to be printed.
+    browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    waited(lambda: browser.execute_script(DRAWN))
+
+
+def grave(browser):
+    """Violations that axe-core calls serious or critical: rule and first place of each."""
+    axe = resources.files("axe_playwright_python") / "axe.min.js"
+    browser.execute_script(axe.read_text(encoding="utf-8"))
+    found = browser.execute_async_script(
+        """
+        const done = arguments[0];
+        axe.run(document, { resultTypes: ["violations"] }).then(done, (e) => done(String(e)));
+        """
+    )
+    assert len(found["passes"]) > 20
+    wrong = [v for v in found["violations"] if v["impact"] in ("serious", "critical")]
+    return [(v["id"], v["nodes"][0]["html"], v["nodes"][0]["failureSummary"]) for v in wrong]
+
+
+@in_chromium
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", sorted(SHORT))
+def test_axe_finds_no_grave_fault(browser, folder, name, scheme):
+    visit(browser, folder / name, scheme)
+    assert grave(browser) == []
+
+
+@in_chromium
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", sorted(PAGES - SHORT))
+def test_axe_finds_no_grave_fault_on_other_pages(browser, folder, name, scheme):
+    visit(browser, folder / name, scheme)
+    assert grave(browser) == []
+
+
+@in_chromium
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_no_grave_fault_in_a_single_file(browser, tmp_path, scheme):
+    write_html_report(plant(tmp_path, everything()), single_file=True)
+    visit(browser, tmp_path / "report.html", scheme)
+    assert grave(browser) == []
+
+
+@in_chromium
+def test_axe_finds_a_planted_fault(browser, folder):
+    visit(browser, folder / "report.html")
+    browser.execute_script("document.querySelector('#answer').style.color = '#aaa5'")
+    assert [fault[0] for fault in grave(browser)] == ["color-contrast"]
+
+
+@in_chromium
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_shade_of_the_heat_table_can_be_read(browser, folder, scheme):
+    visit(browser, folder / "report.html", scheme)
+    browser.execute_script(
+        """
+        const table = document.getElementById("heat"), cell = table.querySelector(".reached");
+        for (let near = 8; near <= 100; near++) {
+          const other = table.tBodies[0].insertRow().appendChild(cell.cloneNode(true));
+          other.style.setProperty("--near", `${near}%`);
+        }
+        """
+    )
+    assert grave(browser) == []
+
+
+@in_chromium
+def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, folder):
+    visit(browser, folder / "report.html")
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
+    assert 1 <= base64.b64decode(printed).count(b"/Type /Page\n") <= 4
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    seen = browser.execute_script(
+        "return Object.fromEntries(arguments[0].map((name) => [name, "
+        "document.querySelector(name).checkVisibility()]));",
+        ["nav.side", "#question button", "#question", "#answer", "#panels .plot", "#heat"],
+    )
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    hidden = {name for name, is_seen in seen.items() if not is_seen}
+    assert hidden == {"nav.side", "#question button"}
+
+
+class Outline(HTMLParser):
+    """Levels of the headings of a page, in order; those that a script adds are not seen."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.levels: list[int] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if re.fullmatch("h[1-6]", tag):
+            self.levels.append(int(tag[1]))
+
+
+def test_headings_follow_each_other_on_every_page(folder):
+    for page in [folder / "report.html", *folder.glob("report/*.html")]:
+        levels = Outline(page.read_text(encoding="utf-8")).levels
+        assert levels[0] == levels.count(1) == 1, page.name
+        for above, below in pairwise(levels):
+            assert below <= above + 1, (page.name, levels)
+
+
+@in_chromium
+def test_without_scripts_every_page_says_so_and_shows_its_tables(browser, folder):
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        for name in sorted(PAGES):
+            browser.get((folder / name).as_uri())
+            words = browser.find_element("tag name", "main").text
+            assert "need JavaScript" in words, name
+            tables = browser.find_elements("css selector", "main table.sortable")
+            folded = browser.find_elements("css selector", "main details table.sortable")
+            assert tables or name == "report/glossary.html", name
+            assert all(t.is_displayed() for t in tables if t not in folded), name
+    finally:
+        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+
+
+@in_chromium
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_no_page_is_wider_than_a_phone(browser, folder, name):
+    phone = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        visit(browser, folder / name)
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 420
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@in_chromium
+@pytest.mark.parametrize("rows", [".opening > .card", "#panels > .panel"])
+def test_cards_side_by_side_begin_at_the_same_height(browser, folder, rows):
+    visit(browser, folder / "report.html")
+    tops = browser.execute_script(
+        "const cards = [...document.querySelectorAll(arguments[0])];"
+        "return cards.map((card) => card.getBoundingClientRect().top);",
+        rows,
+    )
+    assert len(tops) == 2
+    assert tops[0] == tops[1]
