@@ -1,0 +1,84 @@
+"""Backward differences of order two, on the mechanical form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from integrators.native.guesses import Guess
+from integrators.native.own_values import Formulated, OwnValues
+from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Reading
+from problems.formulations import Start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+
+    from integrators.native.step_records import Time
+    from integrators.native.step_work import StepWork
+
+
+class BDF2State(NamedTuple):
+    """Values at the end of the last step, and q, v and x at its start."""
+
+    shown: Reading
+    before: Base
+    guess: Guess
+    #: True before the first step.
+    first: Array
+
+
+@dataclass(frozen=True)
+class BDF2(OwnValues, Formulated, ImplicitStepMethod):
+    """Backward differences of order two; L-stable, one solve in a step.
+
+    With the ratio w = h/h_before of two steps, for u = q, v and x::
+
+        h udot+ = (1 + 2 w)/(1 + w) u+ - (1 + w) u + w^2/(1 + w) u-
+
+    The first step is one of generalized-alpha with rho_inf = 0, so that it damps as much::
+
+        q+ = q + h v + h^2/2 a+,   v+ = v + h (a + 3 a+)/4,   x+ = x + h (xdot + 3 xdot+)/4
+
+    In the stabilised form the multiplier corrects q alone, not v.
+    """
+
+    name: ClassVar[str] = "bdf2"
+    family: ClassVar[str] = "backward differences"
+    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+    source: ClassVar[str] = (
+        "Gear (1971), doi:10.1109/TCT.1971.1083221; variable steps after Hairer, Norsett & Wanner "
+        "(1993), doi:10.1007/978-3-540-78862-1, sec. III.5"
+    )
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> BDF2State:
+        z = start.z
+        shown = self.reported(scene, z, start.xdot)
+        guess = Guess.begin(z, start.xdot, h)
+        return BDF2State(shown, Base(z.q, z.v, z.x), guess, jnp.asarray(True))
+
+    def step(
+        self, scene: MechatronicSystem, state: BDF2State, t: Time, h: Time, work: StepWork
+    ) -> BDF2State:
+        now, (q, v, x) = state.shown, state.before
+        w = h / state.guess.h
+        newest, older = (1 + w) ** 2 / (1 + 2 * w), w**2 / (1 + 2 * w)
+        tau = h * (1 + w) / (1 + 2 * w)
+        v_base = newest * now.v - older * v
+        later = Base(newest * now.q - older * q + tau * v_base, v_base, newest * now.x - older * x)
+        # Of the first step's acceleration and rate only those of the start are there.
+        a, xdot = now.a, now.xdot
+        first = Base(now.q + h * now.v, now.v + h / 4 * a, now.x + h / 4 * xdot)
+        both = (Slopes(h**2 / 2, 3 * h / 4, 3 * h / 4), first), (Slopes(tau**2, tau, tau), later)
+        slopes, base = jax.tree.map(lambda one, two: jnp.where(state.first, one, two), *both)
+        e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        shown = self.reported(scene, z, xdot, work)
+        guess = state.guess.after(z, xdot, h)
+        return BDF2State(shown, Base(now.q, now.v, now.x), guess, jnp.asarray(False))
+
+    def read(self, scene: MechatronicSystem, state: BDF2State) -> Reading:
+        return state.shown

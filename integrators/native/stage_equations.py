@@ -1,0 +1,154 @@
+"""The equations of an implicit stage on a mechatronic system, in each formulation.
+
+Most implicit methods for second-order systems end a step, or a stage of it, by values that are
+linear in the acceleration and in the rate of the controller states there::
+
+    q = base.q + slopes.q (a - Phi_q^T mu),   v = base.v + slopes.v a,   x = base.x + slopes.x xdot
+
+Newmark's formulas have this form, backward differences, and each stage of a diagonally implicit
+Runge-Kutta method; a method only gives its bases and slopes. The equations of motion, the
+controller and the outputs hold at the end of the stage, and the constraints by formulation:
+``index3`` takes Phi = 0, ``index2`` d/dt Phi = 0, ``index1`` d2/dt2 Phi = 0, and
+``stabilised_index2`` (Gear, Gupta & Leimkuhler 1985, doi:10.1016/0377-0427(85)90008-1) the first
+two, with an extra multiplier mu that corrects the positions.
+
+The unknowns are [a, lam, mu, xdot, y]. Constraint rows are divided by the slope of q, velocity rows
+by that of v: this is equivalent to scaling constraint rows and multipliers by powers of h, so that
+the tangent's condition does not depend on h, and with a fixed tolerance of a the residual of the
+constraints shrinks like h^2. mu has units of lam.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from integrators.native.step_records import largest
+from problems import formulations
+from problems.runtime import jnp
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+_EPS = float(np.finfo(float).eps)
+#: Largest relative rounding of accelerations that counts in the controller's tolerances.
+_MOST_ROUNDING = 1e-6
+
+
+class Base(NamedTuple):
+    """Values of q, v and x at the end of a stage for a, mu and xdot of zero."""
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nq"]
+    x: Float[Array, " nx"]
+
+
+class Slopes(NamedTuple):
+    """Derivatives of q (s^2) and v (s) by a, and of x (s) by xdot, at the end of a stage."""
+
+    q: Scalar
+    v: Scalar
+    x: Scalar
+
+
+class StageEquations(NamedTuple):
+    """Equations for the unknowns u = [a, lam, mu, xdot, y] of a stage.
+
+    ``at(u)`` are the variables and xdot at its end, ``cuts`` the indices between groups of u,
+    ``rounding`` the rounding errors of a, lam and mu.
+    """
+
+    residual: Callable[[Float[Array, " n"]], Float[Array, " n"]]
+    at: Callable[[Float[Array, " n"]], tuple[Variables, Array]]
+    cuts: Sequence[int]
+    rounding: tuple[Scalar, Scalar, Scalar]
+
+    def solve(self, work: StepWork, guess: Array, old: Array) -> tuple[Variables, Array]:
+        """Solve for the variables and xdot.
+
+        Parameters
+        ----------
+        guess, old
+            [a, lam, xdot, y] at which the iteration begins, and those at the start of the step.
+        """
+        guess, old = self._with_mu(guess), self._with_mu(old)
+        a, _, _, *control = jnp.split(old, self.cuts)
+        # The controller's values inherit the rounding errors of a.
+        part = jnp.minimum(self.rounding[0] / (largest(a) + 1e-300), _MOST_ROUNDING)
+        rounding = (*self.rounding, *(part * largest(now, 0.0) for now in control))
+        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding))
+
+    def _with_mu(self, u: Array) -> Array:
+        no_mu = jnp.zeros(self.cuts[2] - self.cuts[1])
+        return jnp.concatenate([u[: self.cuts[1]], no_mu, u[self.cuts[1] :]])
+
+
+def stage_equations(
+    scene: MechatronicSystem,
+    formulation: str,
+    base: Base,
+    slopes: Slopes,
+    t: Time,
+    before: tuple[Array, Time],
+    *,
+    dynamics: Callable[[Variables], Array] | None = None,
+    for_controller: Callable[[Variables], Variables] = lambda z: z,
+) -> StageEquations:
+    """Return the equations of a stage that ends at time t (s).
+
+    Parameters
+    ----------
+    before
+        Coordinates and time at which the directions Phi_q^T of mu are taken.
+    dynamics
+        Residual of the equations of motion; by default `formulations.dynamics_residual`.
+    for_controller
+        The variables that controller and outputs see.
+    """
+    nmu = scene.sizes.nl if formulation == "stabilised_index2" else 0
+    cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, nmu, scene.sizes.nx]).tolist()
+    motion = dynamics or (lambda z: formulations.dynamics_residual(scene, z))
+
+    def at(u: Array) -> tuple[Variables, Array]:
+        a, lam, mu, xdot, y = jnp.split(u, cuts)
+        q, v, x = base.q + slopes.q * a, base.v + slopes.v * a, base.x + slopes.x * xdot
+        if nmu:
+            q = q - slopes.q * formulations.constraint_force(scene, *before, mu)
+        return Variables(q, v, a, lam, x, y, t), xdot
+
+    def residual(u: Array) -> Array:
+        z, xdot = at(u)
+        rows = [motion(z)]
+        if scene.sizes.nl:
+            if formulation in ("index3", "stabilised_index2"):
+                rows.append(scene.constraint(z.q, t) / slopes.q)
+            if formulation in ("index2", "stabilised_index2"):
+                rows.append(formulations.constraint_velocity(scene, z.q, z.v, t) / slopes.v)
+            if formulation == "index1":
+                rows.append(formulations.constraint_acceleration(scene, z.q, z.v, z.a, t))
+        rows += formulations.control_residuals(scene, for_controller(z), xdot)
+        return jnp.concatenate(rows)
+
+    return StageEquations(residual, at, cuts, _rounding(scene, formulation, base, slopes))
+
+
+def _rounding(
+    scene: MechatronicSystem, formulation: str, base: Base, slopes: Slopes
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Rounding errors of a, lam and mu; no update of Newton's method can fall below them.
+
+    End positions and velocities have rounding errors eps |q| and eps |v|. The scaled constraint
+    rows turn them into errors of a.
+    """
+    # Constraints also contain lengths, which do not vanish with q: the size is at least one unit.
+    of_q = 2 * _EPS * largest(base.q, 1.0) / slopes.q
+    of_v = 2 * _EPS * largest(base.v) / slopes.v
+    of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
+    return of_a, of_a * formulations.largest_inertia(scene, base.q), of_q

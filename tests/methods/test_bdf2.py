@@ -1,0 +1,38 @@
+"""Backward differences of order two: published digits, orders in each formulation."""
+
+from __future__ import annotations
+
+import pytest
+from helpers import long
+from proofs import OMEGA_H, TWO_RODS, damping_and_period, orders, radii
+
+from integrators import Steps
+from integrators.methods.bdf2 import BDF2
+from problems.scenes.pendulum import Pendulum
+
+
+def test_its_spectrum_has_the_digits_of_the_formula():
+    # Independent computation in 50 digits from the formula's own polynomial.
+    assert OMEGA_H == (0.1, 1.0, 10.0, 100.0)
+    wanted = [0.999975609345, 0.933321058436, 0.300749568269, 0.078110132815]
+    assert radii(BDF2()) == pytest.approx(wanted, abs=1e-9)
+    assert damping_and_period(BDF2()) == pytest.approx((0.03442589388, 0.1020606581), abs=1e-9)
+
+
+@pytest.mark.parametrize("formulation", ["index3", *long("index2", "stabilised_index2")])
+def test_all_is_second_order_and_multipliers_recover_from_the_first_step(formulation):
+    found = orders(BDF2(formulation=formulation), 400)
+    for group in ("q", "v", "lam"):
+        assert found[group].order_at_end == pytest.approx(2.0, abs=0.12), group
+    assert found["lam"].order_of_largest == pytest.approx(1.0, abs=0.1)
+    two = orders(BDF2(formulation=formulation), 400, TWO_RODS)
+    assert min(two[group].order_at_end for group in ("q", "v", "lam")) > 1.8
+
+
+@pytest.mark.parametrize("formulation", ["index3", "stabilised_index2", *long("index2")])
+def test_the_constraints_of_the_formulation_hold(formulation):
+    run = BDF2(formulation=formulation).prepare(Pendulum(), 1.35, Steps(0.01)).measure()
+    positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+    velocities = abs((run.q * run.v).sum(axis=1)).max()
+    assert (positions < 1e-14) == (formulation != "index2")
+    assert (velocities < 1e-13) == (formulation != "index3")
