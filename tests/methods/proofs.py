@@ -1,4 +1,4 @@
-"""Measurements that prove a method: errors at the end of a pendulum's swing, spectra of its step."""
+"""Measurements that prove a method: errors of a pendulum's swing, spectra of its step."""
 
 from __future__ import annotations
 
