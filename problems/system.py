@@ -161,7 +161,8 @@ class MechatronicSystem:
     ``nominal_step``
         the step size in s from which a convergence study starts
     ``tags``
-        words to search by; `stepbench check` tries integrators on scenes with "conformance"
+        words to search by; `stepbench check` tries integrators on scenes with "conformance", and
+        measures their orders on those with "orders", too
     ``difficulties``
         a sentence for each difficulty, and the methods that it concerns
     ``coordinates``, ``multipliers``, ``states``, ``outputs``

@@ -9,12 +9,13 @@ import pytest
 from radau2 import Radau2
 
 from bench.conformance.orders import check_order
-from bench.conformance.trials import GROUPS, DoublePendulum, order_trials, reference, trial_end
+from bench.conformance.trials import GROUPS, order_trials, reference, trial_end
 from bench.conformance.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option
 from problems import jax
 from problems.formulations import complete, dae_layout
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
 
 SCENES = [Pendulum(), Pendulum(th0=1.0)]

@@ -10,6 +10,7 @@ from bench.commands import (
     history,
     listing,
     options,
+    orders_table,
     outcome_map,
     plugins,
     results,
@@ -55,6 +56,6 @@ for command in (
         results.figure,
         results.card,
     ),
-    *(stability.stability, atlas.atlas, outcome_map.map_),
+    *(stability.stability, atlas.atlas, outcome_map.map_, orders_table.orders_table),
 ):
     main.add_command(command)

@@ -20,6 +20,8 @@ from problems.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
 TAG = "conformance"
+#: The tag of further scenes on which orders are measured.
+ORDERS_TAG = "orders"
 #: A trial run takes this many nominal steps of its scene.
 TRIAL_STEPS = 50
 TRIAL_RTOL = 1e-6
@@ -46,34 +48,6 @@ class ForcedOscillator(MechatronicSystem):
 
     def initial_state(self) -> State:
         return State(q=np.array([1.0]), v=np.array([0.5]))
-
-
-@dataclass(frozen=True)
-class DoublePendulum(MechatronicSystem):
-    """Two masses on two rods, thrown against each other; q are their positions in the plane.
-
-    A velocity along the first rod changes both multipliers in proportion. On a single pendulum it
-    changes them by its square, so that an order that velocities lose does not show in them.
-    """
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.02
-
-    def mass(self, q: Any) -> Any:
-        return jnp.diag(jnp.array([1.0, 1.0, 0.5, 0.5]))
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return -9.81 * jnp.array([0.0, 1.0, 0.0, 0.5])
-
-    def constraint(self, q: Any, t: Any) -> Any:
-        rods = jnp.stack([q[:2], q[2:] - q[:2]])
-        return 0.5 * ((rods**2).sum(axis=1) - jnp.array([1.0, 0.64]))
-
-    def initial_state(self) -> State:
-        angles, rates, lengths = np.array([1.0, 0.3]), np.array([1.0, -2.0]), np.array([1.0, 0.8])
-        along = lengths[:, None] * np.stack([np.sin(angles), -np.cos(angles)], axis=1)
-        across = (lengths * rates)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        return State(q=np.cumsum(along, axis=0).ravel(), v=np.cumsum(across, axis=0).ravel())
 
 
 @dataclass(frozen=True)
@@ -152,16 +126,23 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     DoesNotApply
         If it takes no scene at all.
     """
-    # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
-    classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
-    tagged = [name for name, cls in classes.items() if TAG in _tags(cls)]
-    tried = ForcedOscillator(), *map(registry.problem, tagged)
+    tried = [ForcedOscillator(), *_tagged(registry, TAG)]
     taken = [scene for scene in tried if refusal(method, scene) is None]
-    others = (scene for scene in map(registry.problem, classes) if refusal(method, scene) is None)
+    every = map(registry.problem, _classes(registry))
+    others = (scene for scene in every if refusal(method, scene) is None)
     taken = taken or list(islice(others, 1))
     if not taken:
         raise DoesNotApply("It takes no scene.")
     return taken
+
+
+def _classes(registry: Registry) -> dict[str, type]:
+    return {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
+
+
+def _tagged(registry: Registry, tag: str) -> list[MechatronicSystem]:
+    # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
+    return [registry.problem(name) for name, cls in _classes(registry).items() if tag in _tags(cls)]
 
 
 def _tags(cls: type) -> tuple[str, ...]:
@@ -172,15 +153,15 @@ def _tags(cls: type) -> tuple[str, ...]:
 
 
 def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
-    """Return the trial scenes that a method takes, and a second one with constraints.
+    """Return the trial scenes that a method takes, and those with the tag "orders".
 
     Raises
     ------
     DoesNotApply
         If it takes no scene at all.
     """
-    double = DoublePendulum()
-    return trials(registry, method) + ([double] if refusal(method, double) is None else [])
+    more = _tagged(registry, ORDERS_TAG)
+    return trials(registry, method) + [scene for scene in more if refusal(method, scene) is None]
 
 
 def trial_end(scene: MechatronicSystem) -> float:

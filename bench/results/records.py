@@ -64,6 +64,8 @@ class Record(msgspec.Struct, kw_only=True):
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
     the bill of the run: floating-point operations by part, empty where a part is not known.
+    ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
+    where they are not known.
     ``calls`` is the integrator's statement of how its steps call the equations.
     ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too.
     ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
@@ -77,6 +79,7 @@ class Record(msgspec.Struct, kw_only=True):
     formulation: Name
     controls: Controls
     calls: str = ""
+    claims: dict[str, int] | None = None
     h: Positive | None = None
     pattern: Annotated[tuple[Positive, ...], Meta(min_length=1)] = (1.0,)
     rtol: Positive | None = None

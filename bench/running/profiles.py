@@ -18,9 +18,9 @@ import msgspec
 from problems import spec
 from problems.spec import SpecError
 
-#: Figures and tables that a study can show; "runs" is a table of every run.
+#: Figures and tables that a study can show: every run; orders claimed and measured.
 FIGURES = ("trajectory", "convergence", "work_precision")
-TABLES = ("runs",)
+TABLES = ("runs", "orders")
 #: Largest profile in bytes, and most integrators of a study.
 _LARGEST, _MOST_VARIED = 1_000_000, 10_000
 

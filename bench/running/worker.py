@@ -118,6 +118,7 @@ class Worker:
                 _add(record, f"No errors are known. {lacking}")
                 record.stopped = REFERENCE
             self._bill(record, trajectory)
+            self._claims(record, scene)
         return CellResult(record, measure.rows_of(trajectory))
 
     def _compare(
@@ -149,6 +150,13 @@ class Worker:
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
         run.notes |= histories | drift
+
+    def _claims(self, record: Record, scene: MechatronicSystem) -> None:
+        try:
+            claims = self.registry.integrator(record.integrator).claims(scene)
+            record.claims = answers.orders(claims, "claims()")
+        except BaseException as error:
+            _add(record, f"Its claimed orders are not known: {why(error)}")
 
     def _bill(self, record: Record, run: Trajectory) -> None:
         try:

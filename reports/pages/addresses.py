@@ -80,7 +80,8 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
         Link("Failures", page("failures.html"), report.failed),
     ]
     scenes = [Link(scene_name(s.name), page(scene_page(s.name))) for s in report.scenes]
-    why = [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
+    why = [Link("Orders", page("orders.html"))] if report.orders else []
+    why += [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
     why += [
         Link("How it was measured", page("measured.html")),
         Link("Glossary", page("glossary.html")),

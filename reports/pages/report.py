@@ -33,6 +33,7 @@ from reports.text.measurement import (
     noise_sentence,
     state_sentence,
 )
+from reports.text.order_table import order_tables
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table, unsupported_table
 from reports.text.table import Table
@@ -63,6 +64,7 @@ class Report:
     failures: Table | None
     unsupported: Table | None
     lost_orders: Table | None
+    orders: list[Table]
     timing: Table | None
     noise: str
     environments: list[tuple[int, Environment]]
@@ -149,6 +151,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         failures=failures_table(runs),
         unsupported=unsupported_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
+        orders=order_tables(plan, records),
         timing=timing_table(series_of(runs)),
         noise=noise_sentence(runs),
         environments=list(environments.items()),

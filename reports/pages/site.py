@@ -62,6 +62,8 @@ def pages(report: Report) -> Iterator[Page]:
         yield Page(method_page(m.label), "method.html.j2", title, "method", {"method": m})
     yield Page("methods.html", "methods.html.j2", "Methods", "methods")
     yield Page("failures.html", "failures.html.j2", "Failures", "failures")
+    if report.orders:
+        yield Page("orders.html", "orders.html.j2", "Orders", "orders")
     if report.atlas:
         anchors = [f"atlas-{e.result.name}" for e in report.atlas.experiments]
         yield Page("atlas.html", "atlas_chapter.html.j2", "Failure atlas", "atlas", {}, anchors)

@@ -12,7 +12,7 @@ TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
 #: Name of the filter that takes all scenes.
 ALL = "all"
 #: Tags by which nobody chooses a mechanism: they tell how a scene serves the bench.
-OF_THE_BENCH = {"conformance", "benchmark", "closed form", "scalable"}
+OF_THE_BENCH = {"conformance", "orders", "benchmark", "closed form", "scalable"}
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
 

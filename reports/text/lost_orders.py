@@ -31,7 +31,10 @@ def lost_orders_table(
         for s in series:
             facts = known.get(s.records[0].integrator)
             # An order belongs to constant steps; of tolerances the error has to fall at all.
-            claims = facts.orders if facts and s.controls == "step" else {}
+            claimed_here = s.finest.claims
+            if claimed_here is None:
+                claimed_here = facts.orders if facts else {}
+            claims = claimed_here if s.controls == "step" else {}
             alike: dict[tuple[str, str, str], list[str]] = {}
             for group in groups_of(s.ok):
                 claimed = claims.get(group)

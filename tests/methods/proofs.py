@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from helpers import errors_at
 
-from bench.conformance.trials import DoublePendulum
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
 from integrators import Integrator
 from problems import MechatronicSystem, jax
 from problems.initial_values import consistent_start
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
 
 #: The swing of most tests: from t = 0.35 s on for one second.
