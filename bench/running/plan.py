@@ -239,7 +239,10 @@ def _select_problems(
     extra = [p for p in asked if p not in there]
     if extra:
         unique = list(dict.fromkeys(integrators))
-        selected.append(StudyFile(problems=extra, integrators=unique))
+        # Scenes of their own show the same as the others, if these agree on it.
+        shown = {file.figures for file in files}
+        figures = shown.pop() if len(shown) == 1 else FIGURES
+        selected.append(StudyFile(problems=extra, integrators=unique, figures=figures))
     return selected
 
 

@@ -1,0 +1,62 @@
+"""The order table: claims beside fitted orders, on planted errors and in a run."""
+
+from __future__ import annotations
+
+import pytest
+from planted import STEPS, planted
+
+from bench.results.records import Study
+from bench.results.store import Store
+from reports.series import series_of
+from reports.text.order_table import order_table
+
+
+def rows(records):
+    table = order_table(series_of(records), "Orders")
+    assert table is not None
+    return {tuple(row[:2]): dict(zip(table.head[2:], row[2:], strict=True)) for row in table.rows}
+
+
+def test_claims_stand_beside_settled_orders_and_those_with_the_start():
+    records = [
+        planted("pendulum", "mine", {"q": (1, 2), "lam": (4, 2)}, h=h, claims={"q": 2, "lam": 3})
+        for h in STEPS
+    ]
+    for r in records:
+        r.errors["lam"]["max"] = 2 * r.h
+    found = rows(records)
+    assert found["mine", "claimed"] == {"q": "2", "λ": "3"}
+    assert found["", "settled"] == {"q": "2.00", "λ": "2.00 *"}
+    assert found["", "with start"] == {"q": "2.00", "λ": "1.00"}
+
+
+def test_no_claim_and_no_convergence_are_told_apart():
+    records = [
+        planted("pendulum", "mine", {"q": (1, 2), "a": (0.3, 0)}, h=h, claims={"a": 1})
+        for h in STEPS
+    ]
+    found = rows(records)
+    assert found["mine", "claimed"] == {"q": "–", "a": "1"}  # noqa: RUF001
+    assert found["", "settled"] == {"q": "2.00", "a": "0 *"}
+
+
+def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
+    few = [planted("pendulum", "mine", {"q": (1, 2)}, h=h) for h in STEPS[:2]]
+    assert order_table(series_of(few), "Orders") is None
+
+
+@pytest.mark.long
+def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
+    answer = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path)
+    assert answer.exit_code == 0, answer.output
+    for words in ("bdf2", "claimed", "settled", "with start"):
+        assert words in answer.stdout
+    with Store(tmp_path) as store:
+        plan, records = store.plan(), store.records()
+    assert [s.figures for s in plan.studies] and all(isinstance(s, Study) for s in plan.studies)
+    assert {tuple(r.claims.items()) for r in records.values()} == {
+        tuple(dict.fromkeys(("q", "v", "a", "lam", "x", "y"), 2).items())
+    }
+    assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    again = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path, "--markdown")
+    assert "| bdf2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
