@@ -49,7 +49,7 @@
         html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     }));
-    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}`), html("thead", {}, head), body);
+    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`), html("thead", {}, head), body);
     const rest = rows.length - shown.length;
     if (rest > 0 || !folded) {
       const button = html("button", { type: "button", class: "more" }, folded ? `${rest} more` : "fewer");
