@@ -15,6 +15,7 @@ from bench.results.records import Record
 from reports.names import scene_name
 from reports.pages.addresses import FOLDER, Site, method_page, root, scene_page, site_of
 from reports.pages.motion import motion
+from reports.pages.packing import packed
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.site_data import for_scene
@@ -117,7 +118,7 @@ def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
             here=here,
             single=False,
             library="",
-            data=for_scene(data, page.values["place"]) if page.kind == "scene" else None,
+            data=packed(for_scene(data, page.values["place"])) if page.kind == "scene" else None,
             more="",
             scripts=QUESTION_SCRIPTS,
             pages_at="",

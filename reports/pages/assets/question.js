@@ -84,7 +84,7 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["letters", "columns", "resolutions", "answers", "profiles"]) data[name] = rest[name];
+      for (const name of ["letters", "columns", "resolutions", "answers", "refs", "profiles"]) data[name] = rest[name];
       data.runs_of = named(rest.runs_of);
       data.complete = true;
       follow();

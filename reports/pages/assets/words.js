@@ -2,9 +2,10 @@
 "use strict";
 (() => {
   const { html, data } = stepbench;
-  // A part of a sentence is text, or names something that has a place in the report.
-  const part = (item) => {
-    if (typeof item === "string") return item;
+  // A part of a sentence is text, or the place of a reference to something in the report.
+  const part = (place) => {
+    if (typeof place === "string") return place;
+    const item = data.refs[place];
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const text = item.text || item.key;
     const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
