@@ -69,6 +69,6 @@
     place.replaceChildren(chart);
   };
   menu.addEventListener("change", () => draw(stepbench.question));
-  stepbench.onChange(draw);
+  stepbench.onChange(draw, place);
   window.addEventListener("resize", () => draw(stepbench.question));
 })();
