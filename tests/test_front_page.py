@@ -402,3 +402,20 @@ def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
     )
     assert near
     assert min(near) > 0
+
+
+@in_chromium
+def test_the_bar_stays_in_sight_on_a_phone_in_one_line(page, folder):
+    size = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        visit(page, folder)
+        top, bottom, wide = page.execute_script(
+            'document.getElementById("heat-head").scrollIntoView();'
+            'const bar = document.getElementById("question").getBoundingClientRect();'
+            "return [bar.top, bar.bottom, document.documentElement.scrollWidth];"
+        )
+    finally:
+        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert (top, wide) == (0, 420)
+    assert 30 < bottom < 60
