@@ -59,8 +59,6 @@ def summary_table(series: Sequence[Series]) -> Table:
                 "operations": number(cost_of(run, "operations")) if run else NO_VALUE,
                 "runs": s.statuses,
                 "most accurate run": run.resolution if run else NO_VALUE,
-                "resolutions": s.resolutions,
-                "formulation": s.formulations,
             }
         )
     best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
