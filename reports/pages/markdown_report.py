@@ -14,7 +14,7 @@ from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, Sentence, plain, rendered
-from reports.questions.sentences import scene_sentence, sentences
+from reports.questions.sentences import scene_sentence, sentences, unjudged
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -46,6 +46,9 @@ def write_markdown_report(folder: Path) -> Path:
     said = {
         name: scene_sentence(report.answer.question, name, on, report.words)
         for name, on in report.answer.scenes.items()
+    } | {
+        name: unjudged(report.answer.question, name, error)
+        for name, error in report.answer.unjudged.items()
     }
     own = Path(folder) / FOLDER
     own.mkdir(exist_ok=True)

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
-from reports.formatting import file_name
+from reports.formatting import file_name, symbols
 from reports.text.glossary import terms_in
 from reports.text.table import Table, whole
 
@@ -22,6 +22,8 @@ from reports.text.table import Table, whole
 POLICY = "content-security-policy"
 _DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")
 _DOI_LINK = Markup('<a href="https://doi.org/{}" rel="noreferrer">doi:{}</a>')
+#: A name in the docstring of a scene.
+_CODE = re.compile(r"``(.+?)``")
 _TERM_LINK = Markup('<a class="term" href="{}" title="{}">{}</a>')
 
 
@@ -106,11 +108,17 @@ def html(
 
 
 def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
-    """A filter that makes links of DOIs, and of the first use of each term on a page."""
+    """A filter that makes links of DOIs, and of the first use of each term on a page.
+
+    ``name`` is set as code, and lam as λ.
+    """
     used: set[str] = set()
 
     def prose(text: object) -> Markup:
-        return _with_dois(str(text), terms)
+        pieces = _CODE.split(str(text))
+        said = [_with_dois(symbols(piece), terms) for piece in pieces]
+        said[1::2] = [Markup("<code>{}</code>").format(piece) for piece in pieces[1::2]]
+        return Markup("").join(said)
 
     def terms(text: str) -> Markup:
         parts, at = [], 0
@@ -128,7 +136,7 @@ def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
 
 def _doi(text: object) -> Markup:
     """A filter that makes links of DOIs only."""
-    return _with_dois(str(text), escape)
+    return _with_dois(symbols(str(text)), escape)
 
 
 def _with_dois(text: str, others: Callable[[str], Markup]) -> Markup:
@@ -167,8 +175,14 @@ def _environment(autoescape: bool) -> jinja2.Environment:
 
 
 def escape_markdown(text: object) -> str:
-    """Text on one line in which no character is Markdown."""
-    flat = " ".join(str(text).split())
+    """Text on one line in which no character is Markdown; lam is λ, and ``name`` is code."""
+    pieces = _CODE.split(symbols(" ".join(str(text).split())))
+    pieces[::2] = map(_escaped, pieces[::2])
+    pieces[1::2] = map(code, pieces[1::2])
+    return "".join(pieces)
+
+
+def _escaped(flat: str) -> str:
     flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", flat)
 

@@ -167,7 +167,7 @@
     const first = answer?.first.map((m) => data.methods[m].short) || [];
     return `${scene.name}: error in ${data.group_names[question.group]} (${data.norm}) against ${stepbench.costName(question)}, ` +
       `${curves.length} methods, ${curves.reduce((n, c) => n + c.points.length, 0)} runs, ${failed} of them failed. ` +
-      (!answer ? "This accuracy cannot be judged here. " : reach ? `${reach} reach ${question.target}; ` : `None reaches ${question.target}. `) +
+      (!answer ? `${stepbench.unjudged(data.scenes.indexOf(scene), question)} ` : reach ? `${reach} reach ${question.target}; ` : `None reaches ${question.target}. `) +
       (first.length ? `cheapest: ${first.join(", ")}.` : "");
   };
 
@@ -240,7 +240,7 @@
     });
     if (at.floor !== null && at.floor < at.inside.y1) {
       chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));
-      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, "below: the reference cannot judge"));
+      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, `below: within ${data.trust} times the reference's own error, ${stepbench.ownError(index, question.group)}`));
     }
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
