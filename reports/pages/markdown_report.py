@@ -50,11 +50,13 @@ def write_markdown_report(folder: Path) -> Path:
         name: unjudged(report.answer.question, name, error)
         for name, error in report.answer.unjudged.items()
     }
+    names = {**report.names, **{name: scene_name(name) for name in report.series}}
     own = Path(folder) / FOLDER
     own.mkdir(exist_ok=True)
     for chapter in report.scenes:
         text = markdown(
             "scene.md.j2",
+            names,
             report=report,
             scene=chapter,
             verdict=escape_markdown(plain(said.get(chapter.name, []))),
@@ -69,9 +71,10 @@ def write_markdown_report(folder: Path) -> Path:
     links = _links(report, files)
     text = markdown(
         "report.md.j2",
+        names,
         report=report,
         answer=[_text(s, links) for s in sentences(report.answer, report.words)],
-        standings=standings_table(report.answer, report.words.names),
+        standings=standings_table(report.answer),
         scenes=[
             (
                 scene_name(s.name),

@@ -153,10 +153,18 @@ def asset(file: str) -> str:
     return (resources.files("reports.pages") / "assets" / file).read_text(encoding="utf-8")
 
 
-def markdown(name: str, **values: object) -> str:
-    """Fill in a template of Markdown; several blank lines become one."""
+def markdown(name: str, names: Mapping[str, str] = MappingProxyType({}), **values: object) -> str:
+    """Fill in a template of Markdown; several blank lines become one.
+
+    ``names`` are short names of integrators and scenes, which stand for them in tables.
+    """
     environment = _environment(autoescape=False)
-    environment.filters |= {"md": escape_markdown, "code": code, "table": markdown_table}
+    environment.filters |= {
+        "md": escape_markdown,
+        "code": code,
+        "name": lambda key: _named(key, names),
+        "table": lambda table: markdown_table(table, names),
+    }
     text = clean(environment.get_template(name).render(**values))
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
@@ -193,13 +201,23 @@ def code(text: object) -> str:
     return f"`{flat}`".replace("|", "\\|") if flat else ""
 
 
-def markdown_table(table: Table | None) -> str:
+def _named(key: str, names: Mapping[str, str]) -> str:
+    """A short name; one that has none is code."""
+    return escape_markdown(names[key]) if key in names else code(key)
+
+
+def markdown_table(table: Table | None, names: Mapping[str, str] = MappingProxyType({})) -> str:
     """A table in GitHub's Markdown, with its caption and note; nothing for None."""
     if table is None:
         return ""
-    lines = [_row(escape_markdown(head) for head in table.head), _row("---" for _ in table.head)]
+    lines = [
+        _row(escape_markdown(names.get(head, head)) for head in table.head),
+        _row("---" for _ in table.head),
+    ]
     for i, cells in enumerate(table.rows):
-        shown = [code(c) if j in table.code else escape_markdown(c) for j, c in enumerate(cells)]
+        shown = [
+            _named(c, names) if j in table.code else escape_markdown(c) for j, c in enumerate(cells)
+        ]
         lines.append(_row(f"**{c}**" if (i, j) in table.best else c for j, c in enumerate(shown)))
     # With a colon: a line that is all bold would pass for a heading.
     parts = [f"**{escape_markdown(table.caption)}**:", "\n".join(lines)]

@@ -245,7 +245,6 @@
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
     chart.append(svg("path", { class: "asked", d: `M${at.inside.x0} ${y}H${at.inside.x1}` }));
-    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x1 - 4, y: y - 5, "text-anchor": "end" }, `asked: ${question.target}`));
     const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
@@ -269,6 +268,9 @@
       if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
     if (names) chart.append(legend(drawn, at, wide));
+    // On the left no line leads to a name; the name of the reference's floor may stand there.
+    const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
+    if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
     if (!all.length) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
       curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
