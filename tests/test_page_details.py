@@ -8,8 +8,10 @@ import msgspec
 import pytest
 from planted import edited, everything, plant
 
+from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts
 from bench.results.store import Store
+from reports.charts.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 
@@ -76,3 +78,33 @@ def test_a_scene_that_cannot_be_judged_says_so(folder):
     ):
         assert "1e-4 in acceleration cannot be judged on " in text
         assert reason in text
+
+
+def test_markdown_has_the_short_names_of_the_pages(folder):
+    index = (folder / "report.md").read_text(encoding="utf-8")
+    scene = page(folder, "scene-pendulum.md")
+    assert f"- gα 0.8 · GGL · modified: `{LONG}`" in index
+    assert index.count(LONG) == 1
+    assert LONG not in scene
+    assert "| good[rho_inf=0.8]" not in scene
+    assert "| good 0.8 |" in scene
+    assert "| spring mass |" in index
+
+
+def test_a_part_of_the_atlas_without_a_sweep_shows_its_numbers():
+    def case(number):
+        return CaseResult(
+            label="one", integrator="one", family="f", axis="h", x=[0.1], y=[number],
+            number=number, predicted=None, as_predicted=None, healthy=None,
+        )  # fmt: skip
+
+    def chart_of(*numbers):
+        part = dict(text="A", quantity="error", take="last", healthy=(None, 1.0), show="")
+        return experiment_chart(PartResult(cases=list(map(case, numbers)), **part))
+
+    chart = chart_of(1e-16, None, 1e-3)
+    assert chart is not None
+    assert "1e-16" in str(chart)
+    assert "'type': 'log'" in str(chart)
+    assert "'type': 'log'" not in str(chart_of(0.0, 1.0))
+    assert chart_of(None) is None
