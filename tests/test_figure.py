@@ -234,12 +234,13 @@ def test_errors_over_time_are_the_notes_of_the_finest_runs(tmp_path):
     with Store(folder, create=True) as store:
         for key, record in store.records().items():
             if record.status == "ok":
-                rows = store.rows(key)
-                rows.notes["error_a"] = [0.0, *(1e-3 * t for t in rows.t[1:])]
-                store.save(record, rows)
+                kept = store.rows(key)
+                kept.notes["error_a"] = [0.0, *(1e-3 * t for t in kept.t[1:])]
+                store.save(record, kept)
     chart = errors_over_time(folder, scene="pendulum", error="a").to_dict()
-    rows = rows(chart, "runs")
-    assert {float(row["error_a"]) for row in rows if float(row["t"]) == 1.0} == {1e-3}
+    assert {float(row["error_a"]) for row in rows(chart, "runs") if float(row["t"]) == 1.0} == {
+        1e-3
+    }
     with pytest.raises(SpecError, match="no group 'b'"):
         errors_over_time(folder, scene="pendulum", error="b")
     with pytest.raises(SpecError, match="has stored errors of q over time"):
