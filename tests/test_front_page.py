@@ -159,7 +159,7 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
 @in_chromium
 def test_a_scene_that_cannot_be_judged_says_why(page, folder):
     for group, words in (
-        ("lam", "No run on this scene has an error in multiplier lam."),
+        ("lam", "No run on this scene has an error in multiplier λ."),
         ("a", ""),
     ):
         address = (folder / "report" / "scene-spring_mass.html").as_uri()

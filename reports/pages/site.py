@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import resources
@@ -143,7 +143,7 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
-        "command": _command(runs),
+        "command": _command(runs, {m.label: m.plugins for m in report.methods}),
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
@@ -151,7 +151,7 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     return Page(scene_page(chapter.name), "scene.html.j2", title, "scene", values, anchors)
 
 
-def _command(runs: list[Record]) -> str:
+def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:
     """A command that repeats the cheapest run that reaches the accuracy, or the first one."""
     good = [r for r in runs if r.status == "ok" and len(r.pattern) == 1]
     if not good:
@@ -162,4 +162,4 @@ def _command(runs: list[Record]) -> str:
     if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
         control += f" --atol {best.atol:g}"
     words = ["stepbench", "solve", best.problem, best.integrator]
-    return f"{shlex.join(words)} {control} --t-end {best.t_end:g}"
+    return f"{shlex.join(words)} {control} --t-end {best.t_end:g}{plugins[best.integrator]}"

@@ -18,6 +18,7 @@ from reports.series import label_of
 
 #: Scenes are named with their costs if no more than these are compared.
 _EACH = 3
+_OWN = "the reference's own error there"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
@@ -146,10 +147,23 @@ def _where(where: Mapping[str, Sequence[str]], words: Words) -> Sentence:
 def _unjudged(found: Answer) -> list[Sentence]:
     if not found.unjudged:
         return []
-    it = ["It"] if found.scenes else [found.question.accuracy]
+    it = "It" if found.scenes else found.question.accuracy
     where = listed([scene_ref(k), f" ({number(e)})"] for k, e in found.unjudged.items())
-    reason = "the reference's own error there is more than a hundredth of it"
-    return [[*it, " cannot be judged on ", *where, f": {reason}."]]
+    than = f"is more than a hundredth of {found.question.accuracy}"
+    if len(found.unjudged) > 1:
+        return [[f"{it} cannot be judged on ", *where, f": {_OWN}, in brackets, {than}."]]
+    ((scene, error),) = found.unjudged.items()
+    return [[f"{it} cannot be judged on ", *unjudged(found.question, scene, error)[1:]]]
+
+
+def unjudged(question: Question, scene: str, error: float) -> Sentence:
+    """The reason for which there is no answer on a scene; ``error`` is the reference's own one."""
+    than = f"more than a hundredth of {question.accuracy}"
+    return [
+        f"{question.accuracy} in {question.quantity} cannot be judged on ",
+        scene_ref(scene),
+        f": {_OWN} is {number(error)}, {than}.",
+    ]
 
 
 def _unknown(found: Answer, words: Words) -> list[Sentence]:

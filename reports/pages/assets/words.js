@@ -15,10 +15,6 @@
     return node;
   };
   stepbench.part = part;
-  // The reason for which a question has no answer on a scene.
-  stepbench.unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
-    ? `${target} cannot be judged on this scene: the reference's own error is more than a hundredth of it.`
-    : `No run on this scene has an error in ${data.group_names[group]}.`;
 
   const card = document.getElementById("answer"), table = document.getElementById("standings");
   if (!card) return;
