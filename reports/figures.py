@@ -8,18 +8,18 @@ From Python they are Altair charts:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.results.quantities import COST, COST_NAMES, group_and_norm
+from bench.results.quantities import COST, COST_NAMES, GROUPS, error_note, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
 from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
 from reports.charts.line_styles import paper_line_styles
-from reports.charts.over_time import reference_line, run_lines, wide_rows
+from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, wide_rows
 from reports.charts.paper_style import FORMATS, on_paper
-from reports.charts.vega_lite import ChartOptions, Dataset, Spec
+from reports.charts.vega_lite import ChartOptions, Dataset, Spec, short
 from reports.formatting import component_title, words
 from reports.selection import Selection, group_and_place
 from reports.series import Series, cost_of, ok_runs
@@ -91,6 +91,21 @@ def trajectory(
     ``component`` is a group and a number or the name of a coordinate, such as "a:Y" or "lam:1".
     """
     return _altair(_trajectory(Selection(folder, scene, integrators, t_end), component))
+
+
+def errors_over_time(
+    folder: str | Path,
+    *,
+    scene: str | None = None,
+    error: str = "q",
+    integrators: Sequence[str] = (),
+    t_end: float | None = None,
+) -> altair.LayerChart:
+    """Error of a group over time as an Altair chart: the finest run of each.
+
+    ``error`` is a group, such as "a"; see ``work_precision``.
+    """
+    return _altair(_errors_over_time(Selection(folder, scene, integrators, t_end), error))
 
 
 def write_figure(
@@ -180,10 +195,32 @@ def _rows(rows: Rows, group: str, place: int, label: str) -> list[dict[str, Any]
     return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], label)
 
 
+def _errors_over_time(chosen: Selection, error: str = "q") -> Spec:
+    note = error_note(error)
+    if note not in ERRORS:
+        raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
+    rows = [
+        {"series": s.label, "t": short(t), note: short(value)}
+        for s in chosen.series
+        for t, value in _noted(chosen.rows(s.finest), note)
+    ]
+    if not any(row[note] for row in rows):
+        raise SpecError(f"No chosen run on {chosen.name} has stored errors of {error} over time.")
+    options = ChartOptions(paper_line_styles(s.label for s in chosen.series))
+    data = Dataset("runs", rows)
+    return on_paper({"layer": [note_lines(data, note, options, first=True)]}, [data])
+
+
+def _noted(rows: Rows, note: str) -> Iterable[tuple[float, float | None]]:
+    values = rows.notes.get(note, [])
+    return zip(rows.t, values, strict=True) if values else ()
+
+
 _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {
     "work_precision": (_work_precision, ("error", "cost")),
     "convergence": (_convergence, ("error",)),
     "trajectory": (_trajectory, ("component",)),
+    "errors_over_time": (_errors_over_time, ("error",)),
 }
 
 

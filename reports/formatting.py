@@ -43,6 +43,11 @@ def milliseconds(seconds: float | None) -> str:
     return number(None if seconds is None else seconds * 1e3)
 
 
+def symbols(text: str) -> str:
+    """A text with λ for the group lam; inputs such as lam=... stay as they are."""
+    return re.sub(r"\blam\b(?![=:])", "λ", text)
+
+
 def words(items: Iterable[str]) -> str:
     """'a', 'a and b', 'a, b and c'."""
     *head, last = items

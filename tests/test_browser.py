@@ -146,7 +146,7 @@ def wanted(folder, group, norm, cost):
 
 
 def test_the_menus_show_the_errors_and_costs_of_the_store(browser, folder):
-    choose(browser, EXPLORER, "group", "multiplier lam")
+    choose(browser, EXPLORER, "group", "multiplier λ")
     choose(browser, EXPLORER, "norm", "largest over time")
     choose(browser, EXPLORER, "cost", "residual evaluations")
     expected = wanted(folder, "lam", "max", "residuals")

@@ -129,6 +129,9 @@ def test_panels_of_few_scenes_name_the_cheapest_and_mark_its_run():
     assert winners == {"s0": "one, two", "s1": "two", "s2": "one"}
     assert content.count("<circle") == 4
     check_places(found)
+    tops, right = {w[3] for w in found if w[0] in winners}, max(w[2] for w in found)
+    assert len(tops) == 2  # the third scene has the second row for itself
+    assert [w for w in found if w[0] == winners["s2"] and w[2] == right]
     assert "not reached" in card_of([run("s", n, 9, error=1.0) for n in ("one", "two")])
 
 

@@ -20,7 +20,7 @@ from bench.results.quantities import COST_NAMES
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
-from reports.figures import convergence, trajectory, work_precision
+from reports.figures import convergence, errors_over_time, trajectory, work_precision
 from reports.series import series_of
 
 
@@ -227,3 +227,21 @@ def test_files_need_no_altair_and_charts_say_what_to_install(folder, tmp_path):
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("False\nAltair is not installed; install stepbench[figures]")
+
+
+def test_errors_over_time_are_the_notes_of_the_finest_runs(tmp_path):
+    folder = plant(tmp_path / "out", everything())
+    with Store(folder, create=True) as store:
+        for key, record in store.records().items():
+            if record.status == "ok":
+                kept = store.rows(key)
+                kept.notes["error_a"] = [0.0, *(1e-3 * t for t in kept.t[1:])]
+                store.save(record, kept)
+    chart = errors_over_time(folder, scene="pendulum", error="a").to_dict()
+    assert {float(row["error_a"]) for row in rows(chart, "runs") if float(row["t"]) == 1.0} == {
+        1e-3
+    }
+    with pytest.raises(SpecError, match="no group 'b'"):
+        errors_over_time(folder, scene="pendulum", error="b")
+    with pytest.raises(SpecError, match="has stored errors of q over time"):
+        errors_over_time(folder, scene="pendulum")

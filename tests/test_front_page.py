@@ -159,7 +159,7 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
 @in_chromium
 def test_a_scene_that_cannot_be_judged_says_why(page, folder):
     for group, words in (
-        ("lam", "No run on this scene has an error in multiplier lam."),
+        ("lam", "No run on this scene has an error in multiplier λ."),
         ("a", ""),
     ):
         address = (folder / "report" / "scene-spring_mass.html").as_uri()
@@ -334,8 +334,48 @@ def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
     assert [short[k : k + 3] for k in range(0, len(short), 3)] == [
         full[k : k + 3] for k in range(0, len(full), 4)
     ]
-    for name, part in first["answers"]["a|1e-4|operations"].items():
-        assert more["answers"]["a|1e-4|operations"][name] == part
+    one, other = (with_references(data)["answers"]["a|1e-4|operations"] for data in (first, more))
+    assert one["filters"]["all"]["sentences"][0][1] == "1e-4 in acceleration ("
+    assert one["filters"]["all"]["sentences"][0][2]["text"] == "largest over time"
+    for name, part in one.items():
+        assert other[name] == part
+
+
+def with_references(data):
+    """The data with the references that the places in sentences stand for."""
+    for answer in data["answers"].values():
+        for own in answer["filters"].values():
+            own["sentences"] = [
+                [p if isinstance(p, str) else data["refs"][p] for p in said]
+                for said in own["sentences"]
+            ]
+    return data
+
+
+@in_chromium
+def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(page, folder):
+    visit(page, folder)
+    drawn = page.execute_script("""
+        window.drawn = [];
+        const place = document.createElement("div"), slow = document.createElement("div");
+        place.style.marginTop = "30000px";
+        document.body.append(slow, place);
+        const end = () => performance.now() + 120;
+        stepbench.onChange(() => drawn.push("far"), place);
+        stepbench.onChange(() => {
+          drawn.push("near");
+          for (const t = end(); performance.now() < t;);
+        });
+        drawn.length = 0;
+        stepbench.ask({ target: "1e-2" });
+        const first = [...drawn];
+        stepbench.ask({ target: "1e-3" });
+        window.dispatchEvent(new Event("beforeprint"));
+        return [first, [...drawn]];
+    """)
+    assert drawn == [["near"], ["near", "near", "far"]]
+    page.execute_script("drawn.length = 0; stepbench.ask({ target: '1e-2' });")
+    waited(lambda: page.execute_script("return drawn.length") == 2)
 
 
 @in_chromium
@@ -362,3 +402,20 @@ def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
     )
     assert near
     assert min(near) > 0
+
+
+@in_chromium
+def test_the_bar_stays_in_sight_on_a_phone_in_one_line(page, folder):
+    size = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        visit(page, folder)
+        top, bottom, wide = page.execute_script(
+            'document.getElementById("heat-head").scrollIntoView();'
+            'const bar = document.getElementById("question").getBoundingClientRect();'
+            "return [bar.top, bar.bottom, document.documentElement.scrollWidth];"
+        )
+    finally:
+        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert (top, wide) == (0, 420)
+    assert 30 < bottom < 60

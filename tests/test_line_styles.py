@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
-import tomllib
+from collections.abc import Iterable
+from functools import cache
 from itertools import combinations
-from pathlib import Path
 
 import pytest
 import vl_convert
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reports.charts.line_styles import line_styles, luminance, paper_line_styles, style_of
+from bench.running.inventory import Inventory
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
+from reports.charts.line_styles import (
+    LineStyle,
+    line_styles,
+    luminance,
+    paper_line_styles,
+    style_of,
+)
 from reports.names import BUILT_IN
+from reports.series import label_of
 
 PAPERS = {"light": ("#ffffff", "#f8fafc"), "dark": ("#0f172a", "#15181c")}
-PROFILES = Path(__file__).parents[1] / "bench/profiles"
+INVENTORY = Inventory()
 METHODS = [*BUILT_IN, *(f"generalized_alpha[rho_inf={rho}]" for rho in (0.8, 0.5, 0.9, 1.0, 0.0))]
 
 
@@ -51,27 +62,94 @@ def test_a_style_depends_on_the_name_alone():
     assert run.stdout.strip() == str(line_styles(labels))
 
 
+def oklab(color: str) -> list[float]:
+    """A colour in Ottosson's space, in which distances are as they are seen."""
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    rgb = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    cones = [
+        sum(w * c for w, c in zip(row, rgb, strict=True)) ** (1 / 3)
+        for row in (
+            (0.4122214708, 0.5363325363, 0.0514459929),
+            (0.2119034982, 0.6806995451, 0.1073969566),
+            (0.0883024619, 0.2817188376, 0.6299787005),
+        )
+    ]
+    return [
+        sum(w * c for w, c in zip(row, cones, strict=True))
+        for row in (
+            (0.2104542553, 0.7936177850, -0.0040720468),
+            (1.9779984951, -2.4285922050, 0.4505937099),
+            (0.0259040371, 0.7827717662, -0.8086757660),
+        )
+    ]
+
+
+def near(one: str, two: str) -> bool:
+    """Whether colours are so near that a small mark may pass for the other."""
+    return math.dist(oklab(one), oklab(two)) < 0.06
+
+
+def test_the_distance_of_known_colours():
+    """Black and white have the lightness 0 and 1 and no colour."""
+    assert oklab("#ffffff") == pytest.approx([1, 0, 0], abs=1e-4)
+    assert oklab("#000000") == pytest.approx([0, 0, 0], abs=1e-4)
+    assert near("#436be0", "#416be0")
+    assert not near("#436be0", "#16843b")
+
+
+@cache
 def suite(name: str) -> list[str]:
-    """The integrators of a built-in suite, by the names that they have there."""
-    studies = tomllib.loads((PROFILES / f"{name}.toml").read_text(encoding="utf-8"))["study"]
-    return list(dict.fromkeys(spec for study in studies for spec in study["integrators"]))
+    """The integrators of a built-in suite by their printed names, with patterns of steps."""
+    cells = make_suite(*read_profile(name), INVENTORY).cells.values()
+    records = (cell.record(*cell.facts(INVENTORY), "ok") for cell in cells)
+    return list(dict.fromkeys(map(label_of, records)))
+
+
+def alike(labels: Iterable[str]) -> list[tuple[LineStyle, LineStyle]]:
+    """Pairs of styles whose colours are near."""
+    pairs = combinations(line_styles(labels).values(), 2)
+    return [(one, two) for one, two in pairs if near(one.color, two.color)]
 
 
 @pytest.mark.parametrize("name", ["quick", "full", "sizes"])
-def test_the_integrators_of_a_suite_do_not_look_alike(name):
-    styles = line_styles(suite(name))
-    for one, two in combinations(styles, 2):
-        a, b = styles[one], styles[two]
-        assert (a.color, a.dash, a.shape) != (b.color, b.dash, b.shape), (one, two)
-        if one.partition("[")[0] == two.partition("[")[0]:  # of nearly the same hue
-            assert (a.dash, a.shape) != (b.dash, b.shape), (one, two)
+def test_lines_of_a_suite_with_near_colours_differ_in_mark_and_dash(name):
+    pairs = alike(suite(name))
+    assert pairs
+    assert [(a, b) for a, b in pairs if a.shape == b.shape or a.dash == b.dash] == []
 
 
-def test_the_built_in_integrators_differ_in_hue_or_mark_for_every_eye():
-    """Without colour, in greys of equal lightness, marks and dashes part most of them."""
-    styles = line_styles(suite("full"))
-    marks = [(s.dash, s.shape) for s in styles.values()]
-    assert len(set(marks)) >= len(marks) - 2, styles
+@pytest.mark.parametrize("name", ["methods", "paper"])
+def test_many_variants_of_a_method_differ_in_mark_or_dash(name):
+    """Of the 52 of "methods", no two of one colour have one mark."""
+    pairs = alike(suite(name))
+    assert len(pairs) > 10
+    assert [(a, b) for a, b in pairs if (a.shape, a.dash) == (b.shape, b.dash)] == []
+    assert len([a for a, b in pairs if a.shape == b.shape]) <= 1
+    assert [a for a, b in pairs if (a.color, a.shape) == (b.color, b.shape)] == []
+
+
+@pytest.mark.parametrize(
+    "options", ["", "newton=modified", "formulation=stabilised_index2,start=corrected"]
+)
+def test_methods_with_the_same_options_differ_in_mark_or_dash(options):
+    """All names of the catalogue; the options go to those that take them."""
+    taking = {"generalized_alpha", "generalized_alpha_adaptive", "hht", "wbz", "newmark"}
+    labels = []
+    for name in BUILT_IN:
+        own = INVENTORY.integrator(name).spec
+        head, _, rest = own.rstrip("]").partition("[")
+        added = ",".join(filter(None, [rest, options if name in taking else ""]))
+        labels.append(f"{head}[{added}]" if added else head)
+    pairs = alike(labels)
+    assert pairs
+    assert [(a, b) for a, b in pairs if (a.shape, a.dash) == (b.shape, b.dash)] == []
+
+
+def test_the_built_in_integrators_differ_for_every_eye():
+    """Without colour, in greys of equal lightness, mark and dash part them."""
+    for name in ("quick", "full"):
+        marks = [(s.dash, s.shape) for s in line_styles(suite(name)).values()]
+        assert len(set(marks)) == len(marks), name
 
 
 @settings(max_examples=25)

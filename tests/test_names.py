@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
+from reports.pages.templating import escape_markdown
 
 ROOT = Path(__file__).parents[1]
 GGL = "formulation=stabilised_index2"
@@ -99,3 +101,12 @@ def test_the_names_of_the_suite_with_all_scenes_are_short():
     text = (ROOT / "bench/profiles/full.toml").read_text(encoding="utf-8")
     names = short_names(tomllib.loads(text)["study"][0]["integrators"])
     assert max(map(len, names.values())) < 20
+
+
+def test_pages_write_symbols_and_names_as_a_reader_knows_them():
+    assert symbols("a and lam, lam[1]; lam=0.1 and lam:1; lambda, slam") == (
+        "a and λ, λ[1]; lam=0.1 and lam:1; lambda, slam"
+    )
+    assert escape_markdown("As ``slider_crank``, lam_1 and *lam*.") == (
+        "As `slider_crank`, lam\\_1 and \\*λ\\*."
+    )

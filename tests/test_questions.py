@@ -92,8 +92,13 @@ def test_a_target_that_the_reference_cannot_judge_is_no_answer():
     found = answer(scenes_of(records), COUNTS)
     assert (found.scenes, found.unjudged) == ({}, {"s": 2e-6})
     assert said(records) == [
-        "1e-4 cannot be judged on s (2e-06): the reference's own error there is more than a "
-        "hundredth of it."
+        "1e-4 cannot be judged on s: the reference's own error there is 2e-06, more than a "
+        "hundredth of 1e-4."
+    ]
+    more = [*records, run("t", "one", 10, reference_error={"a": {"max": 3e-6}})]
+    assert said(more) == [
+        "1e-4 cannot be judged on s (2e-06) and t (3e-06): the reference's own error there, in "
+        "brackets, is more than a hundredth of 1e-4."
     ]
     assert answer(scenes_of(records), Question("lam", 1e-4, "residuals")).unjudged == {}
 
@@ -109,18 +114,21 @@ def field(*wins, rivals=("one", "two")):
 
 
 AIM = "To 1e-4 in acceleration (largest over time), "
+ON_S0 = AIM.replace(",", " on s0,")
 
 
 def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     records = field((100, 200), (100, 300), (50, 50), (90, 30), (None, None))
     assert said(records) == [
-        AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where it is reached, "
-        "alone on 2 (the next costs 2 to 3 times as much); two on s2 and s3.",
+        AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where anybody "
+        "reaches it, alone on 2 (the next costs 2 to 3 times as much); two on s2 and s3; ties "
+        "count for each.",
         "one and two reach it on the most scenes: 4 of 5 tried.",
         "Nobody reaches it on s4 (nearest: one, 0.01).",
     ]
     assert said(records, on=["s0"]) == [
-        AIM + "on s0 one needs the fewest residual evaluations, 100; next is two with 2 times that."
+        ON_S0 + "one needs the fewest residual evaluations, 100 at h=0.01 s; next is two with "
+        "2 times that."
     ]
     assert said(records, on=["s4"]) == [
         "Nobody reaches 1e-4 in acceleration (largest over time) on s4 (nearest: one, 0.01)."
@@ -128,29 +136,31 @@ def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     assert said(field((1, 2), (3, 4)))[1] == (
         "Every method reaches it on every scene on which it was tried."
     )
-    assert (
-        said(field((100, None)))[0] == AIM + "on s0 one alone reaches it: 100 residual evaluations."
-    )
+    alone = "one alone reaches it: 100 residual evaluations at h=0.01 s."
+    assert said(field((100, None)))[0] == ON_S0 + alone
     assert said([run("s", "one", 5)])[0] == AIM + "no scene has two methods to compare."
 
 
 def test_a_few_scenes_are_named_with_their_costs():
     head = AIM + "one needs the fewest residual evaluations on "
     assert said(field((100, 200), (100, 300)))[0] == (
-        head + "s0 (100; next: two, 2 times) and s1 (100; next: two, 3 times)."
+        head
+        + "s0 (100 at h=0.01 s; next: two, 2 times) and s1 (100 at h=0.01 s; next: two, 3 times)."
     )
     assert said(field((100, 200), (50, 10)))[0] == (
-        head + "s0 (100; next: two, 2 times); two on s1 (10; next: one, 5 times)."
+        head + "s0 (100 at h=0.01 s; next: two, 2 times); two on s1 (10 at h=0.01 s; next: one, "
+        "5 times)."
     )
     tied = field((7, 7, 9), (100, 200, None), (8, 8, 8), rivals=("one", "two", "three"))
     assert said(tied) == [
-        head + "s1 (100; next: two, 2 times); one and two tie on s0 (7; next: three, 1.29 times); "
-        "one, two and three tie on s2 (8).",
+        head + "s1 (100 at h=0.01 s; next: two, 2 times); one and two tie on s0 (7 at h=0.01 s; "
+        "next: three, 1.29 times); "
+        "one, two and three tie on s2 (8 at h=0.01 s).",
         "one and two reach it on all 3 scenes; no other does.",
     ]
     assert said(tied, on=["s0"]) == [
-        AIM + "on s0 one and two tie for the fewest residual evaluations, 7; next is three with "
-        "1.29 times that."
+        ON_S0 + "one and two tie for the fewest residual evaluations, 7 at h=0.01 s; next is three "
+        "with 1.29 times that."
     ]
     dark = [*field((1, 2)), run("s0", "dark", None, work={"residuals": None})]
     scene = answer(scenes_of(dark), COUNTS).scenes["s0"]
@@ -194,9 +204,29 @@ def test_a_family_is_named_if_it_is_first_more_often_than_each_member():
         )
 
 
+def test_integrators_that_never_reach_the_end_are_told():
+    ends = {"status": "newton_failed", "errors": {}}
+    records = [*field((1, 2, 3), (1, 2, None), (1, 2, 3), (1, 2, 3), rivals=("one", "two", "x"))]
+    records += [run(f"s{k}", "broken", 10, **ends) for k in (1, 3)] + [run("s0", "weak", 1, **ends)]
+    assert said(records)[-1] == "No run reached the end: broken (s1 and s3) and weak (s0)."
+    scenes = scenes_of(records)
+    sentence = scene_sentence(
+        COUNTS, "s1", answer(scenes, COUNTS).scenes["s1"], words_of(scenes, {})
+    )
+    assert plain(sentence).endswith(" times that. No run reached the end: broken.")
+
+
+def test_the_next_behind_a_tie_is_told():
+    records = field(*[(7, 7, 14)] * 3, (7, 7, 21), rivals=("one", "two", "three"))
+    assert said(records)[0] == (
+        AIM + "one and two each need the fewest residual evaluations on all 4 scenes, always tied "
+        "(the next costs 2 to 3 times as much)."
+    )
+
+
 def test_unknown_costs_are_told():
     records = [*field((1, 2), (1, 2)), run("s0", "dark", None, work={"residuals": None})]
-    assert said(records)[-1] == "Reached at a cost that is not measured: dark on s0."
+    assert said(records)[-1] == "Reached at a cost that is not measured: dark (s0)."
 
 
 costs = st.one_of(st.none(), st.integers(1, 4))
@@ -309,14 +339,20 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
         f"good 0.8 {reaches} 2 of 2 scenes tried.",
         "Cheapest alone: spring mass.",
         "Dearer than the cheapest: pendulum (1.92 times the cost of adaptive).",
+        "All of its runs reached the end.",
         "Cost where it reaches it: 9600 operations.",
     ]
     assert method_card(tmp_path, "poor") == [
         f"poor {reaches} 0 of 1 scene tried.",
+        "Cheapest on no scene.",
         "Does not reach it: spring mass (smallest error: 0.00938).",
+        "All of its runs reached the end.",
     ]
-    assert "Fails: pendulum (2 newton failed)." in method_card(tmp_path, "fragile")
-    assert len(method_card(tmp_path, "good")) == 7  # of two variants
+    assert method_card(tmp_path, "fragile")[2:] == [
+        "Fails: pendulum (2 newton failed).",
+        "2 of its 2 runs failed: pendulum (2).",
+    ]
+    assert len(method_card(tmp_path, "good")) == 10  # of two variants
     with pytest.raises(SpecError, match="did you mean 'poor'"):
         method_card(tmp_path, "pooor")
 

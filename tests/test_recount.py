@@ -116,6 +116,7 @@ def test_a_method_s_page_tells_how_it_stands_on_each_scene(odd):
 
 def test_the_command_of_a_scene_repeats_its_run():
     one = run("s", "one", 10, controls="tolerance", rtol=1e-4, atol=1e-6)
-    assert _command([one]) == "stepbench solve s one --rtol 0.0001 --t-end 1"
+    none = {"one": ""}
+    assert _command([one], none) == "stepbench solve s one --rtol 0.0001 --t-end 1"
     one.atol = 1e-9
-    assert _command([one]) == "stepbench solve s one --rtol 0.0001 --atol 1e-09 --t-end 1"
+    assert _command([one], none) == "stepbench solve s one --rtol 0.0001 --atol 1e-09 --t-end 1"

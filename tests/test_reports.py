@@ -28,7 +28,7 @@ from bench.results.orders import fit_order
 from bench.results.quantities import NORMS
 from bench.results.records import Record, median
 from bench.results.store import Store
-from reports.formatting import milliseconds, number
+from reports.formatting import milliseconds, number, symbols
 from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.html_report import write_html_report
@@ -75,7 +75,8 @@ def test_every_number_of_the_summary_is_one_of_the_store(
         own = [r for r in records if r.integrator == row["integrator"] and r.status == "ok"]
         for group in groups:
             smallest = min((r.errors[group]["max"] for r in own), default=None)
-            assert row[f"error in {group}"] == (f"{smallest:.3g}" if own else number(None))
+            shown = symbols(f"error in {group}")
+            assert row[shown] == (f"{smallest:.3g}" if own else number(None))
         if own:
             best = min(own, key=lambda r: r.errors["q"]["max"])
             assert row["residual evaluations"] == str(best.work["residuals"])
@@ -89,12 +90,12 @@ def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> N
     for row in rows:
         own = [r for r in stored(folder) if r.problem == "pendulum"]
         own = [r for r in own if r.integrator == row["integrator"]]
-        for group in ("q", "v", "a", "lam"):
+        for group, shown in {"q": "q", "v": "v", "a": "a", "lam": "λ"}.items():
             errors = [r.errors[group]["settled"] for r in own]
             fit = fit_order([r.h for r in own], errors, 1e-15)
-            assert f"{fit.order:.2f}".replace("-0.00", "0.00") in row[group]
-            assert f"{fit.window[0]:.3g} to {fit.window[1]:.3g}, {fit.points}" in row[group]
-    assert rows[2]["lam"].startswith("does not converge")
+            assert f"{fit.order:.2f}".replace("-0.00", "0.00") in row[shown]
+            assert f"{fit.window[0]:.3g} to {fit.window[1]:.3g}, {fit.points}" in row[shown]
+    assert rows[2]["λ"].startswith("does not converge")
 
 
 def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Document) -> None:
@@ -158,13 +159,13 @@ def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
 ) -> None:
     assert (
         "good 0.8, good 0.5: in the last quarter, second order in "
-        "q (2.00), v (2.00), a (2.00) and lam (2.00). The maximum over time of the error in "
-        "lam is only first order (1.00): the start transient." in page.words
+        "q (2.00), v (2.00), a (2.00) and λ (2.00). The maximum over time of the error in "
+        "λ is only first order (1.00): the start transient." in page.words
     )
 
 
 def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: str) -> None:
-    text = "does not converge in lam (error 0.3 at the coarsest step, 0.3 at the finest)"
+    text = "does not converge in λ (error 0.3 at the coarsest step, 0.3 at the finest)"
     assert f"ringing 1: in the last quarter, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
     assert text in paper
 

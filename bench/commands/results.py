@@ -165,8 +165,10 @@ def open_(folder: Path) -> None:
 @click.argument("folder", type=PathName("folder"))
 @click.argument(
     "kind",
-    metavar="work_precision|convergence|trajectory",
-    shell_complete=completion.one_of("work_precision", "convergence", "trajectory"),
+    metavar="work_precision|convergence|trajectory|errors_over_time",
+    shell_complete=completion.one_of(
+        "work_precision", "convergence", "trajectory", "errors_over_time"
+    ),
 )
 @click.option(
     "--scene",

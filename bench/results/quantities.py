@@ -15,7 +15,7 @@ GROUP_NAMES = {
     "q": "position q",
     "v": "velocity v",
     "a": "acceleration a",
-    "lam": "multiplier lam",
+    "lam": "multiplier λ",
     "x": "controller state x",
     "y": "output y",
 }

@@ -204,12 +204,14 @@ class Damping(msgspec.Struct, kw_only=True, frozen=True):
 
 
 class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
-    """An integrator's own statements: title, claimed order per group, formulation, source."""
+    """An integrator's own statements: title, claimed order per group, formulation, source; and the
+    names of the plugin files it came from, if it is no part of the project."""
 
     title: str
     orders: dict[str, int] = {}
     formulation: str = ""
     source: str = ""
+    files: list[str] = []
 
 
 class Plan(msgspec.Struct, kw_only=True, frozen=True):

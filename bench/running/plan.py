@@ -10,6 +10,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -221,6 +222,7 @@ def _facts(registry: Inventory, text: str) -> IntegratorFacts:
         orders=method.orders,
         formulation=method.formulation,
         source=method.source,
+        files=[Path(file).name for file in sorted(method.sources.files)],
     )
 
 

@@ -1,4 +1,4 @@
-"""Charts of the failure atlas: sweeps and histories of an experiment."""
+"""Charts of the failure atlas: sweeps, histories and single numbers of an experiment."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ from bench.results.experiments import PartResult
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 
+#: Numbers that differ by more than this factor stand on a logarithmic axis.
+_DECADES = 100
+
 
 def experiment_chart(part: PartResult) -> vl.Spec | None:
-    """The sweep, and the history of the component shown; None if there is neither."""
+    """The sweep, and the history of the component shown; without them, the cases' numbers.
+
+    None if there are no numbers, either.
+    """
     cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
     options = vl.ChartOptions(line_styles(label for label, _ in cases))
     sweep = [
@@ -38,7 +44,27 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
         x, y = vl.quantity("t", title="t in s"), vl.quantity("value", title=part.show)
         panels.append(_lines(table, options, x, y | {"scale": {"zero": False}}, points=False))
         data.append(table)
+    if not panels and (numbers := [c.number for _, c in cases if c.number is not None]):
+        rows = [{"series": k, "value": c.number} for k, c in cases if c.number is not None]
+        table = vl.Dataset("numbers", rows)
+        wide = min(numbers) > 0 and max(numbers) > _DECADES * min(numbers)
+        axis = vl.log_axis(numbers, ".0e") if wide else {"format": "~g"}
+        x = (vl.log_quantity if wide else vl.quantity)("value", title=part.quantity, axis=axis)
+        panels.append(_numbers(table, options, x))
+        data.append(table)
+        return vl.arrange(panels, data, 1, height=24 * len(rows) + 16)
     return vl.arrange(panels, data, 2, height=210)
+
+
+def _numbers(data: vl.Dataset, options: vl.ChartOptions, x: vl.Spec) -> vl.Spec:
+    """A row per case with a mark at its number."""
+    y = {"field": "series", "type": "nominal", "title": None, "sort": None}
+    y["axis"] = {"labelLimit": 320, "grid": True}
+    return {
+        "data": data.source,
+        "mark": {"type": "point", "filled": True, "size": 90, "opacity": 1},
+        "encoding": {"x": x, "y": y, "color": options.colors() | {"legend": None}},
+    }
 
 
 def _lines(

@@ -90,8 +90,10 @@ def panels(
     height = (box.height - foot) / rows
     parts = []
     for k, (name, own) in enumerate(found.scenes.items()):
+        # The last one has its row for itself if no other is left.
+        wide = box.width if k == count - 1 and k % columns == 0 else width
         place = Box(
-            box.x + k % columns * (width + gap), box.y + k // columns * height, width, height
+            box.x + k % columns * (width + gap), box.y + k // columns * height, wide, height
         )
         parts += _panel(found, name, own, scenes[name], words, place)
     group, cost = found.question.quantity, COST_NAMES.get(found.question.cost, found.question.cost)
@@ -146,6 +148,8 @@ def _panel(
         best, style = label in first, style_of(label)
         drawn = [(x_of(c), y_of(e)) for c, e in lines[label]]
         look = {"stroke_width": 3 if best else 1.5, "stroke_opacity": "1" if best else "0.55"}
+        if style.dash[1]:
+            look["stroke_dasharray"] = " ".join(map(str, style.dash))
         parts.append(polyline(drawn, stroke=style.color, **look))
     for label in first:
         entry = own.entries[label]

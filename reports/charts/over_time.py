@@ -85,18 +85,23 @@ def histories(
     ]
     data, panels = vl.Dataset("histories", rows), []
     for name in notes:
-        title, logarithmic = HISTORIES[name]
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
         if not any(_varies(values) for values in noted):
             continue
-        values = [abs(v) for values in noted for v in values if v or not logarithmic]
-        layer = run_lines(data, name, title, options, first=not panels)
-        if logarithmic:
-            layer["transform"] = [{"filter": f"datum.{name} > 0"}]
-            axis = vl.log_axis(values, ".0e")
-            layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
-        panels.append({"layer": [layer]})
+        panels.append({"layer": [note_lines(data, name, options, first=not panels)]})
     return vl.arrange(panels, [data], min(3, len(panels)), height=170)
+
+
+def note_lines(data: vl.Dataset, name: str, options: vl.ChartOptions, first: bool) -> vl.Spec:
+    """One of `HISTORIES` over time, a line per run."""
+    title, logarithmic = HISTORIES[name]
+    layer = run_lines(data, name, title, options, first)
+    if logarithmic:
+        values = [abs(v) for row in data.rows if (v := row.get(name))]
+        layer["transform"] = [{"filter": f"datum.{name} > 0"}]
+        axis = vl.log_axis(values, ".0e")
+        layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
+    return layer
 
 
 def _pairs(*chosen: Any) -> list[tuple[str, int]]:

@@ -14,6 +14,7 @@ import vl_convert
 
 from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
+from reports.pages.packing import packed
 from reports.pages.report import read_report
 from reports.pages.site import QUESTION_SCRIPTS, Page, named, report_site, write_pages
 from reports.pages.site_data import for_first_question, for_front, site_data
@@ -53,7 +54,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     if not single_file:
         write_pages(report, folder, data)
         (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
-        rest = chart_json(for_front(data), separators=(",", ":"))
+        rest = chart_json(packed(for_front(data)), separators=(",", ":"))
         rest = f"stepbench.more({rest});\n"
         (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
     text = html(
@@ -68,7 +69,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         here=FILE,
         single=single_file,
         library=javascript_library() if single_file else "",
-        data=data if single_file else for_first_question(data),
+        data=packed(data if single_file else for_first_question(data)),
         more="" if single_file else FOLDER + DATA,
         scripts=FRONT_SCRIPTS,
         pages_at="" if single_file else FOLDER,

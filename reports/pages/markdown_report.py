@@ -14,7 +14,7 @@ from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, Sentence, plain, rendered
-from reports.questions.sentences import scene_sentence, sentences
+from reports.questions.sentences import scene_sentence, sentences, unjudged
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -46,12 +46,17 @@ def write_markdown_report(folder: Path) -> Path:
     said = {
         name: scene_sentence(report.answer.question, name, on, report.words)
         for name, on in report.answer.scenes.items()
+    } | {
+        name: unjudged(report.answer.question, name, error)
+        for name, error in report.answer.unjudged.items()
     }
+    names = {**report.names, **{name: scene_name(name) for name in report.series}}
     own = Path(folder) / FOLDER
     own.mkdir(exist_ok=True)
     for chapter in report.scenes:
         text = markdown(
             "scene.md.j2",
+            names,
             report=report,
             scene=chapter,
             verdict=escape_markdown(plain(said.get(chapter.name, []))),
@@ -66,9 +71,10 @@ def write_markdown_report(folder: Path) -> Path:
     links = _links(report, files)
     text = markdown(
         "report.md.j2",
+        names,
         report=report,
         answer=[_text(s, links) for s in sentences(report.answer, report.words)],
-        standings=standings_table(report.answer, report.words.names),
+        standings=standings_table(report.answer),
         scenes=[
             (
                 scene_name(s.name),

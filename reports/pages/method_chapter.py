@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +28,8 @@ _STATES = {"far": "not reached", "failed": "no run reached the end"}
 
 @dataclass
 class MethodChapter:
-    """One integrator, with one step pattern, over all scenes."""
+    """One integrator, with one step pattern, over all scenes; ``plugins`` is the option that a
+    command needs to know it."""
 
     label: str
     family: str
@@ -40,6 +42,7 @@ class MethodChapter:
     beside: list[Table]
     failures: Table | None
     unsupported: Table | None
+    plugins: str
     command: str
 
 
@@ -86,6 +89,8 @@ def method_chapters(
         runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
         facts = known.get(name)
+        files = facts.files if facts else ()
+        plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
         analysed = {name: damping[name]} if name in damping else {}
         found.append(
             MethodChapter(
@@ -100,7 +105,10 @@ def method_chapters(
                 beside=_beside(name, damping, families, experiments, words.names),
                 failures=_own(failures_table(runs), "Its runs that did not reach the end"),
                 unsupported=_own(unsupported_table(runs), "Scenes that it does not support"),
-                command=f'stepbench stability "{name}"' if first.controls == "step" else "",
+                plugins=plugins,
+                command=f'stepbench stability "{name}"{plugins}'
+                if first.controls == "step"
+                else "",
             )
         )
     return found

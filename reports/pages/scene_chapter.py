@@ -63,6 +63,7 @@ def scene_chapter(
     about = paragraphs(new.description) if new else []
     if same_as:
         about = [f"The same scene as {same_as}, over another interval."]
+    names = {label: style.name for label, style in sections.styles.items()}
     return SceneChapter(
         anchor=anchor,
         name=sections.name,
@@ -73,13 +74,11 @@ def scene_chapter(
         picture=_picture(new, f"{anchor}-scene") if new else None,
         parameters=parameters_table(new) if new else None,
         motion=motion_table(new) if new else None,
-        targets=targets_table(series, {k: s.name for k, s in sections.styles.items()})
-        if series
-        else None,
+        targets=targets_table(series, names) if series else None,
         summary=summary_table(series) if series else None,
         studies=[sections.make(study, f"{anchor}-{n}") for n, study in enumerate(studies, 1)],
         drift=drift_table(series),
-        runs=runs_table(series, sections.ids, sections.component_names),
+        runs=runs_table(series, sections.ids, sections.component_names, names),
     )
 
 

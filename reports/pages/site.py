@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import resources
@@ -15,6 +15,7 @@ from bench.results.records import Record
 from reports.names import scene_name
 from reports.pages.addresses import FOLDER, Site, method_page, root, scene_page, site_of
 from reports.pages.motion import motion
+from reports.pages.packing import packed
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.site_data import for_scene
@@ -119,7 +120,7 @@ def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
             here=here,
             single=False,
             library="",
-            data=for_scene(data, page.values["place"]) if page.kind == "scene" else None,
+            data=packed(for_scene(data, page.values["place"])) if page.kind == "scene" else None,
             more="",
             scripts=QUESTION_SCRIPTS,
             pages_at="",
@@ -144,7 +145,7 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
-        "command": _command(runs),
+        "command": _command(runs, {m.label: m.plugins for m in report.methods}),
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
@@ -152,7 +153,7 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     return Page(scene_page(chapter.name), "scene.html.j2", title, "scene", values, anchors)
 
 
-def _command(runs: list[Record]) -> str:
+def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:
     """A command that repeats the cheapest run that reaches the accuracy, or the first one."""
     good = [r for r in runs if r.status == "ok" and len(r.pattern) == 1]
     if not good:
@@ -163,4 +164,4 @@ def _command(runs: list[Record]) -> str:
     if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
         control += f" --atol {best.atol:g}"
     words = ["stepbench", "solve", best.problem, best.integrator]
-    return f"{shlex.join(words)} {control} --t-end {best.t_end:g}"
+    return f"{shlex.join(words)} {control} --t-end {best.t_end:g}{plugins[best.integrator]}"

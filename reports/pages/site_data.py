@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES
+from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES, TRUST
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
 from reports.names import family_name, scene_name
@@ -64,6 +64,7 @@ def site_data(report: Report) -> dict[str, Any]:
         "runs": len(report.run_ids),
         "failed": report.failed,
         "norm": NORM_NAMES[NORM],
+        "trust": TRUST,
         "group_names": {g: GROUP_NAMES[g] for g in groups},
         "cost_names": RANKED_COSTS,
         "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},

@@ -120,7 +120,11 @@ class StudySections:
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
-            runs=runs_table(series, components=self.component_names)
+            runs=runs_table(
+                series,
+                components=self.component_names,
+                names={label: style.name for label, style in self.styles.items()},
+            )
             if "runs" in study.figures
             else None,
             links={s.label: self.ids[s.records[0].key] for s in series},

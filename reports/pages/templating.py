@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
-from reports.formatting import file_name
+from reports.formatting import file_name, symbols
 from reports.text.glossary import terms_in
 from reports.text.table import Table, whole
 
@@ -22,6 +22,8 @@ from reports.text.table import Table, whole
 POLICY = "content-security-policy"
 _DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")
 _DOI_LINK = Markup('<a href="https://doi.org/{}" rel="noreferrer">doi:{}</a>')
+#: A name in the docstring of a scene.
+_CODE = re.compile(r"``(.+?)``")
 _TERM_LINK = Markup('<a class="term" href="{}" title="{}">{}</a>')
 
 
@@ -106,11 +108,17 @@ def html(
 
 
 def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
-    """A filter that makes links of DOIs, and of the first use of each term on a page."""
+    """A filter that makes links of DOIs, and of the first use of each term on a page.
+
+    ``name`` is set as code, and lam as λ.
+    """
     used: set[str] = set()
 
     def prose(text: object) -> Markup:
-        return _with_dois(str(text), terms)
+        pieces = _CODE.split(str(text))
+        said = [_with_dois(symbols(piece), terms) for piece in pieces]
+        said[1::2] = [Markup("<code>{}</code>").format(piece) for piece in pieces[1::2]]
+        return Markup("").join(said)
 
     def terms(text: str) -> Markup:
         parts, at = [], 0
@@ -128,7 +136,7 @@ def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
 
 def _doi(text: object) -> Markup:
     """A filter that makes links of DOIs only."""
-    return _with_dois(str(text), escape)
+    return _with_dois(symbols(str(text)), escape)
 
 
 def _with_dois(text: str, others: Callable[[str], Markup]) -> Markup:
@@ -145,10 +153,18 @@ def asset(file: str) -> str:
     return (resources.files("reports.pages") / "assets" / file).read_text(encoding="utf-8")
 
 
-def markdown(name: str, **values: object) -> str:
-    """Fill in a template of Markdown; several blank lines become one."""
+def markdown(name: str, names: Mapping[str, str] = MappingProxyType({}), **values: object) -> str:
+    """Fill in a template of Markdown; several blank lines become one.
+
+    ``names`` are short names of integrators and scenes, which stand for them in tables.
+    """
     environment = _environment(autoescape=False)
-    environment.filters |= {"md": escape_markdown, "code": code, "table": markdown_table}
+    environment.filters |= {
+        "md": escape_markdown,
+        "code": code,
+        "name": lambda key: _named(key, names),
+        "table": lambda table: markdown_table(table, names),
+    }
     text = clean(environment.get_template(name).render(**values))
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
@@ -167,8 +183,14 @@ def _environment(autoescape: bool) -> jinja2.Environment:
 
 
 def escape_markdown(text: object) -> str:
-    """Text on one line in which no character is Markdown."""
-    flat = " ".join(str(text).split())
+    """Text on one line in which no character is Markdown; lam is λ, and ``name`` is code."""
+    pieces = _CODE.split(symbols(" ".join(str(text).split())))
+    pieces[::2] = map(_escaped, pieces[::2])
+    pieces[1::2] = map(code, pieces[1::2])
+    return "".join(pieces)
+
+
+def _escaped(flat: str) -> str:
     flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", flat)
 
@@ -179,13 +201,23 @@ def code(text: object) -> str:
     return f"`{flat}`".replace("|", "\\|") if flat else ""
 
 
-def markdown_table(table: Table | None) -> str:
+def _named(key: str, names: Mapping[str, str]) -> str:
+    """A short name; one that has none is code."""
+    return escape_markdown(names[key]) if key in names else code(key)
+
+
+def markdown_table(table: Table | None, names: Mapping[str, str] = MappingProxyType({})) -> str:
     """A table in GitHub's Markdown, with its caption and note; nothing for None."""
     if table is None:
         return ""
-    lines = [_row(escape_markdown(head) for head in table.head), _row("---" for _ in table.head)]
+    lines = [
+        _row(escape_markdown(names.get(head, head)) for head in table.head),
+        _row("---" for _ in table.head),
+    ]
     for i, cells in enumerate(table.rows):
-        shown = [code(c) if j in table.code else escape_markdown(c) for j, c in enumerate(cells)]
+        shown = [
+            _named(c, names) if j in table.code else escape_markdown(c) for j, c in enumerate(cells)
+        ]
         lines.append(_row(f"**{c}**" if (i, j) in table.best else c for j, c in enumerate(shown)))
     # With a colon: a line that is all bold would pass for a heading.
     parts = [f"**{escape_markdown(table.caption)}**:", "\n".join(lines)]

@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from bench.results.records import Record
-from reports.formatting import number_range
+from reports.formatting import number, number_range
 from reports.names import family_name
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Part, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, aim, scene_ref
 from reports.ranking import LEAST_COST
+from reports.series import step_or_tolerance
 from reports.text.winners import cost_text, times
 
 #: What the cheapest does: alone, and with others.
@@ -26,10 +27,10 @@ _OTHERS = 2
 
 
 def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
-    """'To 1e-4 in ..., on pendulum IDA takes the fewest operations: 3000; next is ...'."""
+    """'To 1e-4 in ... on pendulum, IDA takes the fewest operations, 3000 at ...; next is ...'."""
     verdict = answer.verdict
     first, second = verdict.first, verdict.second
-    said = [*aim(question), ", on ", scene_ref(scene), " ", *words.methods(s.label for s in first)]
+    said = [*aim(question), " on ", scene_ref(scene), ", ", *words.methods(s.label for s in first)]
     best = min(first, key=lambda s: s.value or 0.0)
     if not verdict.votes or (len(first) == 1 and not second and not verdict.unknown):
         said.append(
@@ -39,6 +40,7 @@ def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) ->
     else:
         said.append(f" {_does(len(first) > 1, question.cost)}, ")
         said.append(_cost(best.run, best.value, question.cost, words))
+    said.append(_at(best.run))
     if second and second.run:
         said += ["; next is ", words.method(second.label), " with "]
         said.append(words.run(second.run, f"{times(second.ratio)} that"))
@@ -56,7 +58,8 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
     for name, scene in voting.items():
         first, second = scene.verdict.first, scene.verdict.second
         best = min(first, key=lambda s: s.value or 0.0)
-        at: Sentence = [scene_ref(name), " (", _cost(best.run, best.value, question.cost, words)]
+        least = _cost(best.run, best.value, question.cost, words)
+        at: Sentence = [scene_ref(name), " (", least, _at(best.run)]
         if second and second.run:
             at += ["; next: ", words.method(second.label), ", "]
             at.append(words.run(second.run, times(second.ratio)))
@@ -77,6 +80,14 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
 def _cost(run: Record | None, value: float | None, cost: str, words: Words) -> Part:
     text = cost_text(value, cost)
     return words.run(run, text) if run else text
+
+
+def _at(run: Record | None) -> str:
+    """' at h=0.01 s': the step or tolerance of a run."""
+    if run is None:
+        return ""
+    value = number(step_or_tolerance(run))
+    return f" at h={value} s" if run.controls == "step" else f" at rtol={value}"
 
 
 def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
@@ -102,10 +113,10 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     if len(lead) == 1:
         if count <= _NAMED and count < most:
             said += [" (", *listed([scene_ref(k)] for k in where[lead[0]]), ")"]
-        said += [_alone("alone", wins, count), *_times_next(lead[0], voting)]
+        said += [_alone("alone", wins, count), *_times_next(lead, voting)]
         said += _kind(where[lead[0]], voting, words)
     else:
-        said.append(_alone("each alone", wins, count))
+        said += [_alone("each alone", wins, count), *_times_next(lead, voting)]
     others: dict[tuple[str, ...], list[str]] = {}
     for label in order[len(lead) :]:
         others.setdefault(tuple(where[label]), []).append(label)
@@ -116,7 +127,10 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
         said += named if len(own) <= _NAMED else [str(len(own)), *_kind(own, voting, words)]
         said += [] if any(alone[label] for label in labels) else [", tied"]
     more = sum(map(len, list(others.values())[shown:]))
-    return [*said, f"; {more} more on at least one." if more else "."]
+    said += [f"; {more} more on at least one"] if more else []
+    # The counts of all then add up to more than the scenes.
+    counted = others and any(alone[label] < len(where[label]) for label in order)
+    return [*said, "; ties count for each." if counted else "."]
 
 
 def _compared(found: Answer, most: int) -> str:
@@ -124,7 +138,7 @@ def _compared(found: Answer, most: int) -> str:
     if most == len(found.scenes):
         return ""
     reached = sum(s.reached for s in found.scenes.values())
-    return " where it is reached" if most == reached else " where several can be compared"
+    return " where anybody reaches it" if most == reached else " where several can be compared"
 
 
 def _alone(alone: str, wins: int, count: int) -> str:
@@ -133,10 +147,10 @@ def _alone(alone: str, wins: int, count: int) -> str:
     return f", {alone} on {wins}" if wins else ", always tied" if count > 1 else ", tied"
 
 
-def _times_next(label: str, voting: Mapping[str, SceneAnswer]) -> list[Part]:
-    """How much the next one costs where an integrator is alone."""
+def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Part]:
+    """How much the next one costs where integrators are first with none but each other."""
     seconds = [
-        s.verdict.second for s in voting.values() if [e.label for e in s.verdict.first] == [label]
+        s.verdict.second for s in voting.values() if {e.label for e in s.verdict.first} <= set(lead)
     ]
     ratios = [s.ratio for s in seconds if s and s.ratio]
     return [f" (the next costs {number_range(ratios)} times as much)"] if ratios else []

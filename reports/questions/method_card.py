@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.results.quantities import NORM
+from bench.results.records import NOT_TRIED
 from problems.spec import SpecError, suggest
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer, answer
@@ -44,6 +45,8 @@ def card(
     said += _listed("Cheapest alone: ", [_win(name, s, words) for name, s in alone.items()])
     ties: list[Sentence] = [[scene_ref(name)] for name in wins if name not in alone]
     said += _listed("Tied for the cheapest: ", ties)
+    if not wins and any(s.verdict.votes for s in tried.values()):
+        said.append(["Cheapest on no scene."])
     losses = [(e.ratio or 0.0, name) for name, e in reached.items() if e.ratio and name not in wins]
     losses = [pair for pair in losses if tried[pair[1]].verdict.votes]
     said += _listed(
@@ -58,7 +61,7 @@ def card(
     said += _listed("Does not reach it: ", [_missed(k, label, scenes[k], question) for k in missed])
     failed = [name for name, e in own.items() if e.state == "failed"]
     said += _listed("Fails: ", [_failed(name, label, scenes[name]) for name in failed])
-    return [*said, *_costs(reached, question)]
+    return [*said, *_ends(label, scenes), *_costs(reached, question)]
 
 
 def method_card(folder: Path, integrator: str, question: Question = FIRST) -> list[str]:
@@ -116,6 +119,23 @@ def _failed(name: str, label: str, series: Sequence[Series]) -> Sentence:
         scene_ref(name),
         *(f" ({s.statuses.replace('_', ' ')})" for s in series if s.label == label),
     ]
+
+
+def _ends(label: str, scenes: Mapping[str, Sequence[Series]]) -> list[Sentence]:
+    """How many of all its runs failed, and where most of them."""
+    runs = {
+        name: [
+            r for s in series if s.label == label for r in s.records if r.status not in NOT_TRIED
+        ]
+        for name, series in scenes.items()
+    }
+    failed = {name: sum(r.status != "ok" for r in own) for name, own in runs.items()}
+    count, tried = sum(failed.values()), sum(map(len, runs.values()))
+    if not count:
+        return [["All of its runs reached the end."]] if tried else []
+    order = sorted(filter(failed.get, failed), key=lambda name: -failed[name])
+    where = listed([scene_ref(name), f" ({failed[name]})"] for name in order)
+    return [[f"{count} of its {tried} runs failed: ", *where, "."]]
 
 
 def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentence]:

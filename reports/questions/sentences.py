@@ -5,6 +5,8 @@ Integrators that do the same on a scene are one contestant there and named by th
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import cheapest, families, on_each, on_one
@@ -16,6 +18,7 @@ from reports.series import label_of
 
 #: Scenes are named with their costs if no more than these are compared.
 _EACH = 3
+_OWN = "the reference's own error there"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
@@ -44,6 +47,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         *said,
         *_reached(found, words),
         *_nobody(found, words),
+        *_failing(found, words),
         *_unjudged(found),
         *_unknown(found, words),
     ]
@@ -51,6 +55,12 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
 
 def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
     """The answer on one scene."""
+    said = _on_scene(question, scene, answer, words)
+    failed = words.methods(k for k, entry in answer.entries.items() if entry.state == "failed")
+    return [*said, " No run reached the end: ", *failed, "."] if failed else said
+
+
+def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
     unknown = words.methods(s.label for s in answer.verdict.unknown)
     if answer.verdict.first:
         said = on_one(question, scene, answer, words)
@@ -117,13 +127,43 @@ def _near(answer: SceneAnswer, words: Words) -> Sentence:
     return [" (nearest: ", words.method(label_of(run)), ", ", words.run(run, number(error)), ")"]
 
 
+def _failing(found: Answer, words: Words) -> list[Sentence]:
+    """The integrators of which no run reaches the end, and the scenes."""
+    where: dict[str, list[str]] = {}
+    for name, scene in found.scenes.items():
+        for label in (k for k, entry in scene.entries.items() if entry.state == "failed"):
+            where.setdefault(label, []).append(name)
+    return [["No run reached the end: ", *_where(where, words), "."]] if where else []
+
+
+def _where(where: Mapping[str, Sequence[str]], words: Words) -> Sentence:
+    """'A (s and t), B (u)': integrators and their scenes, those with most scenes first."""
+    order = sorted(where, key=lambda label: -len(where[label]))
+    return listed(
+        [words.method(k), " (", *listed([scene_ref(name)] for name in where[k]), ")"] for k in order
+    )
+
+
 def _unjudged(found: Answer) -> list[Sentence]:
     if not found.unjudged:
         return []
-    it = ["It"] if found.scenes else [found.question.accuracy]
+    it = "It" if found.scenes else found.question.accuracy
     where = listed([scene_ref(k), f" ({number(e)})"] for k, e in found.unjudged.items())
-    reason = "the reference's own error there is more than a hundredth of it"
-    return [[*it, " cannot be judged on ", *where, f": {reason}."]]
+    than = f"is more than a hundredth of {found.question.accuracy}"
+    if len(found.unjudged) > 1:
+        return [[f"{it} cannot be judged on ", *where, f": {_OWN}, in brackets, {than}."]]
+    ((scene, error),) = found.unjudged.items()
+    return [[f"{it} cannot be judged on ", *unjudged(found.question, scene, error)[1:]]]
+
+
+def unjudged(question: Question, scene: str, error: float) -> Sentence:
+    """The reason for which there is no answer on a scene; ``error`` is the reference's own one."""
+    than = f"more than a hundredth of {question.accuracy}"
+    return [
+        f"{question.accuracy} in {question.quantity} cannot be judged on ",
+        scene_ref(scene),
+        f": {_OWN} is {number(error)}, {than}.",
+    ]
 
 
 def _unknown(found: Answer, words: Words) -> list[Sentence]:
@@ -133,8 +173,4 @@ def _unknown(found: Answer, words: Words) -> list[Sentence]:
             where.setdefault(entry.label, []).append(name)
     if not where:
         return []
-    who = listed(
-        [words.method(k), " on ", *(listed([scene_ref(name)] for name in own))]
-        for k, own in where.items()
-    )
-    return [["Reached at a cost that is not measured: ", *who, "."]]
+    return [["Reached at a cost that is not measured: ", *_where(where, words), "."]]

@@ -150,7 +150,7 @@ def winners_table(
     )
 
 
-def standings_table(found: Answer, names: Mapping[str, str]) -> Table | None:
+def standings_table(found: Answer) -> Table | None:
     """First places and scenes reached of each integrator; None for one integrator or one scene."""
     rows = found.standings
     if len(rows) < 2 or len(found.scenes) < 2:
@@ -158,8 +158,8 @@ def standings_table(found: Answer, names: Mapping[str, str]) -> Table | None:
     question = found.question
     return Table(
         f"Standings: {LEAST_COST[question.cost]} to {question.accuracy} in {question.quantity}",
-        ["integrator", "short name", "alone cheapest", "tied", "reached", "tried"],
-        [[s.label, names[s.label], *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
+        ["integrator", "alone cheapest", "tied", "reached", "tried"],
+        [[s.label, *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
         note=f"Numbers of scenes. Relative error: {NORM_NAMES[NORM]}. First places count on scenes "
         f"on which several integrators are compared. {TIES}",
     )

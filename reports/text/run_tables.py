@@ -59,8 +59,6 @@ def summary_table(series: Sequence[Series]) -> Table:
                 "operations": number(cost_of(run, "operations")) if run else NO_VALUE,
                 "runs": s.statuses,
                 "most accurate run": run.resolution if run else NO_VALUE,
-                "resolutions": s.resolutions,
-                "formulation": s.formulations,
             }
         )
     best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
@@ -126,10 +124,12 @@ def runs_table(
     series: Sequence[Series],
     ids: Mapping[str, str] | None = None,
     components: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    names: Mapping[str, str] = MappingProxyType({}),
 ) -> Table | None:
     """Every run with its errors, work and ending.
 
-    ``ids`` are the anchors of the rows by key, ``components`` the names of components by group.
+    ``ids`` are the anchors of the rows by key, ``components`` the names of components by group,
+    ``names`` short names by label.
     """
     records = [(s, r) for s in series for r in s.records]
     groups = groups_of(r for _, r in records)
@@ -151,7 +151,9 @@ def runs_table(
     ]
     note = f"{ERROR_MEANING} The worst component is named. "
     sampled = [
-        f"{r.resolution} of {s.label} at {measured_at(r)}" for s, r in records if _sampled(r)
+        f"{r.resolution} of {names.get(s.label, s.label)} at {measured_at(r)}"
+        for s, r in records
+        if _sampled(r)
     ]
     if sampled:
         note += f"Not all steps were measured: {'; '.join(sampled)}. "

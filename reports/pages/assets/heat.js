@@ -83,9 +83,9 @@
         })));
     });
     table.replaceChildren(
-      html("caption", {}, `${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${data.norm}), as a multiple of the cheapest on the scene`),
+      html("caption", {}, `Cost in ${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${data.norm}), as a multiple of the cheapest on the scene`),
       html("thead", {}, tags, names), html("tbody", {}, ...body));
-  });
+  }, table);
 
   const legend = document.getElementById("heat-legend");
   legend.append(...["reached", "far", "failed", "unknown", "unjudged", "untried"].map((state) => {

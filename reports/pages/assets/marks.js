@@ -12,7 +12,11 @@
     "diamond": (r) => `m0 ${-1.3 * r}l${1.2 * r} ${1.3 * r}l${-1.2 * r} ${1.3 * r}l${-1.2 * r} ${-1.3 * r}z`,
     "cross": (r) => `m${-.4 * r} ${-1.2 * r}h${.8 * r}v${.8 * r}h${.8 * r}v${.8 * r}h${-.8 * r}v${.8 * r}h${-.8 * r}v${-.8 * r}h${-.8 * r}v${-.8 * r}h${.8 * r}z`,
   };
-  const other = (r) => `m${-r} ${-r}l${2 * r} ${2 * r}m0 ${-2 * r}l${-2 * r} ${2 * r}z`;
+  // The other marks are polygons, as a path within -1 to 1.
+  const polygon = (path, r) => {
+    const points = path.slice(1, -1).split("L").map((p) => p.split(",").map((value) => 1.25 * r * value));
+    return points.map(([x, y], k) => k ? `l${x - points[k - 1][0]} ${y - points[k - 1][1]}` : `m${x} ${y}`).join("") + "z";
+  };
 
   const svg = (name, attributes = {}, ...children) => {
     const node = document.createElementNS(SVG, name);
@@ -27,7 +31,7 @@
     return node;
   };
 
-  const shape = (method, r) => (SHAPES[method.shape] || other)(r);
+  const shape = (method, r) => SHAPES[method.shape]?.(r) ?? polygon(method.shape, r);
   // A colour of a method that follows light and dark; paper is always light.
   const colour = (method) => `light-dark(${method.light}, ${method.dark})`;
   const badge = (method) => {
@@ -77,5 +81,13 @@
   };
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
 
-  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, cut, room });
+  // The error of a scene's reference itself, of which errors must be a multiple to be judged.
+  const ownError = (scene, group) => errorText(stepbench.data.scenes[scene].floor[group] / stepbench.data.trust);
+  // The reason for which a question has no answer on a scene.
+  const unjudged = (scene, { group, target }) => stepbench.data.scenes[scene].groups.includes(group)
+    ? `${target} cannot be judged on this scene: the reference's own error in ${stepbench.data.group_names[group]} is ` +
+      `${ownError(scene, group)}, more than a hundredth of it.`
+    : `No run on this scene has an error in ${stepbench.data.group_names[group]}.`;
+
+  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, cut, room, ownError, unjudged });
 })();

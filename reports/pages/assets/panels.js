@@ -13,19 +13,24 @@
     link.href = stepbench.page(scene.page);
     return { card, place, index };
   });
-  const redraw = () => {
+  let broad = 0;
+  const choose = () => {
     const chosen = new Set(stepbench.chosen());
     for (const { card, index } of cards) card.hidden = !chosen.has(index);
     // All panels are equally wide: measured once, before the first is drawn.
-    const wide = cards.find(({ card }) => !card.hidden)?.place.clientWidth;
-    for (const { card, place, index } of cards) if (!card.hidden) stepbench.draw(place, index, { wide });
+    broad = cards.find(({ card }) => !card.hidden)?.place.clientWidth;
+  };
+  const draw = ({ card, place, index }) => {
+    if (!card.hidden) stepbench.draw(place, index, { wide: broad });
   };
   panels.append(...cards.map(({ card }) => card));
-  stepbench.onChange(redraw);
+  stepbench.onChange(choose);
+  for (const own of cards) stepbench.onChange(() => draw(own), own.card);
   let wide = innerWidth;
   window.addEventListener("resize", () => {
     if (Math.abs(innerWidth - wide) < 20) return;
     wide = innerWidth;
-    redraw();
+    choose();
+    cards.forEach(draw);
   });
 })();

@@ -167,7 +167,7 @@
     const first = answer?.first.map((m) => data.methods[m].short) || [];
     return `${scene.name}: error in ${data.group_names[question.group]} (${data.norm}) against ${stepbench.costName(question)}, ` +
       `${curves.length} methods, ${curves.reduce((n, c) => n + c.points.length, 0)} runs, ${failed} of them failed. ` +
-      (!answer ? "This accuracy cannot be judged here. " : reach ? `${reach} reach ${question.target}; ` : `None reaches ${question.target}. `) +
+      (!answer ? `${stepbench.unjudged(data.scenes.indexOf(scene), question)} ` : reach ? `${reach} reach ${question.target}; ` : `None reaches ${question.target}. `) +
       (first.length ? `cheapest: ${first.join(", ")}.` : "");
   };
 
@@ -240,12 +240,11 @@
     });
     if (at.floor !== null && at.floor < at.inside.y1) {
       chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));
-      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, "below: the reference cannot judge"));
+      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, `below: within ${data.trust} times the reference's own error, ${stepbench.ownError(index, question.group)}`));
     }
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));
     chart.append(svg("path", { class: "asked", d: `M${at.inside.x0} ${y}H${at.inside.x1}` }));
-    if (large) chart.append(svg("text", { class: "asked-name", x: at.inside.x1 - 4, y: y - 5, "text-anchor": "end" }, `asked: ${question.target}`));
     const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
@@ -269,6 +268,9 @@
       if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
     if (names) chart.append(legend(drawn, at, wide));
+    // On the left no line leads to a name; the name of the reference's floor may stand there.
+    const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
+    if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
     if (!all.length) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
       curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));

@@ -32,9 +32,10 @@
     const onY = (part) => HIGH - BOTTOM - part * (HIGH - BOTTOM - TOP);
     const best = lines[0], first = [...lines].sort((a, b) => b.parts[0] - a.parts[0])[0];
     const say = (line, part) => `${line.name} ${Math.round(100 * part)} %`;
+    const said = `Cheapest most often: ${say(first, first.parts[0])}; reaches most within ${multiples.at(-1)} times the least cost: ${say(best, best.parts.at(-1))}.`;
     const chart = svg("svg", {
       class: `plot profile${question.highlight ? " field" : ""}${lines.length > 16 ? " many" : ""}`, viewBox: `0 0 ${wide} ${HIGH}`, width: wide, height: HIGH, role: "img",
-      "aria-label": `Performance profile over ${profile.pairs} pairs of scene and target. Cheapest most often: ${say(first, first.parts[0])}; reaches most within ${multiples.at(-1)} times the best: ${say(best, best.parts.at(-1))}.`,
+      "aria-label": `Performance profile over ${profile.pairs} pairs of scene and target. ${said}`,
     });
     const grid = svg("g", { class: "grid" }), axis = svg("g", { class: "axis" });
     for (const part of [0, .25, .5, .75, 1]) {
@@ -46,7 +47,8 @@
       axis.append(svg("text", { x: onX(m), y: onY(0) + 16, "text-anchor": "middle" }, `${m}×`));
     }
     axis.append(svg("text", { class: "title", x: (LEFT + wide - right) / 2, y: HIGH - 6, "text-anchor": "middle" },
-      `at most so many times the least ${stepbench.costName(question)} (${profile.pairs} pairs of scene and accuracy)`));
+      narrow ? `multiple of the least ${data.cost_words[question.cost]} (${profile.pairs} pairs)`
+        : `at most so many times the least ${stepbench.costName(question)} (${profile.pairs} pairs of scene and accuracy)`));
     chart.append(grid, axis);
     const names = svg("g", { class: "legend" });
     let next = TOP;
@@ -66,9 +68,9 @@
       names.append(svg("path", { class: "leader", d: `M${wide - right + 1} ${onY(line.parts.at(-1))}L${wide - right + 14} ${y}` }), name);
     });
     chart.append(names);
-    place.replaceChildren(chart);
+    place.replaceChildren(chart, html("p", { class: "note" }, said));
   };
   menu.addEventListener("change", () => draw(stepbench.question));
-  stepbench.onChange(draw);
+  stepbench.onChange(draw, place);
   window.addEventListener("resize", () => draw(stepbench.question));
 })();

@@ -77,14 +77,15 @@
   const stepbench = {
     data, columnOf, endingOf, resolutionOf, address,
     question: asked(),
-    // Call a function with the question, now and whenever it or the data change.
-    onChange(follower) {
-      followers.push(follower);
-      follower(stepbench.question);
+    // Call a function with the question, now and whenever it or the data change: soon if it
+    // draws in a place that is out of sight.
+    onChange(draw, place) {
+      followers.push({ draw, place });
+      draw(stepbench.question);
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["letters", "columns", "resolutions", "answers", "profiles"]) data[name] = rest[name];
+      for (const name of ["letters", "columns", "resolutions", "answers", "refs", "profiles"]) data[name] = rest[name];
       data.runs_of = named(rest.runs_of);
       data.complete = true;
       follow();
@@ -101,13 +102,31 @@
   };
   window.stepbench = stepbench;
 
+  // Milliseconds that a reader may wait, and those that later pieces of work may take.
+  const PATIENCE = 80, PIECE = 30;
+  let waiting = [], later = 0;
+  const work = (milliseconds) => {
+    const end = performance.now() + milliseconds;
+    while (waiting.length && performance.now() < end) waiting.shift().draw(stepbench.question);
+    clearTimeout(later);
+    if (waiting.length) later = setTimeout(work, 0, PIECE);
+  };
+  // How far a place is out of sight.
+  const far = (place) => {
+    const box = place?.getBoundingClientRect();
+    return box ? Math.max(0, box.top - innerHeight, -box.bottom) : 0;
+  };
+  window.addEventListener("beforeprint", () => work(Infinity));
+
   const follow = () => {
     stepbench.question = asked();
     for (const name of NAMES) if (bar?.elements[name]) bar.elements[name].value = stepbench.question[name];
-    for (const follower of followers) follower(stepbench.question);
     for (const link of document.querySelectorAll("a[data-question]")) {
       link.hash = address();
     }
+    waiting = followers.map((follower) => [far(follower.place), follower])
+      .sort(([one], [two]) => one - two).map(([, follower]) => follower);
+    work(PATIENCE);
   };
 
   const fill = (select, values, texts) => {

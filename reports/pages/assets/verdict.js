@@ -24,11 +24,10 @@
       html("td", {}, stepbench.errorText(error)));
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
-    const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || {};
-    table.closest(".card").hidden = !Object.keys(states).length;
+    const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
-    const found = Object.entries(states).sort((one, two) => multiple(one) - multiple(two) || 0);
-    table.closest("section").hidden = !found.length;
+    const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
+    table.closest(".card").hidden = table.closest("section").hidden = !found.length;
     const head = ["method", stepbench.costName(question), "multiple of the best", `error in ${question.group}`];
     table.replaceChildren(
       html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${data.norm}`),

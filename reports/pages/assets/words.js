@@ -2,9 +2,10 @@
 "use strict";
 (() => {
   const { html, data } = stepbench;
-  // A part of a sentence is text, or names something that has a place in the report.
-  const part = (item) => {
-    if (typeof item === "string") return item;
+  // A part of a sentence is text, or the place of a reference to something in the report.
+  const part = (place) => {
+    if (typeof place === "string") return place;
+    const item = data.refs[place];
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const text = item.text || item.key;
     const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
@@ -14,10 +15,6 @@
     return node;
   };
   stepbench.part = part;
-  // The reason for which a question has no answer on a scene.
-  stepbench.unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
-    ? `${target} cannot be judged on this scene: the reference's own error is more than a hundredth of it.`
-    : `No run on this scene has an error in ${data.group_names[group]}.`;
 
   const card = document.getElementById("answer"), table = document.getElementById("standings");
   if (!card) return;
@@ -49,7 +46,7 @@
         html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     }));
-    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}`), html("thead", {}, head), body);
+    table.replaceChildren(html("caption", {}, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`), html("thead", {}, head), body);
     const rest = rows.length - shown.length;
     if (rest > 0 || !folded) {
       const button = html("button", { type: "button", class: "more" }, folded ? `${rest} more` : "fewer");
