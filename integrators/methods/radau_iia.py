@@ -35,14 +35,17 @@ import numpy as np
 from integrators.contract import option
 from integrators.native.own_values import Formulated, FreeSteps, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, largest
 from problems import formulations
 from problems.formulations import Start
-from problems.runtime import jnp
+from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from jax import Array
     from jaxtyping import Bool, Float
 
@@ -186,6 +189,29 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
             parts = zip(variables, rates.x, strict=True)
             return jnp.concatenate([row for z, xdot in parts for row in self._rows(scene, z, xdot, h)])
 
+        def tangents(u: Array) -> Callable[[complex], Array]:
+            """Tangents of a single stage by its slope, at the mean of all stages."""
+            stages, rates = at(u)
+            mean = [sum(parts) / s for parts in zip(*stages, strict=True)]
+
+            def rows(q: Any, v: Any, a: Any, lam: Any, x: Any, y: Any, xdot: Any) -> Array:
+                z = Variables(q, v, a, lam, x, y, mean[-1])
+                return jnp.concatenate(self._rows(scene, z, xdot, h))
+
+            parts = *mean[:-1], rates.x.mean(axis=0)
+            q, v, a, lam, x, y, xdot = jax.jacfwd(rows, argnums=tuple(range(7)))(*parts)
+            # Of index 3 and 2 there is no mu; its directions are those of lam.
+            towards = lam[: scene.sizes.nq, :n_mu]
+
+            def of(slope: complex) -> Array:
+                hs = h * slope
+                of_mu = (h * v + a / slope) @ towards
+                return jnp.concatenate(
+                    [a + hs * v + hs**2 * q, lam, of_mu, xdot + hs * x, y], axis=1
+                )
+
+            return of
+
         held = jnp.tile(state.stages[-1], (s, 1))
         ahead = r.weights(1 + h / state.h * r.c) @ state.stages
         guess = jnp.where(state.smooth, ahead, held)
@@ -195,7 +221,10 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         error = of_q if self.formulation == "index3" else of_v
         error = error if scene.sizes.nl else 0.0
         rounding = (error, error * formulations.largest_inertia(scene, now.q), of_q, 0.0, 0.0)
-        u = work.solve(residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding)
+        u = work.solve(
+            residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
+            StageTangents(r.a, tangents), evaluations=s,
+        )  # fmt: skip
 
         variables, rates = at(u)
         z, stages = variables[-1], u.reshape(-1, s).T
