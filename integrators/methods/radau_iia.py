@@ -187,15 +187,17 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         def residual(u: Array) -> Array:
             variables, rates = at(u)
             parts = zip(variables, rates.x, strict=True)
-            return jnp.concatenate([row for z, xdot in parts for row in self._rows(scene, z, xdot, h)])
+            return jnp.concatenate(
+                [row for z, xdot in parts for row in self._rows(scene, z, xdot, h)]
+            )
 
         def tangents(u: Array) -> Callable[[complex], Array]:
             """Tangents of a single stage by its slope, at the mean of all stages."""
             stages, rates = at(u)
-            mean = [sum(parts) / s for parts in zip(*stages, strict=True)]
+            mean = jax.tree.map(lambda *parts: sum(parts) / s, *stages)
 
             def rows(q: Any, v: Any, a: Any, lam: Any, x: Any, y: Any, xdot: Any) -> Array:
-                z = Variables(q, v, a, lam, x, y, mean[-1])
+                z = Variables(q, v, a, lam, x, y, mean.t)
                 return jnp.concatenate(self._rows(scene, z, xdot, h))
 
             parts = *mean[:-1], rates.x.mean(axis=0)

@@ -53,7 +53,7 @@ class StageTangents(LinearSolver):
         self._modes = [
             (complex(z), 2 * columns[:, k], rows[k])
             if z.imag
-            else (float(z.real), columns[:, k].real, rows[k].real)
+            else (float(z.real), np.real(columns[:, k]), np.real(rows[k]))
             for k, z in enumerate(slopes)
             if z.imag >= 0
         ]
@@ -74,11 +74,11 @@ class StageTangents(LinearSolver):
         return [tangent(slope) for slope, *_ in self._modes]
 
     def update(self, kept: Any, r: Float[Array, " n"]) -> Float[Array, " n"]:
-        r, parts = r.reshape(self.stages, -1), []
+        r, du = r.reshape(self.stages, -1), jnp.zeros((len(r) // self.stages, self.stages))
         for inverse, (_, column, row) in zip(kept, self._modes, strict=True):
             one = small_matrices.product(inverse, row @ r)
-            parts.append(jnp.real(one[:, None] * column))
-        return sum(parts).ravel()
+            du = du + jnp.real(one[:, None] * column)
+        return du.ravel()
 
     def known(self, kept: Any) -> Bool[Array, ""]:
         return ~jnp.isnan(kept[0][0, 0])
