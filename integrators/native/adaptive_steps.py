@@ -4,8 +4,9 @@ A method adds to ``begin``, ``step`` and ``read`` an estimate of the error that 
 controller then chooses the steps so that the *achieved* error follows the tolerance: a method of
 order p leaves local errors of order p + 1, and its global error goes with h^p. Holding every local
 error at ``rtol^(1/p)`` times the tolerance makes h go with tol^(1/p), and the global error with tol
-(see Soederlind & Wang 2006, doi:10.1016/j.cam.2005.03.008). Equal local errors in all steps are the
-mesh with the fewest steps for a given sum of local errors.
+(see Soederlind & Wang 2006, doi:10.1016/j.cam.2005.03.008). Where the estimate is that of a method
+of lower order e, the same argument allows ``rtol^((e+1)/p - 1)`` times the tolerance. Equal local
+errors in all steps are the mesh with the fewest steps for a given sum of local errors.
 
 An error is measured as the bench measures it: the Euclidean norm of a group (q, v, x, a, lam)
 relative to the norm of the group's values, at the larger end of the step, with atol added. This
@@ -16,7 +17,7 @@ of the step before, however small the next is.
 
 The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210242)::
 
-    h+ = h 0.9 err^(-0.7/(p+1)) err_before^(0.4/(p+1))
+    h+ = h 0.9 err^(-0.7/(e+1)) err_before^(0.4/(e+1))
 """
 
 from __future__ import annotations
@@ -179,7 +180,9 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     them; a scalar has `FIRST_ROWS` slots. With 0 only the last row is stored. With None the program
     has no memory for other rows: many runs side by side would copy it in every step.
     """
-    order = program.functions.order
+    order, estimated = program.functions.order, program.functions.order_of_estimate
+    #: States may err by the tolerance times this power of rtol.
+    sharper = (estimated + 1) / order - 1
 
     def size_of(
         errors: Errors, old: Reading, new: Reading, peaks: tuple[Scalar, ...], span: Span
@@ -195,19 +198,24 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
         states = jnp.max(jnp.stack([relative(g, larger_end(g)) for g in ("q", "v", "x")]))
         algebraic = jnp.maximum(relative("a", peaks[0]), relative("lam", peaks[1]))
-        # Local errors go with h^(p+1), those of a and lam with h^p.
-        return jnp.maximum(states / span.rtol ** (1 / order), algebraic ** ((order + 1) / order))
+        # Estimates go with h^(e+1), those of a and lam with h^e.
+        power = (estimated + 1) / estimated
+        return jnp.maximum(states / span.rtol**sharper, algebraic**power)
 
     def sizes_of(reading: Reading) -> tuple[Scalar, Scalar]:
         return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
 
     def first_step(start: Start, span: Span) -> Time:
-        """Step at which the next term of the Taylor series of q or v reaches the tolerance."""
+        """Step at which the next term of the Taylor series of q or v reaches the tolerance.
+
+        Of methods above order two a later term counts; all have the same scale of time.
+        """
         z, length = start.z, span.t_end - span.t0
 
         def limit(rate: Array, scale: Scalar, power: int) -> Scalar:
-            allowed = (span.atol + span.rtol * scale) * span.rtol ** (1 / order)
-            return (allowed / (jnp.linalg.norm(rate) + 1e-300)) ** (1 / power)
+            size = span.atol / span.rtol + scale
+            time = (size / (jnp.linalg.norm(rate) + 1e-300)) ** (1 / power)
+            return time * span.rtol ** ((1 + sharper) / (power + estimated - 2))
 
         norm = jnp.linalg.norm
         speed = jnp.maximum(norm(z.v), _FIRST_PART * length * norm(z.a))
@@ -253,7 +261,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         first = program.read(scene, state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
         lowest, highest = program.ratios(numbers)
-        power = 1 / (order + 1)
+        power = 1 / (estimated + 1)
 
         def going(m: _Progress) -> Array:
             return (m.t < span.t_end) & (m.ending == _OK)

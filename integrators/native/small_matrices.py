@@ -79,6 +79,7 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Gauss-Jordan elimination in place with the largest pivot of each column; it stores pivot
     rows instead of exchanging rows."""
     n, rows = len(a), jnp.arange(len(a))
+    zero, one = jnp.zeros((), a.dtype), jnp.ones((), a.dtype)
     put = jax.lax.dynamic_update_index_in_dim
 
     def eliminate(k: Array, carry: tuple) -> tuple:
@@ -88,8 +89,8 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
         # The last bits hold the row. NaN is the largest.
         size = jax.lax.bitcast_convert_type(jnp.abs(column), jnp.int64) & -_ROOM | rows
         p = jnp.max(jnp.where(column_of == n, size, -1)) & (_ROOM - 1)
-        row = put(w[p], 1.0, k, 0) / column[p]
-        w = put(w, jnp.zeros(n), k, 1) - put(column, 0.0, p, 0)[:, None] * row
+        row = put(w[p], one, k, 0) / column[p]
+        w = put(w, jnp.zeros(n, a.dtype), k, 1) - put(column, zero, p, 0)[:, None] * row
         return put(w, row, p, 0), put(row_of, p, k, 0), put(column_of, k, p, 0)
 
     w, row_of, column_of = jax.lax.fori_loop(0, n, eliminate, (a, *2 * (jnp.full(n, n),)))
@@ -105,7 +106,8 @@ def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[A
     w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
     # XLA repeats cheap computations at every use, and would eliminate many times over. It does not
     # look into branches, and cannot find out that this condition is always true.
-    always = jnp.isnan(w[0, 0, 0]) | (w[0, 0, 0] <= jnp.inf)
+    first = jnp.real(w[0, 0, 0])
+    always = jnp.isnan(first) | (first <= jnp.inf)
     for k in range(a.shape[1]):
         w = jax.lax.cond(always, partial(_eliminated, k), lambda w: jnp.zeros_like(w[:, 1:]), w)
     return jnp.moveaxis(w, 2, 0)

@@ -68,6 +68,11 @@ class StepFunctions(ABC):
     #: Order p of the method; the step controller uses it.
     order: int
 
+    @property
+    def order_of_estimate(self) -> int:
+        """Order of the method whose local errors are estimated, if it is not the method itself."""
+        return self.order
+
     def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
         """Estimate the local errors of the step of size h (s) from one state to the next."""
         raise NotImplementedError

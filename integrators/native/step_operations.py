@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
+    from integrators.native.stage_tangents import StageTangents
     from integrators.native.step_work import Residual
 
 
@@ -44,12 +45,24 @@ class _CostFinder(EquationsFinder):
         self._program, self._numbers = program, numbers
         self.costs: list[EquationCosts] = []
 
-    def solve(self, residual: Residual, guess: Float[Array, " n"], *more: Any, **named: Any) -> Any:
+    def solve(
+        self,
+        residual: Residual,
+        guess: Float[Array, " n"],
+        *more: Any,
+        split: StageTangents | None = None,
+        **named: Any,
+    ) -> Any:
         patterns, k = self._program.patterns, len(self.costs)
         solver = SparseSolver(patterns[k], self._numbers.analyses[k]) if patterns else None
         of_residual = operations(residual, guess)
 
-        def tangent(u: Array) -> Array:
+        if not self._program.keeps_tangents or patterns:
+            split = None
+
+        def tangent(u: Array) -> Any:
+            if split:
+                return split.assembled(u)
             return solver.pattern.values(residual, u) if solver else jax.jacfwd(residual)(u)
 
         if self._program.keeps_tangents:
@@ -60,7 +73,7 @@ class _CostFinder(EquationsFinder):
         if patterns:
             algebra = sparse(patterns[k].rows, patterns[k].columns, len(guess))
         else:
-            algebra = dense(len(guess))
+            algebra = split.algebra(len(guess)) if split else dense(len(guess))
         self.costs.append(EquationCosts(of_residual, of_tangent, algebra))
         return super().solve(residual, guess, *more, **named)
 
@@ -118,7 +131,8 @@ def run_bill(
     factorisations = solves = 0.0
     for one in solved:
         residuals = residuals.plus(one.residual.times(share * (work.newton or 0)))
-        tangents = tangents.plus(one.tangent.times(share * (work.jacobians or 0)))
+        # Each tangent is factorised once; it may linearise the scene's equations several times.
+        tangents = tangents.plus(one.tangent.times(share * (work.factorisations or 0)))
         factorisations += share * (work.factorisations or 0) * one.algebra.factorisation
         solves += share * (work.solves or 0) * one.algebra.solve
     return bill(scene, run, residuals, tangents, factorisations, solves)

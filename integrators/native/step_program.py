@@ -12,7 +12,7 @@ from integrators.native import klu
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Errors, Reading, StepReport
-from integrators.native.step_work import EquationsFinder, StepWork
+from integrators.native.step_work import EquationsFinder, StepWork, keeper
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 from problems.sparsity import NoPattern, Pattern
@@ -77,7 +77,7 @@ class StepProgram:
         finder = EquationsFinder()
         jax.eval_shape(lambda: functions.step(scene, state, start.z.t + h, h, finder))
         kept = (
-            self._solver(k, numbers).nothing_kept(equations.size)
+            keeper(self._solver(k, numbers), equations.split).nothing_kept(equations.size)
             for k, equations in enumerate(finder.found)
         )
         return _Carried(state, tuple(kept))
@@ -170,7 +170,7 @@ def _sparse_tangents(
     finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
     start = _at_rest(template)
     method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
-    patterns = tuple(Pattern(residual, size) for residual, size in finder.found)
+    patterns = tuple(Pattern(residual, size) for residual, size, _ in finder.found)
     symbolic = tuple(
         klujax.analyze(jnp.asarray(p.rows), jnp.asarray(p.columns), p.size) for p in patterns
     )

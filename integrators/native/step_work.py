@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Bool, Float
 
+    from integrators.native.stage_tangents import StageTangents
     from integrators.native.step_records import Scalar
 
     Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
@@ -62,6 +63,8 @@ class StepWork:
         old: Float[Array, " n"] | None = None,
         groups: Sequence[int] = (),
         rounding: Sequence[Scalar] | None = None,
+        split: StageTangents | None = None,
+        evaluations: int = 1,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
 
@@ -79,6 +82,10 @@ class StepWork:
         rounding
             Rounding error of each group, in its unit; no update can fall below it. Zero if not
             given.
+        split
+            Solver of coupled stages; modified Newton takes it instead of full matrices.
+        evaluations
+            How often a residual, or an exact tangent, evaluates the equations of the scene.
 
         Returns
         -------
@@ -88,12 +95,17 @@ class StepWork:
         old = guess if old is None else old
         rounding = (0.0,) * (len(groups) + 1) if rounding is None else rounding
         kept = None if self._before is None else self._before[k]
+        solver = self._solvers(k) if kept is None else keeper(self._solvers(k), split)
         u, kept, report = newton(
-            residual, guess, old, groups, self._tolerance, self._most, rounding, kept,
-            self._solvers(k),
-        )  # fmt: skip
+            residual, guess, old, groups, self._tolerance, self._most, rounding, kept, solver
+        )
         self.kept.append(kept)
-        self._add(report)
+        of_tangent = 1 if solver is split else evaluations
+        self._add(
+            report._replace(
+                residuals=evaluations * report.residuals, jacobians=of_tangent * report.jacobians
+            )
+        )
         return u
 
     def count(
@@ -121,11 +133,17 @@ class StepWork:
         self._report = StepReport(jnp.logical_and(before.converged, more.converged), *counts)
 
 
+def keeper(solver: LinearSolver, split: StageTangents | None) -> LinearSolver:
+    """Return the solver that keeps tangents; split ones replace full matrices."""
+    return split if split is not None and solver is DENSE else solver
+
+
 class Equations(NamedTuple):
-    """One system of equations of a step: its residual, and the number of unknowns."""
+    """One system of equations of a step: residual, number of unknowns, and a split of tangents."""
 
     residual: Residual
     size: int
+    split: StageTangents | None = None
 
 
 class EquationsFinder(StepWork):
@@ -142,7 +160,9 @@ class EquationsFinder(StepWork):
         old: Float[Array, " n"] | None = None,
         groups: Sequence[int] = (),
         rounding: Sequence[Scalar] | None = None,
+        split: StageTangents | None = None,
+        evaluations: int = 1,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
-        self.found.append(Equations(residual, len(guess)))
+        self.found.append(Equations(residual, len(guess), split))
         return guess
