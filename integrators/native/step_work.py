@@ -6,6 +6,7 @@ sparse), full or modified Newton, and tangents that are kept over steps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
@@ -62,6 +63,7 @@ class StepWork:
         old: Float[Array, " n"] | None = None,
         groups: Sequence[int] = (),
         rounding: Sequence[Scalar] | None = None,
+        enough: Scalar = math.inf,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
 
@@ -79,6 +81,9 @@ class StepWork:
         rounding
             Rounding error of each group, in its unit; no update can fall below it. Zero if not
             given.
+        enough
+            Number of updates by new tangents that certainly suffice: 0 if the guess is the
+            solution, 1 for linear equations.
 
         Returns
         -------
@@ -90,7 +95,7 @@ class StepWork:
         kept = None if self._before is None else self._before[k]
         u, kept, report = newton(
             residual, guess, old, groups, self._tolerance, self._most, rounding, kept,
-            self._solvers(k),
+            self._solvers(k), enough,
         )  # fmt: skip
         self.kept.append(kept)
         self._add(report)
@@ -142,6 +147,7 @@ class EquationsFinder(StepWork):
         old: Float[Array, " n"] | None = None,
         groups: Sequence[int] = (),
         rounding: Sequence[Scalar] | None = None,
+        enough: Scalar = math.inf,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess)))
