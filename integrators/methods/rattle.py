@@ -66,27 +66,32 @@ class KickedState(NamedTuple):
     guess: Guess
 
 
+def momentum_rate(scene: MechatronicSystem, q: Array, v: Array, t: Time) -> Array:
+    """Rate of M(q) v without constraint forces: the applied forces and dM/dt v."""
+    force = scene.force(q, v, t)
+    if mass_varies(scene):
+        force = force + jax.jvp(lambda q: formulations.inertia(scene, q, v), (q,), (v,))[1]
+    return force
+
+
 class Kick(NamedTuple):
-    """Half a step of the momentum: where it begins, and where its forces act."""
+    """Half a step of the momentum, from (q, v) on; constraint forces act at ``constrained``."""
 
-    #: q and v before it.
     before: tuple[Array, Array]
-    #: q, v and t of the applied forces.
-    force: tuple[Array, Array, Time]
-    #: q and t of the constraint forces.
-    constraint: tuple[Array, Time]
+    constrained: tuple[Array, Time]
+    h: Time
 
-    def residual(self, scene: MechatronicSystem, q: Array, a: Array, lam: Array, h: Time) -> Array:
-        """Residual per unit of time of the momentum's change; v = before.v + h/2 a follows at q."""
-        r = formulations.inertia(scene, q, a) - scene.force(*self.force)
+    def residual(
+        self, scene: MechatronicSystem, q: Array, a: Array, lam: Array, rate: Array
+    ) -> Array:
+        """Residual per unit of time if the momentum is M(q) (v + h/2 a) afterwards."""
+        r = formulations.inertia(scene, q, a) - rate
         if scene.has("constraint"):
-            r = r + formulations.constraint_force(scene, *self.constraint, lam)
+            r = r + formulations.constraint_force(scene, *self.constrained, lam)
         if mass_varies(scene):
-            (q0, v0), (q_mean, w, _) = self.before, self.force
+            q0, v0 = self.before
             turned = formulations.inertia(scene, q, v0) - formulations.inertia(scene, q0, v0)
-            # d/dt (M v) = M a + (dM/dt) v
-            rate = jax.jvp(lambda q: formulations.inertia(scene, q, w), (q_mean,), (w,))[1]
-            r = r + 2 / h * turned - rate
+            r = r + 2 / self.h * turned
         return r
 
 
@@ -133,8 +138,8 @@ class KickMethod(OwnValues, ImplicitStepMethod):
 
         def motion(z: Variables) -> Array:
             place, time = self.place((q, t), (z.q, z.t))
-            kick = Kick((q, v), (place, z.v, time), (q, t))
-            return kick.residual(scene, place, z.a, z.lam, h)
+            rate = momentum_rate(scene, place, z.v, time)
+            return Kick((q, v), (q, t), h).residual(scene, place, z.a, z.lam, rate)
 
         slopes, base = Slopes(h**2 / 2, h / 2, h), Base(q + h * v, v, jnp.zeros(0))
         e = stage_equations(scene, "index3", base, slopes, t + h, (q, t), dynamics=motion)
@@ -166,10 +171,11 @@ class BothSides(KickMethod):
         known = (guess.h == h) if looks else False
         first = self.first_half(scene, work, (now.q, now.v, t - h), h, guess, known)
         place, time = self.place((first.q, t), (now.q, t - h))
-        kick = Kick((place, first.v), (place, first.v, time), (first.q, t))
+        rate = momentum_rate(scene, place, first.v, time)
+        kick = Kick((place, first.v), (first.q, t), h)
 
         def motion(z: Variables) -> Array:
-            return kick.residual(scene, first.q, z.a, z.lam, h)
+            return kick.residual(scene, first.q, z.a, z.lam, rate)
 
         slopes, base = Slopes(0.0 * h, h / 2, h), Base(first.q, first.v, now.x)
         e = stage_equations(scene, "index2", base, slopes, t, (first.q, t), dynamics=motion)
@@ -246,8 +252,7 @@ class SHAKE(KickMethod):
         q, w = first.q, first.v
 
         def motion(z: Variables) -> Array:
-            kick = Kick((q, w), (q, z.v, t), (q, t))
-            return kick.residual(scene, q, z.a, z.lam, h)
+            return formulations.dynamics_residual(scene, z._replace(q=q, t=t))
 
         # z ends at the next step; its v is the velocity at q.
         slopes, base = Slopes(h**2, h / 2, h), Base(q + h * w, w, now.x)
@@ -255,50 +260,3 @@ class SHAKE(KickMethod):
         z, xdot = e.solve(work, guess.ahead(h), guess.last)
         z = z._replace(q=q, t=t)
         return KickedState(self.reported(scene, z, xdot, work), guess.after(z, xdot, h))
-
-
-@dataclass(frozen=True)
-class StormerVerlet(ImplicitStepMethod):
-    """Central differences in q: one force evaluation a step, explicit for forces f(q, t).
-
-    ::
-
-        q+ = q + h v + h^2/2 a,   M a+ = f(q+, v+, t+),   v+ = v + h/2 (a + a+)
-
-    It is the leapfrog, velocity Verlet and central difference method, and newmark with beta = 0;
-    v is (q+ - q-)/(2 h) at constant steps. Limit of stability: omega h = 2. Forces that depend on v
-    make the step implicit.
-    """
-
-    name: ClassVar[str] = "stormer_verlet"
-    family: ClassVar[str] = "symplectic"
-    formulation: ClassVar[str] = "ode"  # pyright: ignore[reportIncompatibleVariableOverride]
-    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2}
-    source: ClassVar[str] = (
-        "Verlet (1967), doi:10.1103/PhysRev.159.98; Hairer, Lubich & Wanner (2003), "
-        "doi:10.1017/S0962492902000144"
-    )
-
-    def supports(self, scene: MechatronicSystem) -> str | None:
-        if scene.has("constraint"):
-            return f"{self.name} has no constraints; rattle is the same method with them."
-        return refused_control(self.name, scene) or refused_mass(self.name, scene)
-
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> KickedState:
-        z = start.z
-        shown = Reading(z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y)
-        return KickedState(shown, Guess.begin(z, start.xdot, h))
-
-    def step(
-        self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
-    ) -> KickedState:
-        now, guess = state.shown, state.guess
-        q, w = now.q + h * now.v + h**2 / 2 * now.a, now.v + h / 2 * now.a
-        slopes, base = Slopes(0.0 * h, h / 2, h), Base(q, w, now.x)
-        linear = jnp.inf if force_takes_velocities(scene) else 1
-        e = stage_equations(scene, "index3", base, slopes, t, (q, t))
-        z, xdot = e.solve(work, guess.ahead(h), guess.last, linear)
-        return KickedState(Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y), guess.after(z, xdot, h))
-
-    def read(self, scene: MechatronicSystem, state: KickedState) -> Reading:
-        return state.shown
