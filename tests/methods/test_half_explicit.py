@@ -77,7 +77,7 @@ def test_orders_of_phem56(values):
     for on in (SWING,) if values == "own" else (SWING, TWO_RODS):
         found, claims = orders(method, 80, on), method.claims(on[0])
         for group in ("q", "v", "a", "lam"):
-            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.2), group
+            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.3), group
 
 
 @pytest.mark.parametrize("scene", ["one", *long("two")])
