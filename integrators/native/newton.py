@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -51,6 +52,7 @@ def newton(
     rounding: Sequence[Scalar],
     kept: Array | None,
     linear: LinearSolver,
+    enough: Scalar = math.inf,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -84,6 +86,9 @@ def newton(
         The last tangent in the form in which modified Newton keeps it (see `LinearSolver`).
     linear
         Linear algebra of the tangents.
+    enough
+        Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
+        the guess is one, 1 for linear equations.
 
     Returns
     -------
@@ -114,7 +119,8 @@ def newton(
         left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
         small = (size <= 1.0) | ((size < before) & (left <= 1.0))
         stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
-        return small | stagnant
+        done = (now.k >= enough) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
+        return small | stagnant | done
 
     def go_on(now: _Iteration) -> Bool[Array, ""]:
         # A NaN from an old tangent is no failure yet: full Newton still gets its try.

@@ -20,6 +20,7 @@ constraints shrinks like h^2. mu has units of lam.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -70,20 +71,24 @@ class StageEquations(NamedTuple):
     cuts: Sequence[int]
     rounding: tuple[Scalar, Scalar, Scalar]
 
-    def solve(self, work: StepWork, guess: Array, old: Array) -> tuple[Variables, Array]:
+    def solve(
+        self, work: StepWork, guess: Array, old: Array, enough: Scalar = math.inf
+    ) -> tuple[Variables, Array]:
         """Solve for the variables and xdot.
 
         Parameters
         ----------
         guess, old
             [a, lam, xdot, y] at which the iteration begins, and those at the start of the step.
+        enough
+            See `StepWork.solve`.
         """
         guess, old = self._with_mu(guess), self._with_mu(old)
         a, _, _, *control = jnp.split(old, self.cuts)
         # The controller's values inherit the rounding errors of a.
         part = jnp.minimum(self.rounding[0] / (largest(a) + 1e-300), _MOST_ROUNDING)
         rounding = (*self.rounding, *(part * largest(now, 0.0) for now in control))
-        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding))
+        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding, enough))
 
     def _with_mu(self, u: Array) -> Array:
         no_mu = jnp.zeros(self.cuts[2] - self.cuts[1])

@@ -6,6 +6,7 @@ sparse), full or modified Newton, and tangents that are kept over steps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
@@ -65,6 +66,7 @@ class StepWork:
         rounding: Sequence[Scalar] | None = None,
         split: StageTangents | None = None,
         evaluations: int = 1,
+        enough: Scalar = math.inf,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
 
@@ -86,6 +88,9 @@ class StepWork:
             Solver of coupled stages; modified Newton takes it instead of full matrices.
         evaluations
             How often a residual, or an exact tangent, evaluates the equations of the scene.
+        enough
+            Number of updates by new tangents that certainly suffice: 0 if the guess is the
+            solution, 1 for linear equations.
 
         Returns
         -------
@@ -97,7 +102,16 @@ class StepWork:
         kept = None if self._before is None else self._before[k]
         solver = self._solvers(k) if kept is None else keeper(self._solvers(k), split)
         u, kept, report = newton(
-            residual, guess, old, groups, self._tolerance, self._most, rounding, kept, solver
+            residual,
+            guess,
+            old,
+            groups,
+            self._tolerance,
+            self._most,
+            rounding,
+            kept,
+            solver,
+            enough,
         )
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
@@ -162,6 +176,7 @@ class EquationsFinder(StepWork):
         rounding: Sequence[Scalar] | None = None,
         split: StageTangents | None = None,
         evaluations: int = 1,
+        enough: Scalar = math.inf,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))

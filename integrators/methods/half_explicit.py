@@ -1,0 +1,232 @@
+"""Half-explicit methods: each stage solves linear equations for a and lam, and nothing is iterated.
+
+Constraints hold for velocities, to rounding; positions drift slowly. Only outputs y that depend on
+a, lam or y are solved for by iteration, within a stage. The methods are explicit: steps have to
+resolve the fastest vibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from integrators.native.own_values import FreeSteps, OwnValues
+from integrators.native.step_method import StepMethod
+from integrators.native.step_records import Errors, Reading
+from problems import formulations
+from problems.formulations import Start
+from problems.index1_newton import matrix_and_residual, newton
+from problems.named_equations import named
+from problems.runtime import jnp
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from jax import Array
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+
+class Ahead(NamedTuple):
+    """Where the velocity constraint of a stage holds: q, v = base + slope a, and t."""
+
+    q: Array
+    base: Array
+    slope: Scalar
+    t: Time
+
+
+@named
+def stage(scene: MechatronicSystem, z: Variables, ahead: Ahead) -> tuple[Variables, Array]:
+    """Solve the equations of motion at z.q, z.v, z.x, z.t with the velocity constraint ahead.
+
+    Parameters
+    ----------
+    z
+        Its a, lam and y are where an iteration for y begins.
+
+    Returns
+    -------
+    Variables, Array
+        z with a, lam and y of the stage, and xdot.
+    """
+    nq, nl, nx, ny = scene.sizes
+    guess = jnp.concatenate([z.a, z.lam, z.y])
+
+    def at(u: Array) -> Variables:
+        a, lam, y = jnp.split(u, [nq, nq + nl])
+        return z._replace(a=a, lam=lam, y=y)
+
+    def residual(u: Array) -> Array:
+        z = at(u)
+        rows = [formulations.dynamics_residual(scene, z)]
+        if nl:
+            v = ahead.base + ahead.slope * z.a
+            velocity = formulations.constraint_velocity(scene, ahead.q, v, ahead.t)
+            rows.append(velocity / ahead.slope)
+        if ny:
+            rows.append(z.y - scene.output(z))
+        return jnp.concatenate(rows)
+
+    if ny:
+        u, _ = newton(residual, guess)
+    else:
+        u = guess - jnp.linalg.solve(*matrix_and_residual(residual, guess))
+    z = at(u)
+    return z, scene.state_rate(z) if nx else jnp.zeros(0)
+
+
+class HalfExplicitState(NamedTuple):
+    """Reported values, the method's own values with xdot, and errors of q, v and x in the step."""
+
+    shown: Reading
+    z: Variables
+    xdot: Array
+    errors: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class HalfExplicit(OwnValues, StepMethod):
+    """Base of the methods."""
+
+    family: ClassVar[str] = "half-explicit"
+    formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> HalfExplicitState:
+        z, xdot = start.z, start.xdot
+        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
+        return HalfExplicitState(self.reported(scene, z, xdot), z, xdot, nothing)
+
+    def read(self, scene: MechatronicSystem, state: HalfExplicitState) -> Reading:
+        return state.shown
+
+
+@dataclass(frozen=True)
+class HalfExplicitEuler(HalfExplicit):
+    """The simplest half-explicit method, the core of many engines; first order::
+
+        q+ = q + h v,   M(q) a = f(q, v) - Phi_q^T lam,   v+ = v + h a,   d/dt Phi(q+, v+) = 0
+
+    Without constraints it is the explicit Euler method, which lets vibrations grow. The reported a,
+    lam and y are those of the step, which begins at q and v.
+    """
+
+    name: ClassVar[str] = "half_explicit_euler"
+    orders: ClassVar[dict[str, int]] = {"q": 1, "v": 1, "a": 1, "lam": 1, "x": 1, "y": 1}
+    source: ClassVar[str] = "Brasey & Hairer (1993), doi:10.1137/0730025"
+
+    def step(
+        self, scene: MechatronicSystem, state: HalfExplicitState, t: Time, h: Time, work: StepWork
+    ) -> HalfExplicitState:
+        now = state.z
+        q = now.q + h * now.v
+        s, xdot = stage(scene, now._replace(t=t - h), Ahead(q, now.v, h, t))
+        work.count(residuals=1, factorisations=1, solves=1)
+        z = s._replace(q=q, v=now.v + h * s.a, x=now.x + h * xdot, t=t)
+        return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, state.errors)
+
+
+#: Explicit stages of PHEM56 (Dormand & Prince), rows 2 to 6, with their places.
+_A = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+)
+_C = (1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
+#: Weights of the end of the step; they are the last row of _A_AHEAD but one.
+_B = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+#: Rows 2 to 7 of the points at which the velocity constraint holds, with their places.
+_A_AHEAD = (
+    (3 / 40, 9 / 40),
+    (21 / 256, 45 / 256, 15 / 128),
+    (19235 / 98784, -225 / 392, 6235 / 6174, 2755 / 32928),
+    (-293 / 1152, 85 / 48, -2275 / 1908, 35 / 32, -2835 / 6784),
+    _B,
+    (
+        10752038939 / 66307507200, -19259 / 50160, 19581770468 / 24023520675,
+        9941999 / 650073600, 180060831 / 4820710400, -11331659 / 439538400, 1 / 76,
+    ),
+)  # fmt: skip
+_C_AHEAD = (3 / 10, 3 / 8, 5 / 7, 1.0, 1.0, 19 / 30)
+#: Weights of the embedded method of order four.
+_B_EMBEDDED = (
+    5179 / 57600, 0.0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 / 2100, 1 / 40,
+)  # fmt: skip
+
+
+def _sum(start: Array, h: Time, weights: Sequence[float], rates: Sequence[Array]) -> Array:
+    """Return start + h sum of weights times rates; a weight may stand for a rate to come."""
+    pairs = zip(weights, rates, strict=False)
+    return start + h * sum((w * rate for w, rate in pairs if w), 0.0 * start)
+
+
+@dataclass(frozen=True)
+class PHEM56(FreeSteps, HalfExplicit):
+    """Partitioned half-explicit method of order five, from the stages of Dormand & Prince.
+
+    Stages i = 2 to 7 take q and v from explicit sums, and a and lam from linear equations: those of
+    motion at Q_i, V_i, and the velocity constraint at a point of its own, further on::
+
+        Q_i = q + h sum a_ij V_j,    V_i = v + h sum a_ij a_j    (j < i)
+        d/dt Phi = 0  at  q + h sum A_ij V_j,  v + h sum A_ij a_j    (j <= i)
+
+    Stage 6 ends the step, and stage 7 gives a and lam there, with which the next step begins. x is
+    taken like v. An embedded method of order four estimates the errors of q, v and x; its v is
+    projected on the velocity constraint.
+    """
+
+    name: ClassVar[str] = "phem56"
+    # x is as v; on linear scenes it may show order six, so that nothing is claimed.
+    orders: ClassVar[dict[str, int]] = {"q": 5, "v": 5, "a": 5, "lam": 5}
+    source: ClassVar[str] = (
+        "Murua (1997), doi:10.1007/BF02684403; Arnold & Murua (1998), doi:10.1023/A:1019123010801"
+    )
+
+    order = 5
+
+    @property
+    def order_of_estimate(self) -> int:
+        """Order of the embedded method."""
+        return 4
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        if not scene.has("constraint") or self.values == "equations":
+            return self.orders
+        return self.orders | {"a": 4, "lam": 4}
+
+    def step(
+        self, scene: MechatronicSystem, state: HalfExplicitState, t: Time, h: Time, work: StepWork
+    ) -> HalfExplicitState:
+        z, xdot, t0 = state.z, state.xdot, t - h
+        q, v, x = z.q, z.v, z.x
+        of_q, of_v, of_x = [v], [z.a], [xdot]
+        for a, c, ahead, c_ahead in zip((*_A, _B), (*_C, 1.0), _A_AHEAD, _C_AHEAD, strict=True):
+            z = z._replace(
+                q=_sum(q, h, a, of_q), v=_sum(v, h, a, of_v), x=_sum(x, h, a, of_x), t=t0 + c * h
+            )
+            of_q.append(z.v)
+            there = Ahead(
+                _sum(q, h, ahead, of_q), _sum(v, h, ahead, of_v), h * ahead[-1], t0 + c_ahead * h
+            )
+            z, xdot = stage(scene, z, there)
+            of_v.append(z.a)
+            of_x.append(xdot)
+        work.count(residuals=6, factorisations=6, solves=6)
+        z = z._replace(t=t)
+        errors = state.errors
+        if self.steps == "adaptive":
+            weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
+            e_q, e_v, e_x = (_sum(0.0 * r[0], h, weights, r) for r in (of_q, of_v, of_x))
+            if scene.sizes.nl:
+                e_v = e_v - formulations.constrained_part(scene, z.q, t, e_v)
+                work.count(factorisations=1, solves=1)
+            errors = e_q, e_v, e_x
+        return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, errors)
+
+    def estimate(self, before: HalfExplicitState, after: HalfExplicitState, h: Time) -> Errors:
+        z = after.z
+        return Errors(*after.errors, 0.0 * z.a, 0.0 * z.lam)

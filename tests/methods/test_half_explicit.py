@@ -1,0 +1,112 @@
+"""Half-explicit methods: conditions of the tableau, digits, constraints of velocities, steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import errors_at, long
+from proofs import SWING, TWO_RODS, orders
+from scipy.integrate import RK45
+
+from bench.conformance.trials import ForcedOscillator
+from integrators import Steps, Tolerances
+from integrators.methods import half_explicit
+from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
+
+CONSTANT = PHEM56(steps="constant")
+
+
+def test_the_tableau_satisfies_the_order_conditions():
+    a, ahead = np.zeros((7, 7)), np.zeros((7, 7))
+    for i, row in enumerate((*half_explicit._A, half_explicit._B), start=1):
+        a[i, : len(row)] = row
+    for i, row in enumerate(half_explicit._A_AHEAD, start=1):
+        ahead[i, : len(row)] = row
+    c, c_ahead = np.array([0.0, *half_explicit._C, 1.0]), np.array([0.0, *half_explicit._C_AHEAD])
+    c_ahead = c_ahead[-7:]
+    powers = np.arange(5)
+    # Explicit weights: order five, and stages of order three from the third on.
+    assert a[6] @ c[:, None] ** powers == pytest.approx(1 / (powers + 1), abs=1e-15)
+    assert a.sum(axis=1) == pytest.approx(c, abs=1e-15)
+    for k in (1, 2):
+        assert a[2:] @ c**k == pytest.approx(c[2:] ** (k + 1) / (k + 1), abs=1e-14)
+    # Points ahead: order three, whose last but one is the end of the step.
+    for k in (0, 1, 2):
+        wanted = c_ahead[1:] ** (k + 1) / (k + 1)
+        assert ahead[1:] @ c**k == pytest.approx(wanted, abs=1e-14)
+    assert ahead[5] == pytest.approx(a[6], abs=0)
+    embedded = np.array(half_explicit._B_EMBEDDED)
+    assert embedded @ c[:, None] ** powers[:4] == pytest.approx(1 / (powers[:4] + 1), abs=1e-15)
+    assert abs(embedded @ c**4 - 1 / 5) > 1e-4
+
+
+def test_without_constraints_a_step_is_that_of_dormand_and_prince():
+    scene, h = ForcedOscillator(), 0.1
+    run = CONSTANT.prepare(scene, h, Steps(h)).measure()
+    start = np.array([1.0, 0.5])
+
+    def rate(t, s):
+        return np.array([s[1], np.cos(1.5 * t) - s[0] - 0.3 * s[0] ** 3])
+
+    rates = []
+    for c, row in zip(RK45.C, RK45.A, strict=True):
+        rates.append(rate(c * h, start + h * sum(w * r for w, r in zip(row, rates, strict=False))))
+    end = start + h * RK45.B @ rates
+    assert [run.q[-1, 0], run.v[-1, 0]] == pytest.approx(end, abs=1e-15)
+    assert run.a[-1, 0] == pytest.approx(rate(h, end)[1], abs=1e-14)
+
+
+def test_phem56_has_the_digits_of_an_independent_program():
+    scene, t_end = SWING
+    run = CONSTANT.prepare(scene, t_end, Steps(1 / 80)).measure()
+    exact = scene.exact(run.t)
+    ends = {g: abs(getattr(run, g) - exact[g])[-1].max() for g in ("q", "v", "lam")}
+    assert ends["q"] == pytest.approx(2.65e-9, rel=5e-3)
+    assert ends["v"] == pytest.approx(4.68e-9, rel=5e-3)
+    assert ends["lam"] == pytest.approx(3.76e-7, rel=5e-3)
+    assert abs(run.lam - exact["lam"]).max() == pytest.approx(1.3e-6, rel=0.05)
+    assert abs((run.q * run.v).sum(axis=1)).max() < 2e-15
+    assert run.work.residuals == run.work.solves == 6 * 80
+
+
+@pytest.mark.parametrize("values", ["own", *long("equations")])
+def test_orders_of_phem56(values):
+    method = PHEM56(steps="constant", values=values)
+    for on in (SWING,) if values == "own" else (SWING, TWO_RODS):
+        found, claims = orders(method, 80, on), method.claims(on[0])
+        for group in ("q", "v", "a", "lam"):
+            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.3), group
+
+
+@pytest.mark.parametrize("scene", ["one", *long("two")])
+def test_half_explicit_euler_is_first_order_in_all(scene):
+    on = SWING if scene == "one" else TWO_RODS
+    found = orders(HalfExplicitEuler(), 400, on)
+    for group in ("q", "v", "a", "lam"):
+        assert found[group].order_at_end == pytest.approx(1.0, abs=0.1), group
+    run = HalfExplicitEuler().prepare(*on, Steps(0.01)).measure()
+    if scene == "one":
+        assert abs((run.q * run.v).sum(axis=1)).max() < 2e-15
+
+
+@pytest.mark.long
+def test_a_controller_with_implicit_outputs_is_integrated_in_full_order():
+    scene = SpringMass()
+    h = scene.nominal_step
+    one, two = (errors_at(CONSTANT, scene, 50 * h, h / n) for n in (1, 2))
+    for group in ("q", "v", "a", "x", "y"):
+        assert np.log2(one[group][-1] / two[group][-1]) > 4.7, group
+
+
+def test_steps_follow_the_tolerance():
+    errors = []
+    for rtol in (1e-4, 1e-6, 1e-8):
+        run = PHEM56().prepare(Pendulum(), 1.35, Tolerances(rtol)).measure()
+        assert run.status == "ok"
+        exact = Pendulum().exact(run.t)
+        errors.append(abs(run.q - exact["q"]).max())
+        assert errors[-1] < 30 * rtol
+        assert abs((run.q * run.v).sum(axis=1)).max() < 5e-15
+    assert errors[0] > 300 * errors[2]
