@@ -8,7 +8,9 @@ With values of the start of the step, one linear system gives the mean a, lam, x
 Of constraints the part ``erp`` (error reduction parameter) of the drift is taken back in a step;
 this is Baumgarte's stabilisation. Positions are left with an error of about h^2/(2 erp) times the
 bend of the constraint. The steppers differ in the force F(a). There is no iteration: where outputs
-or rates are not linear in a, lam and y they are linearised at the last ones.
+or rates are not linear in a, lam and y they are linearised at the last ones. A force that grows
+along the motion faster than the step can follow turns the sign of a.(M a - F(a) + F(0)), and a step
+would lead across a pole: the run ends there.
 """
 
 from __future__ import annotations
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
     _Force: TypeAlias = Callable[[Array], Array]
 
+#: Part of a.M a that may be rounding.
+_ROUNDING = 1e-6
 _ERP = "part of the constraints' error that a step takes back (Baumgarte)"
 
 
@@ -92,6 +96,9 @@ class SimulatorStepper(OwnValues, StepMethod):
 
         guess = jnp.concatenate([now.a, now.lam, state.xdot, now.y])
         a, lam, xdot, y = jnp.split(work.once(residual, guess), cuts)
+        of_a = a @ inertia(scene, now.q, a)
+        sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= -_ROUNDING * of_a
+        work.count(converged=sound)
         v = now.v + h * a
         z = Variables(now.q + h * v, v, a, lam, now.x + h * xdot, y, t)
         return self.reported(scene, z, xdot, work)
