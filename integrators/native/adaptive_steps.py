@@ -18,6 +18,8 @@ of the step before, however small the next is.
 The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210242)::
 
     h+ = h 0.9 err^(-0.7/(e+1)) err_before^(0.4/(e+1))
+
+A method with a published control of its own states it by ``choose`` instead.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, flat, with_start
 from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_records import Errors, Reading, StepReport, largest
+from integrators.native.step_records import Attempt, Errors, Reading, StepReport, largest
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
@@ -256,7 +258,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     ) -> tuple[Array, ...]:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
-        h0 = jnp.maximum(first_step(start, span), smallest)
+        h0 = jnp.maximum(program.first_step(numbers, first_step(start, span)), smallest)
         state = program.begin(scene, numbers, start, h0)
         first = program.read(scene, state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
@@ -274,19 +276,25 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = advance(p, numbers, m.state, t, h)
             now = program.read(scene, state)
-            errors = program.estimate(numbers, m.state, state, h)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))
-            error = size_of(errors, program.read(scene, m.state), now, peaks, span)
-            sane = jnp.isfinite(error) & jnp.isfinite(largest(now.q, now.v, now.a, now.lam))
+            sane = jnp.isfinite(largest(now.q, now.v, now.a, now.lam))
             solved = sane & report.converged
-            accepted = solved & (error <= 1.0)
-            error = jnp.maximum(error, 1e-4)
+            own = program.choose(numbers, Attempt(m.state, state, h, solved, span.rtol))
+            if own is not None:
+                error, accepted, h_next = m.error, own.accepted, h * own.ratio
+            else:
+                errors = program.estimate(numbers, m.state, state, h)
+                error = size_of(errors, program.read(scene, m.state), now, peaks, span)
+                sane = sane & jnp.isfinite(error)
+                solved = sane & report.converged
+                accepted = solved & (error <= 1.0)
+                error = jnp.maximum(error, 1e-4)
 
-            ratio = _SAFETY * error ** (-0.7 * power) * m.error ** (0.4 * power)
-            growing = jnp.clip(ratio, jnp.maximum(lowest, _SHARPEST), highest)
-            shrinking = jnp.clip(_SAFETY * error**-power, _SHARPEST, _SAFETY)
-            shrinking = jnp.where(solved, shrinking, _AFTER_FAILURE)
-            h_next = h * jnp.where(accepted, growing, shrinking)
+                ratio = _SAFETY * error ** (-0.7 * power) * m.error ** (0.4 * power)
+                growing = jnp.clip(ratio, jnp.maximum(lowest, _SHARPEST), highest)
+                shrinking = jnp.clip(_SAFETY * error**-power, _SHARPEST, _SAFETY)
+                shrinking = jnp.where(solved, shrinking, _AFTER_FAILURE)
+                h_next = h * jnp.where(accepted, growing, shrinking)
 
             counts = (accepted, ~accepted, *report[1:])
             counts = tuple(c + now for c, now in zip(m.counts, counts, strict=True))

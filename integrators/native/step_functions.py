@@ -14,7 +14,15 @@ from problems.formulations import Start
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_records import Errors, MethodState, Reading, Scalar, Time
+    from integrators.native.step_records import (
+        Attempt,
+        Choice,
+        Errors,
+        MethodState,
+        Reading,
+        Scalar,
+        Time,
+    )
     from integrators.native.step_work import StepWork
 
 
@@ -80,3 +88,11 @@ class StepFunctions(ABC):
     def ratios(self) -> tuple[Scalar, Scalar]:
         """Return the smallest and largest ratio of the next step to an accepted one."""
         return 0.0, 5.0
+
+    def choose(self, tried: Attempt) -> Choice | None:
+        """Accept a step and choose the next one; None leaves both to the controller."""
+        return None
+
+    def first_step(self, h: Time) -> Time:
+        """Return the first step to try; h (s) is the controller's."""
+        return h

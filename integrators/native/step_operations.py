@@ -53,6 +53,33 @@ class _CostFinder(EquationsFinder):
         split: StageTangents | None = None,
         **named: Any,
     ) -> Any:
+        self._add_costs(residual, guess, beside=not self._program.keeps_tangents, split=split)
+        return super().solve(residual, guess, *more, **named)
+
+    def once(self, residual: Residual, guess: Float[Array, " n"]) -> Any:
+        # No iteration is counted that would bill the residual: it belongs to the tangent.
+        self._add_costs(residual, guess, beside=False, both=True)
+        return super().solve(residual, guess)
+
+    def _add_costs(
+        self,
+        residual: Residual,
+        guess: Array,
+        beside: bool,
+        both: bool = False,
+        split: StageTangents | None = None,
+    ) -> None:
+        """Add the costs of equations.
+
+        Parameters
+        ----------
+        beside
+            True if tangents come beside a residual, with which they share parts.
+        both
+            True if the costs of a tangent are to hold those of the residual.
+        split
+            Solver of coupled stages, which modified Newton takes.
+        """
         patterns, k = self._program.patterns, len(self.costs)
         solver = SparseSolver(patterns[k], self._numbers.analyses[k]) if patterns else None
         of_residual = operations(residual, guess)
@@ -65,17 +92,16 @@ class _CostFinder(EquationsFinder):
                 return split.assembled(u)
             return solver.pattern.values(residual, u) if solver else jax.jacfwd(residual)(u)
 
-        if self._program.keeps_tangents:
-            of_tangent = operations(tangent, guess)
-        else:  # beside a residual, with which it shares parts
-            both = operations(lambda u: (residual(u), tangent(u)), guess)
-            of_tangent = both.plus(of_residual.times(-1))
+        of_tangent = operations(
+            lambda u: (residual(u), tangent(u)) if beside or both else tangent(u), guess
+        )
+        if beside:
+            of_tangent = of_tangent.plus(of_residual.times(-1))
         if patterns:
             algebra = sparse(patterns[k].rows, patterns[k].columns, len(guess))
         else:
             algebra = split.algebra(len(guess)) if split else dense(len(guess))
         self.costs.append(EquationCosts(of_residual, of_tangent, algebra))
-        return super().solve(residual, guess, *more, **named)
 
 
 _costs: dict[tuple[StepProgram, MechatronicSystem], StepCosts] = {}

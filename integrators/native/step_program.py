@@ -11,7 +11,7 @@ import numpy as np
 from integrators.native import klu
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.step_functions import StepFunctions
-from integrators.native.step_records import Errors, Reading, StepReport
+from integrators.native.step_records import Attempt, Choice, Errors, Reading, StepReport
 from integrators.native.step_work import EquationsFinder, StepWork, keeper
 from problems.formulations import Start
 from problems.runtime import jax, jnp
@@ -106,6 +106,16 @@ class StepProgram:
     def ratios(self, numbers: Numbers) -> tuple[Scalar, Scalar]:
         """Smallest and largest ratio of the next step to an accepted one."""
         return self.functions.with_numbers(numbers.method).ratios()
+
+    def choose(self, numbers: Numbers, tried: Attempt) -> Choice | None:
+        """The method's own choice of steps, if it has one."""
+        before, after = self._of_method(tried.before), self._of_method(tried.after)
+        functions = self.functions.with_numbers(numbers.method)
+        return functions.choose(tried._replace(before=before, after=after))
+
+    def first_step(self, numbers: Numbers, h: Time) -> Time:
+        """The first step to try; h (s) is the controller's."""
+        return self.functions.with_numbers(numbers.method).first_step(h)
 
     def after_try(self, accepted: Bool[Array, ""], after: Any, before: Any) -> Any:
         """The state for the next step: ``after`` if the last one was accepted, else ``before``."""

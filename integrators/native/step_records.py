@@ -59,6 +59,25 @@ class Errors(NamedTuple):
     lam: Float[Array, " nl"]
 
 
+class Attempt(NamedTuple):
+    """A tried step for a method that chooses its steps itself."""
+
+    before: MethodState
+    after: MethodState
+    #: Size of the step in s.
+    h: Scalar
+    #: True if its equations are solved and all values finite.
+    solved: Bool[Array, ""]
+    rtol: Scalar
+
+
+class Choice(NamedTuple):
+    """Whether a tried step counts, and the ratio of the next one to it."""
+
+    accepted: Bool[Array, ""]
+    ratio: Scalar
+
+
 def largest(*parts: Array | Scalar) -> Float[Array, ""]:
     """Largest absolute value over arrays, some of them empty; NaN if an entry is NaN."""
     return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))

@@ -122,6 +122,18 @@ class StepWork:
         )
         return u
 
+    def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Solve linear equations residual(u) = 0, or others approximately: no iteration, no test.
+
+        One evaluation of the residual and of its tangent at the guess, one factorisation, one
+        solve; nothing is kept for the next step.
+        """
+        k, self._calls = self._calls, self._calls + 1
+        kept = None if self._before is None else self._before[k]
+        self.kept.append(kept)
+        self.count(residuals=1, jacobians=1, factorisations=1, solves=1)
+        return guess - self._solvers(k).once(residual, guess)
+
     def count(
         self,
         residuals: int = 0,
@@ -181,3 +193,7 @@ class EquationsFinder(StepWork):
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))
         return guess
+
+    def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Record the equations and return the guess."""
+        return self.solve(residual, guess)

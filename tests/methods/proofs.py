@@ -10,7 +10,7 @@ import numpy as np
 from helpers import errors_at
 
 from bench.stability.matrices import matrices
-from bench.stability.systems import Oscillator
+from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator
 from problems import MechatronicSystem, jax
 from problems.initial_values import consistent_start
@@ -57,9 +57,12 @@ def _oscillator_roots(method: Integrator, omega_h: float) -> np.ndarray:
 
 def radii(method: Integrator) -> list[float]:
     """Spectral radii of the step on the undamped oscillator at `OMEGA_H`."""
-    return [
-        float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices(method, Oscillator(), OMEGA_H).a
-    ]
+    return radii_on(method, Oscillator())
+
+
+def radii_on(method: Integrator, system: LinearSystem) -> list[float]:
+    """Spectral radii of the step on a linear system at `OMEGA_H`."""
+    return [float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices(method, system, OMEGA_H).a]
 
 
 def damping_and_period(method: Integrator) -> tuple[float, float]:

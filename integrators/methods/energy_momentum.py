@@ -1,0 +1,244 @@
+"""The energy-momentum method, with discrete gradients of any potential and any constraint.
+
+With means (.)_m of both ends of a step, and discrete gradients D (`discrete_gradients`)::
+
+    q+ - q = h v_m
+    M(q+) v+ - M(q) v = h (D S - D V - D Phi^T lam),    S(q) = v.M(q) v+ / 2
+    Phi(q+) = 0
+
+D S is the discrete form of the gradient of the kinetic energy T: as T+ - T = v_m.(M+ v+ - M v) -
+(S+ - S), the energy T + V at the end is that at the start, for any M(q), also a singular one. It is
+kept in exact arithmetic; what is left is rounding and Newton's tolerance.
+
+``stabilised_index2`` holds d/dt Phi = Z(q, v) = 0 as well. The position step gets a correction w
+and momenta the forces that give back its work, so that the energy stays exact::
+
+    q+ - q = h v_m + h^2/2 w,           M_m w = D_v Z^T mu
+    M+ v+ - M v = h (... - h/2 D_q Z^T mu + h/2 D R),    R(q) = w.M(q) v_m
+
+For a constant M this is the discrete form of the variational principle of Kinon, Betsch &
+Schneider.
+
+The forces of the scene take no part: its energies give them. Their comparison at the end of every
+step ends a run in which they differ, because of damping, say, or of a drive that sets in later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import option
+from integrators.native.discrete_gradients import (
+    NoDiscreteGradient,
+    discrete_derivative,
+    discrete_gradient,
+)
+from integrators.native.guesses import Guess
+from integrators.native.own_values import OwnValues
+from integrators.native.stage_equations import Base, Slopes, StageEquations, stage_equations
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Reading, largest
+from problems import lagrange
+from problems.formulations import Start, constraint_velocity, inertia
+from problems.named_equations import named
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
+
+    from integrators.native.step_records import Time
+    from integrators.native.step_work import StepWork
+
+#: Largest part of the forces that the energies need not explain.
+_UNEXPLAINED = 1e-8
+
+
+class EnergyMomentumState(NamedTuple):
+    """Values at the end of the last step."""
+
+    shown: Reading
+    guess: Guess
+
+
+@dataclass(frozen=True)
+class EnergyMomentum(OwnValues, ImplicitStepMethod):
+    """Energy-momentum method: the energy is exact at every step size.
+
+    a and lam of its own are means over the step, of order one at its end and two at its middle; on
+    index 3 lam alternates from step to step without damping.
+    """
+
+    name: ClassVar[str] = "energy_momentum"
+    family: ClassVar[str] = "conserving"
+    source: ClassVar[str] = (
+        "Simo & Tarnow (1992), doi:10.1007/BF00913408; constraints: Gonzalez (1999), "
+        "doi:10.1016/S0167-2789(99)00054-8; stabilised: Kinon, Betsch & Schneider (2023), "
+        "doi:10.1007/s11071-023-08522-7"
+    )
+
+    formulation: str = option(
+        "index3",
+        "constraints that hold: index3, of positions; stabilised_index2, of velocities, too",
+        choices=("index3", "stabilised_index2"),
+    )
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        own = 1 if self.values == "own" else 2
+        return {"q": 2, "v": 2, "a": own, "lam": own}
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if not scene.has("energy"):
+            return (
+                "it states no energy, of which the discrete gradient of its potential is made; "
+                "take generalized_alpha or bdf2 for a scene that is driven or damped."
+            )
+        if scene.sizes.nx or scene.sizes.ny:
+            return (
+                "its controller exchanges energy of which the discrete gradient knows nothing; "
+                "take generalized_alpha or bdf2."
+            )
+        return _fault(scene)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> EnergyMomentumState:
+        shown = self.reported(scene, start.z, start.xdot)
+        return EnergyMomentumState(shown, Guess.begin(start.z, start.xdot, h))
+
+    def step(
+        self, scene: MechatronicSystem, state: EnergyMomentumState, t: Time, h: Time, work: StepWork
+    ) -> EnergyMomentumState:
+        now = state.shown
+        base, slopes = Base(now.q + h * now.v, now.v, now.x), Slopes(h**2 / 2, h, h)
+        e = stage_equations(
+            scene, "index3", base, slopes, t, (now.q, t - h),
+            dynamics=lambda z: _momentum_balance(scene, now, z, h),
+        )  # fmt: skip
+        if self.formulation == "stabilised_index2" and scene.sizes.nl:
+            e = _stabilised(scene, e, now, base, slopes, t)
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        work.count(residuals=1, converged=_explained(scene, z.q, z.v, t))
+        shown = self.reported(scene, z, xdot, work)
+        return EnergyMomentumState(shown, state.guess.after(z, xdot, h))
+
+    def read(self, scene: MechatronicSystem, state: EnergyMomentumState) -> Reading:
+        return state.shown
+
+
+@named
+def _momentum_balance(
+    scene: MechatronicSystem,
+    now: Reading | Variables,
+    z: Variables,
+    h: Time,
+    w: Array | None = None,
+) -> Array:
+    """Rate of momentum minus forces, all discrete; z holds the end, and the mean a and lam."""
+    mean = (now.v + z.v) / 2
+    # (M+ v+ - M v)/h without differences of large numbers; its last term is zero if M is constant.
+    rate = (inertia(scene, now.q, z.a) + inertia(scene, z.q, z.a)) / 2 + discrete_derivative(
+        lambda q: inertia(scene, q, mean), now.q, z.q, (z.q - now.q) / h
+    )
+
+    def lagrangian(q: Array) -> Array:
+        value = now.v @ inertia(scene, q, z.v) / 2 - scene.energy(q, jnp.zeros_like(q))
+        if w is not None:
+            value = value + h / 2 * (w @ inertia(scene, q, mean))
+        if scene.sizes.nl:
+            value = value - z.lam @ scene.constraint(q, z.t)
+        return value
+
+    return rate - discrete_gradient(lagrangian, now.q, z.q, jnp.ones(()))
+
+
+def _stabilised(
+    scene: MechatronicSystem,
+    index3: StageEquations,
+    now: Reading,
+    base: Base,
+    slopes: Slopes,
+    t: Time,
+) -> StageEquations:
+    """The equations with both constraints; the unknowns w and mu stand in the place of mu."""
+    nq, h = scene.sizes.nq, slopes.v
+    cuts = [nq, *np.add(index3.cuts[1:], [0, nq + scene.sizes.nl, nq + scene.sizes.nl])]
+
+    def at(u: Array) -> tuple[Variables, Array]:
+        a, lam, more, xdot, y = jnp.split(u, cuts)
+        q = base.q + slopes.q * (a + more[:nq])
+        return Variables(q, base.v + h * a, a, lam, base.x, y, t), xdot
+
+    @named
+    def hidden(s: Array) -> Array:
+        return constraint_velocity(scene, s[:nq], s[nq:], t)
+
+    def residual(u: Array) -> Array:
+        z, _ = at(u)
+        w, mu = jnp.split(jnp.split(u, cuts)[2], [nq])
+        start, end = jnp.concatenate([now.q, now.v]), jnp.concatenate([z.q, z.v])
+        by_q, by_v = jnp.split(discrete_gradient(hidden, start, end, mu), [nq])
+        return jnp.concatenate(
+            [
+                _momentum_balance(scene, now, z, h, w) + h / 2 * by_q,
+                scene.constraint(z.q, t) / slopes.q,
+                (inertia(scene, now.q, w) + inertia(scene, z.q, w)) / 2 - by_v,
+                constraint_velocity(scene, z.q, z.v, t) / h,
+            ]
+        )
+
+    of_a, of_lam, of_q = index3.rounding
+    return StageEquations(residual, at, cuts, (of_a, of_lam, jnp.maximum(of_q, of_lam)))
+
+
+def _fault(scene: MechatronicSystem) -> str | None:
+    """Why the energies of a scene do not give its motion, or None."""
+    template, (t0, t_end) = scene.template(), scene.interval
+    if operation := _unknown_operation(template):
+        return (
+            f"its equations use {operation}, whose discrete gradient is not known; write them "
+            f"without it, or take generalized_alpha."
+        )
+    q, v, _ = scene.initial_state()
+    faster, later = v + np.linspace(0.7, 1.3, len(v)), t0 + 0.37 * (t_end - t0)
+    explained, p = _explained_on(template), scene.parameters()
+    if all(explained(p, *at) for at in ((q, v, t0), (q, faster, t0), (q, v, later))):
+        return None
+    return (
+        "its forces are not those of its mass and energy alone (damping, driving or a gyroscopic "
+        "part), of which the discrete gradient knows nothing; take generalized_alpha or bdf2."
+    )
+
+
+@cache
+def _unknown_operation(scene: MechatronicSystem) -> str:
+    """An operation of the scene's equations whose discrete gradient is not known, or nothing."""
+    one, q = jnp.asarray(1.0), jnp.zeros(scene.sizes.nq)
+    end = Variables(q, q, q, jnp.zeros(scene.sizes.nl), q, q, one)
+    try:
+        jax.eval_shape(lambda a, b: _momentum_balance(scene, a, b, one), end, end)
+    except NoDiscreteGradient as operation:
+        return str(operation)
+    return ""
+
+
+@cache
+def _explained_on(template: MechatronicSystem) -> Callable[..., Array]:
+    """`_explained` for a kind of scene, compiled."""
+    return jax.jit(lambda p, q, v, t: _explained(template.with_parameters(p), q, v, t))
+
+
+@named
+def _explained(scene: MechatronicSystem, q: Array, v: Array, t: Time) -> Array:
+    """True if mass and energy give the forces of a scene."""
+    of_energies = lagrange.force(
+        lambda q, v: v @ inertia(scene, q, v) / 2,
+        lambda q: scene.energy(q, jnp.zeros_like(q)),
+        q,
+        v,
+    )
+    force = scene.force(q, v, t)
+    return largest(force - of_energies) <= _UNEXPLAINED * (1 + largest(force))

@@ -1,0 +1,204 @@
+"""HHT on index 3 as ADAMS and Chrono run it, with their two ways to choose steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import PreparedRun, Steps, Tolerances, option
+from integrators.native.adaptive_steps import AdaptiveRun
+from integrators.native.guesses import Guess
+from integrators.native.own_values import FreeSteps, OwnValues
+from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Attempt, Choice, Reading
+from problems.formulations import Start, dynamics_residual, inertia
+from problems.runtime import jnp
+from problems.spec import SpecError, validate
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+#: Negrut et al.: safety, limits of the ratio of steps, and the ratio after Newton's method failed.
+_SAFETY, _SHARPEST, _GROWTH, _AFTER_FAILURE = 0.9, 0.1, 5.0, 0.25
+#: Chrono: a step is quick below this number of iterations; so many quick ones double the step.
+_QUICK, _QUICK_STEPS = 3, 5
+
+
+class HHTState(NamedTuple):
+    """Values at the end of the last step, its size, and what the control of steps remembers."""
+
+    shown: Reading
+    #: The method's a, and the rate of x with the same shift in time.
+    a: Array
+    rate_x: Array
+    #: The true rate of x at the end.
+    xdot: Array
+    #: The acceleration at the end, which the controller sees.
+    true_a: Array
+    #: Phi_q^T lam - g - L y at the end.
+    force: Array
+    guess: Guess
+    #: Largest |q| so far, at least 1, by which errors are measured.
+    weights: Array
+    #: Quick steps of the same size in a row.
+    quick: Array
+
+
+@dataclass(frozen=True)
+class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
+    """HHT-I3: the method of Hilber, Hughes & Taylor on index 3, with scaled equations of motion.
+
+    With gamma = 1/2 - alpha, beta = (1 - alpha)^2/4 and r = Phi_q^T lam - g - L y::
+
+        M(q+) a+ / (1 + alpha) + r+ - alpha/(1 + alpha) r = 0,    Phi(q+) = 0
+        q+ = q + h v + h^2 ((1/2 - beta) a + beta a+),   v+ = v + h ((1 - gamma) a + gamma a+)
+
+    As published, the equations at both ends are mixed as forces: all is second order where M is
+    constant, and first order where it depends on q. Its a belongs to the time t + alpha h and is
+    first order; true accelerations come with ``values=equations``. x has the weights of v and a
+    rate with the same shift in time.
+
+    ``control=negrut`` is the control of the publication: a step is accepted if the error of q, ::
+
+        (beta - 1/(6 (1 + alpha))) h^2 (a+ - a)
+
+    in the root of mean squares relative to max(1, |q| so far), is below ``--rtol``; the next one
+    has 0.9 h err^(-1/3). The local error alone is held: errors go with rtol^(2/3).
+    ``control=chrono`` has no error control: a step is halved if Newton's method fails, and doubled
+    after five steps of less than three iterations, up to ``--step``, with which it begins. With the
+    default ``newton_tol`` hardly a step takes less than three.
+    """
+
+    #: Largest step in s; `prepare` sets it for control=chrono.
+    longest: ClassVar[Scalar] = 0.0
+    name: ClassVar[str] = "hht_i3"
+    family: ClassVar[str] = "generalized-alpha"
+    source: ClassVar[str] = (
+        "Negrut, Rampalli, Ottarsson & Sajdak (2007), doi:10.1115/1.2389231; control=chrono as "
+        "ChTimestepperHHT of Project Chrono"
+    )
+    formulation = "index3"
+    order = 2
+
+    alpha: float = option(
+        -0.2,
+        "damping, -1/3 (most) to 0 (none); ADAMS -0.3, Chrono -0.2",
+        low=-1 / 3,
+        high=0.0,
+        always=True,
+    )
+    control: str = option(
+        "negrut",
+        "steps: negrut, by the error of q and --rtol; chrono, by Newton's iterations, up to --step",
+        choices=("negrut", "chrono"),
+    )
+
+    @property
+    def controls(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        adaptive = self.steps == "adaptive" and self.control == "negrut"
+        return "tolerance" if adaptive else "step"
+
+    @property
+    def _chooses_by_newton(self) -> bool:
+        return self.steps == "adaptive" and self.control == "chrono"
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        order = 2 if _constant_mass(scene) else 1
+        claimed = dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
+        return claimed | ({"a": 1} if self.values == "own" else {})
+
+    def step_method(self, scene: MechatronicSystem) -> HHTI3 | None:
+        return None if self._chooses_by_newton else self
+
+    def prepare(
+        self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
+    ) -> PreparedRun:
+        if not (self._chooses_by_newton and isinstance(resolution, Steps)):
+            return super().prepare(scene, t_end, resolution)
+        validate(self)
+        if len(resolution.pattern) > 1:
+            raise SpecError(
+                f"{self.spec} chooses its steps and takes no pattern of them; take steps=constant."
+            )
+        program, numbers = self.program(scene)
+        longest = (t_end - scene.interval[0]) / resolution.count(scene.interval[0], t_end)
+        numbers = numbers._replace(method=numbers.method | {"longest": longest})
+        anything = Tolerances(1.0)  # no error is tested
+        return AdaptiveRun(program, numbers, (), scene, t_end, anything, self.max_steps)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> HHTState:
+        z, shown = start.z, self.reported(scene, start.z, start.xdot)
+        force, weights = -inertia(scene, z.q, z.a), jnp.maximum(jnp.abs(z.q), 1.0)
+        guess, quick = Guess.begin(z, start.xdot, h), jnp.asarray(0)
+        return HHTState(shown, z.a, start.xdot, start.xdot, z.a, force, guess, weights, quick)
+
+    def step(
+        self, scene: MechatronicSystem, state: HHTState, t: Time, h: Time, work: StepWork
+    ) -> HHTState:
+        now, alpha = state.shown, self.alpha
+        gamma, beta, part = 0.5 - alpha, (1 - alpha) ** 2 / 4, alpha / (1 + alpha)
+        # The rate of x at t + alpha h: (1 + alpha) xdot+ - alpha xdot.
+        base = Base(
+            now.q + h * now.v + h**2 * (0.5 - beta) * state.a,
+            now.v + h * (1 - gamma) * state.a,
+            now.x + h * ((1 - gamma) * state.rate_x - gamma * alpha * state.xdot),
+        )
+        slopes = Slopes(h**2 * beta, h * gamma, h * gamma * (1 + alpha))
+
+        def dynamics(z: Variables) -> Array:
+            of_a = inertia(scene, z.q, z.a)
+            return dynamics_residual(scene, z) - part * (of_a + state.force)
+
+        def for_controller(z: Variables) -> Variables:
+            return z._replace(a=(z.a + alpha * state.true_a) / (1 + alpha))
+
+        e = stage_equations(
+            scene, "index3", base, slopes, t, (now.q, t - h),
+            dynamics=dynamics, for_controller=for_controller,
+        )  # fmt: skip
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        iterations = work.report().newton
+        again = (iterations < _QUICK) & (h == state.guess.h) & (state.quick < _QUICK_STEPS)
+        return HHTState(
+            shown=self.reported(scene, z, xdot, work),
+            a=z.a,
+            xdot=xdot,
+            rate_x=(1 + alpha) * xdot - alpha * state.xdot,
+            true_a=for_controller(z).a,
+            force=part * state.force - inertia(scene, z.q, z.a) / (1 + alpha),
+            guess=state.guess.after(z, xdot, h),
+            weights=jnp.maximum(state.weights, jnp.abs(z.q)),
+            quick=jnp.where(again, state.quick + 1, 0),
+        )
+
+    def read(self, scene: MechatronicSystem, state: HHTState) -> Reading:
+        return state.shown
+
+    def first_step(self, h: Time) -> Time:
+        return jnp.asarray(self.longest) if self._chooses_by_newton else h
+
+    def choose(self, tried: Attempt) -> Choice:
+        before, after, h = tried.before, tried.after, tried.h
+        if self._chooses_by_newton:
+            growth = jnp.where(after.quick >= _QUICK_STEPS, jnp.minimum(2.0, self.longest / h), 1.0)
+            return Choice(tried.solved, jnp.where(tried.solved, growth, 0.5))
+        alpha = self.alpha
+        of_q = ((1 - alpha) ** 2 / 4 - 1 / (6 * (1 + alpha))) * h**2 * (after.a - before.a)
+        error = jnp.sqrt(jnp.mean((of_q / after.weights) ** 2)) / tried.rtol
+        accepted = tried.solved & (error <= 1.0)
+        ratio = jnp.clip(_SAFETY * (error + 1e-12) ** (-1 / 3), _SHARPEST, _GROWTH)
+        return Choice(accepted, jnp.where(tried.solved, ratio, _AFTER_FAILURE))
+
+
+def _constant_mass(scene: MechatronicSystem) -> bool:
+    """Whether the mass matrix is the same at the start and beside it."""
+    q = np.asarray(scene.initial_state().q)
+    here, there = (np.asarray(scene.mass(jnp.asarray(at))) for at in (q, q + 0.1))
+    return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))

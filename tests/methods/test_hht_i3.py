@@ -1,0 +1,89 @@
+"""HHT-I3: orders, the spectrum of HHT, and its two ways to choose steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import long
+from proofs import SWING, TWO_RODS, orders, radii
+
+from integrators import Steps, Tolerances
+from integrators.methods.generalized_alpha import HHT
+from integrators.methods.hht_i3 import HHTI3
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrankMinimal
+from problems.scenes.spring_mass import SpringMass
+from problems.spec import SpecError
+
+
+@pytest.mark.parametrize("alpha", [-0.2, *long(-0.3)])
+def test_on_linear_systems_it_is_hht(alpha):
+    assert radii(HHTI3(alpha=alpha, steps="constant")) == pytest.approx(
+        radii(HHT(alpha=-alpha)), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("alpha", "q", "lam"), [(-0.2, 5.75e-5, 1.8e-3), *long((-0.3, 6e-5, 1.9e-3))]
+)
+def test_orders_and_errors_on_a_swing(alpha, q, lam):
+    found = orders(HHTI3(alpha=alpha, steps="constant"), 400)
+    for group, claimed in {"q": 2, "v": 2, "lam": 2, "a": 1}.items():
+        assert found[group].order_at_end == pytest.approx(claimed, abs=0.1), group
+    assert found["lam"].order_of_largest == pytest.approx(1.0, abs=0.05)
+    # An independent program in NumPy gave these.
+    assert (found["q"].at_end, found["lam"].at_end) == pytest.approx((q, lam), rel=0.02)
+    assert found["lam"].largest == pytest.approx(0.11, rel=0.03)
+
+
+@pytest.mark.long
+def test_orders_with_two_rods_with_a_controller_and_with_a_mass_that_varies():
+    method = HHTI3(steps="constant")
+    two = orders(method, 400, TWO_RODS)
+    assert min(two[group].order_at_end for group in ("q", "v", "lam")) > 1.8
+    true = orders(HHTI3(steps="constant", values="equations"), 400, TWO_RODS)
+    assert min(true[group].order_at_end for group in ("q", "v", "a", "lam")) > 1.8
+    controlled = orders(method, 400, (SpringMass(), 1.0))
+    assert min(controlled[group].order_at_end for group in ("q", "v", "x", "y")) > 1.9
+    # As published it mixes forces of both ends, whatever the masses there.
+    crank = orders(method, 400, (SliderCrankMinimal(), 1.0))
+    assert crank["q"].order_at_end == pytest.approx(1.0, abs=0.1)
+    assert method.claims(SliderCrankMinimal())["q"] == method.claims(HeavyTop())["q"] == 1
+    assert method.claims(Pendulum())["q"] == 2
+
+
+def test_the_published_control_holds_the_local_error():
+    errors, steps = [], []
+    for rtol in (1e-4, 1e-6, 1e-8):
+        run = HHTI3().prepare(*SWING, Tolerances(rtol)).measure()
+        assert run.status == "ok"
+        errors.append(abs(run.q - SWING[0].exact(run.t)["q"]).max())
+        steps.append(run.work.steps)
+    slopes = -np.diff(np.log10(errors)) / 2, np.diff(np.log10(steps)) / 2
+    assert slopes[0] == pytest.approx([2 / 3, 2 / 3], abs=0.03)
+    assert slopes[1] == pytest.approx([1 / 3, 1 / 3], abs=0.03)
+
+
+def test_chronos_rule_halves_on_failure_and_doubles_after_five_quick_steps():
+    method = HHTI3(control="chrono", newton_tol=1e-3, newton_max=2)
+    step = Steps(0.25)
+    run = method.prepare(Pendulum(), 4.35, step).measure()
+    sizes = np.diff(run.t)
+    assert run.status == "ok"
+    assert run.work.rejected > 0
+    assert sizes.max() <= 0.25 * 1.001
+    ratios = sizes[1:-2] / sizes[:-3]  # the last two steps are fitted to the end
+    grown = np.flatnonzero(ratios > 1.01)
+    assert ratios[grown] == pytest.approx(np.full(len(grown), 2.0))
+    assert len(grown) > 0
+    assert all(np.ptp(sizes[k - 4 : k + 1]) < 1e-12 for k in grown)
+    assert (ratios <= 2.0 + 1e-9).all()
+
+
+def test_chronos_rule_does_not_know_of_errors():
+    run = HHTI3(control="chrono").prepare(Pendulum(), 1.35, Steps(0.1)).measure()
+    assert run.status == "ok"
+    assert np.diff(run.t) == pytest.approx(np.full(10, 0.1))
+    with pytest.raises(SpecError, match="no pattern"):
+        HHTI3(control="chrono").prepare(Pendulum(), 1.35, Steps(0.1, (0.3, 0.7)))

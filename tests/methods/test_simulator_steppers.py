@@ -1,0 +1,149 @@
+"""Steppers of simulators: spectra, orders, drift, and the same work in every step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long
+from proofs import SWING, TWO_RODS, damping_and_period, orders, radii_on, step_of
+
+from bench.conformance.audit import audited
+from bench.conformance.trials import FiniteTimeBlowUp
+from bench.stability.matrices import matrices
+from bench.stability.systems import Oscillator, Relaxation
+from integrators import Steps
+from integrators.methods.simulator_steppers import (
+    ImplicitFast,
+    LinearlyImplicitEuler,
+    SemiImplicitEuler,
+)
+from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes.chain import Chain
+from problems.scenes.slider_crank import SliderCrankMinimal
+from problems.scenes.spring_mass import SpringMass
+
+ALL = SemiImplicitEuler(), ImplicitFast(), LinearlyImplicitEuler()
+
+
+@pytest.mark.parametrize("method", ALL[:2], ids=lambda m: m.name)
+def test_semi_implicit_steps_do_not_damp_up_to_their_limit(method):
+    assert damping_and_period(method) == pytest.approx((0.0, -0.01693422976), abs=1e-9)
+    found = matrices(method, Oscillator(), [0.1, 1.0, 1.999, 2.001]).a
+    radii = [float(np.abs(np.linalg.eigvals(a)).max()) for a in found]
+    assert radii[:3] == pytest.approx([1.0] * 3, abs=1e-12)
+    assert radii[3] > 1.02
+
+
+def test_semi_implicit_steps_are_symplectic():
+    step = step_of(SemiImplicitEuler(), SoftSpring(), 0.1)
+    at, small = np.array([0.7, -0.4]), 1e-4
+
+    def after(q: float, v: float) -> np.ndarray:
+        return np.concatenate(step(jnp.array([q]), jnp.array([v])))
+
+    columns = [(after(*at + d) - after(*at - d)) / (2 * small) for d in small * np.eye(2)]
+    assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-8)
+
+
+@dataclass(frozen=True)
+class SoftSpring(MechatronicSystem):
+    """A mass on a soft nonlinear spring, with a damper if it is asked for."""
+
+    interval = (0.0, 1.0)
+    c: float = parameter(0.0, "N s/m", "damping")
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return 2.0 * jnp.eye(1)
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return -jnp.sin(q) - q**3 - self.c * v
+
+    def initial_state(self) -> State:
+        return State(q=np.array([0.7]), v=np.array([-0.4]))
+
+
+def test_linearly_implicit_steps_are_implicit_euler_on_linear_systems():
+    method = LinearlyImplicitEuler()
+    wanted = [(1 + w * w) ** -0.5 for w in (0.1, 1.0, 10.0, 100.0)]
+    assert radii_on(method, Oscillator()) == pytest.approx(wanted, abs=1e-12)
+    controller = matrices(method, Relaxation(), [3.0]).a[0]
+    assert np.abs(np.linalg.eigvals(controller)).max() == pytest.approx(1 / 4, abs=1e-12)
+
+
+def test_implicit_damping_is_stable_where_explicit_damping_is_not():
+    scene = SoftSpring(c=1e4)
+    implicit, explicit = (
+        method.prepare(scene, 1.0, Steps(0.01)).measure() for method in (ImplicitFast(), ALL[0])
+    )
+    assert implicit.status == "ok"
+    assert abs(implicit.v).max() <= 0.4
+    assert explicit.status == "diverged"
+
+
+@pytest.mark.long
+def test_derivatives_of_coriolis_forces_are_left_out():
+    # All velocity dependence of this scene comes from M(q): nothing is left to damp implicitly.
+    fast, plain = (
+        method.prepare(SliderCrankMinimal(), 0.2, Steps(0.01)).measure()
+        for method in (ImplicitFast(), SemiImplicitEuler())
+    )
+    assert fast.v == pytest.approx(plain.v, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", [ALL[2], *long(*ALL[:2])], ids=lambda m: m.name)
+def test_all_is_first_order(method):
+    found = orders(method, 400)
+    assert found["q"].at_end < 5e-3
+    for group in ("q", "v", "a", "lam"):
+        assert found[group].order_at_end == pytest.approx(1.0, abs=0.15), group
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ALL, ids=lambda m: m.name)
+def test_all_is_first_order_on_two_rods_and_with_a_controller(method):
+    two = orders(method, 3200, TWO_RODS)
+    assert min(two[group].order_at_end for group in ("q", "v", "a", "lam")) > 0.85
+    controlled = orders(method, 1600, (SpringMass(), 1.0))
+    assert min(controlled[group].order_at_end for group in ("q", "v", "a", "x", "y")) > 0.9
+
+
+@pytest.mark.parametrize("erp", [1.0, 0.2, 0.1])
+def test_the_drift_is_what_the_error_reduction_leaves(erp):
+    scene, h = SWING[0], 1e-3
+    run = SemiImplicitEuler(erp=erp).prepare(scene, 1.35, Steps(h)).measure()
+    drift = 0.5 * ((run.q**2).sum(axis=1) - 1)
+    # Phi grows by h^2 v.v/2 in a step and loses its part erp; it follows v.v with a lag.
+    v = run.v[-1 - round((1 - erp) / erp)]
+    assert drift[-1] == pytest.approx(h**2 * (v @ v) / (2 * erp), rel=0.02)
+
+
+def test_no_step_leads_across_a_pole():
+    scene = FiniteTimeBlowUp()
+    run = LinearlyImplicitEuler().prepare(scene, 1.5, Steps(0.01)).measure()
+    assert run.status == "newton_failed"
+    assert run.t[-1] == pytest.approx(0.98, abs=0.03)
+
+
+@pytest.mark.parametrize("method", ALL, ids=lambda m: m.name)
+def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method):
+    run = method.prepare(*SWING, Steps(0.01))
+    work, steps = run.measure().work, 100
+    assert work.newton == 0
+    assert (work.residuals, work.jacobians) == (steps, steps)
+    assert (work.factorisations, work.solves) == (steps, steps)
+    declared, counted = audited(method, SWING[0])
+    assert counted <= declared
+    bill = run.bill(run.measure())
+    # Three unknowns: 2/3 n^3 and 2 n^2 operations.
+    assert (bill["factorisations"], bill["solves"]) == (steps * 18, steps * 18)
+
+
+def test_sparse_tangents_give_the_same():
+    scene = Chain()
+    dense, sparse = (
+        LinearlyImplicitEuler(linear_solver=solver).prepare(scene, 0.1, Steps(0.005)).measure()
+        for solver in ("dense", "sparse")
+    )
+    assert sparse.q == pytest.approx(dense.q, abs=1e-12)
