@@ -263,7 +263,6 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         first = program.read(scene, state)
         bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
         lowest, highest = program.ratios(numbers)
-        power = 1 / (estimated + 1)
 
         def going(m: _Progress) -> Array:
             return (m.t < span.t_end) & (m.ending == _OK)
@@ -289,6 +288,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 solved = sane & report.converged
                 accepted = solved & (error <= 1.0)
                 error = jnp.maximum(error, 1e-4)
+                power = 1 / (program.order_of(state) + 1)
 
                 ratio = _SAFETY * error ** (-0.7 * power) * m.error ** (0.4 * power)
                 growing = jnp.clip(ratio, jnp.maximum(lowest, _SHARPEST), highest)

@@ -85,6 +85,13 @@ class StepFunctions(ABC):
         """Estimate the local errors of the step of size h (s) from one state to the next."""
         raise NotImplementedError
 
+    def order_of(self, after: MethodState) -> Scalar:
+        """Return the order of the estimate of the step that led to a state; methods may vary it.
+
+        The controller answers to an error by it; the size of allowed errors belongs to ``order``.
+        """
+        return self.order_of_estimate
+
     def ratios(self) -> tuple[Scalar, Scalar]:
         """Return the smallest and largest ratio of the next step to an accepted one."""
         return 0.0, 5.0

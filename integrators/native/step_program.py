@@ -103,6 +103,10 @@ class StepProgram:
         functions = self.functions.with_numbers(numbers.method)
         return functions.estimate(self._of_method(before), self._of_method(after), h)
 
+    def order_of(self, after: Any) -> Scalar:
+        """Order of the step that led to a state."""
+        return self.functions.order_of(self._of_method(after))
+
     def ratios(self, numbers: Numbers) -> tuple[Scalar, Scalar]:
         """Smallest and largest ratio of the next step to an accepted one."""
         return self.functions.with_numbers(numbers.method).ratios()

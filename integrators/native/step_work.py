@@ -17,7 +17,7 @@ from problems.runtime import jnp
 
 if TYPE_CHECKING:
     from jax import Array
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
     from integrators.native.stage_tangents import StageTangents
     from integrators.native.step_records import Scalar
@@ -138,7 +138,7 @@ class StepWork:
         self,
         residuals: int = 0,
         jacobians: int = 0,
-        factorisations: int = 0,
+        factorisations: Int[Array, ""] | int = 0,
         solves: int = 0,
         newton: int = 0,
         converged: Bool[Array, ""] | bool = True,

@@ -1,0 +1,185 @@
+"""Backward differences of orders one to five with steps and orders that follow a tolerance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import option
+from integrators.native.guesses import Guess
+from integrators.native.own_values import OwnValues
+from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.step_method import ErrorControl, ImplicitStepMethod
+from integrators.native.step_records import Errors, Reading
+from problems.formulations import Start
+from problems.runtime import jnp
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float, Int
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+#: Differences that are kept: order five needs those up to the seventh for its choice.
+_KEPT = 8
+#: 1 + 1/2 + ... + 1/k.
+_HARMONIC = np.concatenate([[0.0], np.cumsum(1 / np.arange(1, _KEPT))])
+#: Values smaller than this count as this large when orders are compared, as the default of atol.
+_SMALL = 0.01
+#: Largest ratio of neighbouring steps.
+_GROWTH = 2.0
+
+
+class BDFState(NamedTuple):
+    """Values at the end of the last step, and differences of s = [q, v, x] there.
+
+    ``differences[m]`` is the divided difference of the last m + 1 values times
+    ``spans[0] ... spans[m - 1]``, the times in s between the last value and the others.
+    """
+
+    shown: Reading
+    differences: Float[Array, "8 n"]
+    spans: Float[Array, " 7"]
+    order: Int[Array, ""]
+    #: Estimated local error of s in the last step, and the order of that step.
+    error: Float[Array, " n"]
+    order_before: Int[Array, ""]
+    guess: Guess
+
+
+@dataclass(frozen=True)
+class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
+    """Backward differences with variable step and order and a fixed leading coefficient.
+
+    It is the algorithm of DASSL and IDA on the mechanical form. With the polynomial p of degree k
+    through the last values of s = [q, v, x]::
+
+        s+ = p(t+) + h/(1 + 1/2 + ... + 1/k) (sdot+ - pdot(t+))
+
+    The local error is that of DASSL, a multiple of s+ - p(t+). a and lam are not tested. The next
+    order is k - 1, k or k + 1, by the sizes of h^(k+1) s^(k+1) and its neighbours: it falls where
+    these terms do not decrease, and rises where they do.
+
+    With index 3 an error of q of one step's tolerance is one of v of 1/h that size, which does not
+    fall with the steps: v is not tested then.
+    """
+
+    name: ClassVar[str] = "bdf_adaptive"
+    family: ClassVar[str] = "backward differences"
+    source: ClassVar[str] = (
+        "Brenan, Campbell & Petzold (1996), doi:10.1137/1.9781611971224, ch. 5; Jackson & "
+        "Sacks-Davis (1980), doi:10.1145/355900.355903"
+    )
+    formulation: str = option(
+        "stabilised_index2",
+        "constraints that hold: stabilised_index2, positions and velocities (Gear, Gupta & "
+        "Leimkuhler); index3, positions; index2, velocities; index1, accelerations",
+        choices=("stabilised_index2", "index3", "index2", "index1"),
+    )
+    max_order: int = option(5, "largest order", low=1, high=5)
+
+    @property
+    def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The order whose tolerance local errors have; see `integrators.native.adaptive_steps`."""
+        return min(4, self.max_order)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> BDFState:
+        """Begin with order two and the differences of Taylor polynomials, as at equal steps."""
+        z = start.z
+        first = [z.v - h / 2 * z.a + h**2 / 6 * start.jerk, z.a - h / 2 * start.jerk]
+        second = [z.a - h * start.jerk, start.jerk]
+        rows = [
+            jnp.concatenate([z.q, z.v, z.x]),
+            h * jnp.concatenate([*first, start.xdot - h / 2 * start.xddot]),
+            h**2 * jnp.concatenate([*second, start.xddot]),
+            h**3 * jnp.concatenate([start.jerk, 0 * start.jerk, 0 * start.xddot]),
+        ]
+        differences = jnp.zeros((_KEPT, len(rows[0]))).at[: len(rows)].set(jnp.stack(rows))
+        order = jnp.asarray(min(2, self.max_order))
+        shown = self.reported(scene, z, start.xdot)
+        guess = Guess.begin(z, start.xdot, h)
+        spans = h * jnp.arange(1.0, _KEPT)
+        return BDFState(shown, differences, spans, order, 0 * rows[0], order, guess)
+
+    def step(
+        self, scene: MechatronicSystem, state: BDFState, t: Time, h: Time, work: StepWork
+    ) -> BDFState:
+        k, now, cuts = state.order, state.shown, np.cumsum([scene.sizes.nq] * 2)
+        spans = h + jnp.concatenate([jnp.zeros(1), state.spans[:-1]])
+        # Differences with respect to the times from the end of this step.
+        shifted = _products(spans / state.spans)[:, None] * state.differences
+        used = (jnp.arange(_KEPT) <= k)[:, None]
+        rates = jnp.concatenate([jnp.zeros(1), jnp.cumsum(1 / spans)])
+        predicted = jnp.sum(jnp.where(used, shifted, 0.0), axis=0)
+        rate = jnp.sum(jnp.where(used, rates[:, None] * shifted, 0.0), axis=0)
+
+        tau = h / jnp.asarray(_HARMONIC)[k]
+        q, v, x = jnp.split(predicted - tau * rate, cuts)
+        base, slopes = Base(q + tau * v, v, x), Slopes(tau**2, tau, tau)
+        e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+
+        s = jnp.concatenate([z.q, z.v, z.x])
+        sums = jnp.cumsum(shifted, axis=0)
+        differences = jnp.concatenate([s[None], s - sums[:-1]])
+        part = h / spans
+        leading = jnp.sum(jnp.where(jnp.arange(1, _KEPT) <= k, part, 0.0))
+        last = part[k]
+        constant = jnp.maximum(last, jnp.abs(last + leading - jnp.asarray(_HARMONIC)[k]))
+        return BDFState(
+            self.reported(scene, z, xdot, work),
+            differences,
+            spans,
+            self._next_order(scene, k, differences, part),
+            constant * differences[k + 1],
+            k,
+            state.guess.after(z, xdot, h),
+        )
+
+    def _next_order(
+        self, scene: MechatronicSystem, k: Array, differences: Array, part: Array
+    ) -> Array:
+        """Choose the next order by DASSL's rule; ``part`` are h/spans."""
+        derivatives = _products(jnp.arange(1, _KEPT) * part)[:, None] * differences
+
+        def sizes_of(group: str) -> Array:
+            nq = scene.sizes.nq
+            at = {"q": slice(nq), "v": slice(nq, 2 * nq), "x": slice(2 * nq, None)}[group]
+            scale = _SMALL + jnp.linalg.norm(differences[0, at])
+            return jnp.linalg.norm(derivatives[:, at], axis=1) / scale
+
+        sizes = jnp.max(jnp.stack([sizes_of(g) for g in self._tested(scene)]), axis=0)
+        two_lower, lower, here, higher = (sizes[k + j] for j in (-1, 0, 1, 2))
+        falling = (lower <= jnp.minimum(here, higher)) | (
+            (k > 2) & (jnp.maximum(two_lower, lower) <= here)
+        )
+        down = (k > 1) & falling
+        up = ~down & (k < self.max_order) & (higher < jnp.where(k > 1, 1.0, 0.5) * here)
+        return k + up - down
+
+    def _tested(self, scene: MechatronicSystem) -> str:
+        return "qx" if self.formulation == "index3" and scene.sizes.nl else "qvx"
+
+    def estimate(self, before: BDFState, after: BDFState, h: Time) -> Errors:
+        now = after.shown
+        q, v, x = jnp.split(after.error, np.cumsum([len(now.q)] * 2))
+        v = 0 * v if self.formulation == "index3" and now.lam.size else v
+        return Errors(q, v, x, 0 * now.a, 0 * now.lam)
+
+    def order_of(self, after: BDFState) -> Scalar:
+        return after.order_before
+
+    def ratios(self) -> tuple[Scalar, Scalar]:
+        return 0.0, _GROWTH
+
+    def read(self, scene: MechatronicSystem, state: BDFState) -> Reading:
+        return state.shown
+
+
+def _products(factors: Array) -> Array:
+    """1, f1, f1 f2, ..."""
+    return jnp.concatenate([jnp.ones(1), jnp.cumprod(factors)])

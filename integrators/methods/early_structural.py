@@ -1,0 +1,220 @@
+"""The classic multistep methods of structural dynamics: Houbolt, Park and Wilson's theta."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from integrators.contract import option
+from integrators.native.guesses import Guess
+from integrators.native.own_values import Formulated, OwnValues
+from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Reading
+from problems.formulations import Start
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+
+class Past(NamedTuple):
+    """Divided differences of q, v and x at the end of the last step, and its size and the one's
+    before it in s."""
+
+    first: Base
+    second: Base
+    h: Scalar
+    h_before: Scalar
+
+
+class ThreeStepState(NamedTuple):
+    """Values at the end of the last step, and the past."""
+
+    shown: Reading
+    past: Past
+    guess: Guess
+
+
+class Differences(NamedTuple):
+    """The rate at the end of a step by the polynomials through the last values of a function u.
+
+    With ``cubic`` = 0 it is BDF2, with 1 it is BDF3: ``u+ = known + tau udot+``.
+    """
+
+    tau: Scalar
+    known: Array
+
+
+def differences(
+    now: Array, first: Array, second: Array, h: Scalar, past: Past, cubic: float
+) -> Differences:
+    """Return the formula of a step of size h: `Differences`, from u and its divided differences."""
+    two, three = h + past.h, h + past.h + past.h_before
+    c = 1 + h / two + cubic * h / three
+    return Differences(h / c, now + h * ((c - 1) * first + cubic * h * two / three * second) / c)
+
+
+@dataclass(frozen=True)
+class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
+    """Base of methods that use values at the ends of the last three steps.
+
+    The values before t0 are those of the Taylor polynomials at the start (of degree three for q),
+    so that there is no other method for the first steps. Steps may vary: all formulas are
+    derivatives of the polynomials through the values.
+    """
+
+    family: ClassVar[str] = "early structural"
+    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+
+    @abstractmethod
+    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+        """Return the values at the end of a step of size h: bases, and slopes by a and xdot."""
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ThreeStepState:
+        z = start.z
+        first = Base(
+            z.v - h / 2 * z.a + h**2 / 6 * start.jerk,
+            z.a - h / 2 * start.jerk,
+            start.xdot - h / 2 * start.xddot,
+        )
+        # Differences over two steps; the third derivatives of v and x are not known.
+        second = Base(z.a / 2 - h / 2 * start.jerk, start.jerk / 2, start.xddot / 2)
+        shown = self.reported(scene, z, start.xdot)
+        return ThreeStepState(shown, Past(first, second, h, h), Guess.begin(z, start.xdot, h))
+
+    def step(
+        self, scene: MechatronicSystem, state: ThreeStepState, t: Time, h: Time, work: StepWork
+    ) -> ThreeStepState:
+        now, past = state.shown, state.past
+        base, slopes = self.end(Base(now.q, now.v, now.x), h, past)
+        e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        first = Base((z.q - now.q) / h, (z.v - now.v) / h, (z.x - now.x) / h)
+        second = Base(
+            *((new - old) / (h + past.h) for new, old in zip(first, past.first, strict=True))
+        )
+        shown = self.reported(scene, z, xdot, work)
+        return ThreeStepState(shown, Past(first, second, h, past.h), state.guess.after(z, xdot, h))
+
+    def read(self, scene: MechatronicSystem, state: ThreeStepState) -> Reading:
+        return state.shown
+
+
+@dataclass(frozen=True)
+class Houbolt(ThreeStepMethod):
+    """Houbolt's method: v and a are derivatives of the cubic through the last four q.
+
+    At equal steps::
+
+        v+ = (11 q+ - 18 q + 9 q- - 2 q--)/(6 h),   a+ = (2 q+ - 5 q + 4 q- - q--)/h^2
+
+    x takes the first formula, which is BDF3.
+    """
+
+    source: ClassVar[str] = "Houbolt (1950), doi:10.2514/8.1722"
+
+    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+        (d1, *_), (d2, *_) = past.first, past.second
+        two, three = h + past.h, h + past.h + past.h_before
+        k = (h + two) / three
+        # Half the second derivative is the second difference with the third one.
+        slope = two / (2 * (1 + k))
+        rate = d1 + two * k * d2 / (1 + k)
+        c = 1 + h / two + h / three
+        v = c * rate - (c - 1) * d1 - h * two / three * d2
+        x = differences(now.x, past.first.x, past.second.x, h, past, 1.0)
+        return Base(now.q + h * rate, v, x.known), Slopes(h * slope, c * slope, x.tau)
+
+
+@dataclass(frozen=True)
+class Park(ThreeStepMethod):
+    """Park's stiffly stable method: the mean of BDF2 and BDF3, for q, v and x.
+
+    At equal steps ``10 u+ - 15 u + 6 u- - u-- = 6 h udot+``.
+    """
+
+    source: ClassVar[str] = "Park (1975), doi:10.1115/1.3423600"
+
+    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+        q, v, x = (
+            differences(*u, h, past, 0.5) for u in zip(now, past.first, past.second, strict=True)
+        )
+        tau = q.tau
+        return Base(q.known + tau * v.known, v.known, x.known), Slopes(tau**2, tau, tau)
+
+
+class WilsonState(NamedTuple):
+    """Values at the end of the last step."""
+
+    shown: Reading
+    a: Array
+    xdot: Array
+    guess: Guess
+
+
+@dataclass(frozen=True)
+class WilsonTheta(OwnValues, ImplicitStepMethod):
+    """Wilson's theta method: a is linear over theta h, and the equations hold at its end.
+
+    With a_theta at t + theta h::
+
+        a+ = a + (a_theta - a)/theta,   v+ = v + h (a + a+)/2,   q+ = q + h v + h^2 (2 a + a+)/6
+
+    xdot and x are treated as a and v, and y as a. It is stable at every step from theta = 1.37 on.
+    """
+
+    formulation: ClassVar[str] = "ode"  # pyright: ignore[reportIncompatibleVariableOverride]
+    family: ClassVar[str] = "early structural"
+    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "x": 2, "y": 2}
+    source: ClassVar[str] = "Wilson, Farhoomand & Bathe (1973), doi:10.1002/eqe.4290010305"
+
+    theta: float = option(
+        1.4, "end of the equations as a part of the step", low=1.0, high=3.0, always=True
+    )
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if scene.has("constraint"):
+            return (
+                "its equations hold at t + theta h, so that constraints would not hold at the ends "
+                "of steps; take houbolt or park."
+            )
+        return None
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> WilsonState:
+        z, xdot = start.z, start.xdot
+        return WilsonState(self.reported(scene, z, xdot), z.a, xdot, Guess.begin(z, xdot, h))
+
+    def step(
+        self, scene: MechatronicSystem, state: WilsonState, t: Time, h: Time, work: StepWork
+    ) -> WilsonState:
+        now, (a, xdot) = state.shown, (state.a, state.xdot)
+        far = self.theta * h
+        base = Base(
+            now.q + far * now.v + far**2 / 3 * a, now.v + far / 2 * a, now.x + far / 2 * xdot
+        )
+        slopes, end = Slopes(far**2 / 6, far / 2, far / 2), t - h + far
+        e = stage_equations(scene, "index3", base, slopes, end, (now.q, t - h))
+        z, xdot_far = e.solve(work, state.guess.ahead(h), state.guess.last)
+        guess = state.guess.after(z, xdot_far, h)
+
+        def nearer(old: Array, far: Array) -> Array:
+            return old + (far - old) / self.theta
+
+        a_end, xdot_end = nearer(a, z.a), nearer(xdot, xdot_far)
+        z = z._replace(
+            q=now.q + h * now.v + h**2 / 6 * (2 * a + a_end),
+            v=now.v + h / 2 * (a + a_end),
+            a=a_end,
+            x=now.x + h / 2 * (xdot + xdot_end),
+            y=nearer(now.y, z.y),
+            t=t,
+        )
+        return WilsonState(self.reported(scene, z, xdot_end, work), a_end, xdot_end, guess)
+
+    def read(self, scene: MechatronicSystem, state: WilsonState) -> Reading:
+        return state.shown

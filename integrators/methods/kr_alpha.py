@@ -1,0 +1,189 @@
+"""KR-alpha and CR: explicit in q and v, stable at every step in linear systems."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import option
+from integrators.methods.explicit_structural import ExplicitMethod, evaluated
+from integrators.methods.generalized_alpha_parameters import (
+    SecondOrder,
+    second_order_parameters,
+)
+from integrators.native.own_values import OwnValues
+from integrators.native.step_records import Reading
+from problems.formulations import Start, dynamics_residual
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+
+class Tangents(NamedTuple):
+    """Mass, damping and stiffness matrix at the start of a run."""
+
+    mass: Float[Array, "nq nq"]
+    damping: Float[Array, "nq nq"]
+    stiffness: Float[Array, "nq nq"]
+
+
+class Integration(NamedTuple):
+    """The matrices of steps of size h (s): alpha_1, and (1 - alpha_3)^-1."""
+
+    h: Scalar
+    alpha_1: Float[Array, "nq nq"]
+    gain: Float[Array, "nq nq"]
+
+
+class ModelState(NamedTuple):
+    """Values that are shown, and the method's own q, v and a."""
+
+    shown: Reading
+    q: Array
+    v: Array
+    a: Array
+    tangents: Tangents
+    matrices: Integration
+
+
+@dataclass(frozen=True)
+class ModelBasedMethod(OwnValues, ExplicitMethod):
+    """Base of KR-alpha and CR: the stability is in matrices of the system at the start.
+
+    With M, C and K, the tangents at t0, and A = M + gamma h C + beta h^2 K::
+
+        v+ = v + h alpha_1 a,   q+ = q + h v + (1/2 + gamma) h^2 alpha_1 a,   alpha_1 = A^-1 M
+        M ((1 - alpha_3) a+ + alpha_3 a) = g(q_f, v_f, t_f)
+        alpha_3 = A^-1 (alpha_m M + alpha_f (gamma h C + beta h^2 K))
+
+    where q_f = (1 - alpha_f) q+ + alpha_f q, and likewise for v and t. In linear systems these are
+    generalized-alpha steps in other variables: its acceleration is alpha_1 a, its velocity
+    v + gamma h alpha_1 a and its position q + beta h^2 alpha_1 a. So v as published is behind by
+    O(h), and unless a(t0) = 0 a start at v(t0) makes q first order, too. A system that stiffens or
+    gains damping beyond K and C can be unstable, and the order falls where C changes.
+    """
+
+    start: str = option(
+        "published",
+        "published: starts with v(t0) and reports the v of the formulas, first order; corrected: "
+        "starts with and reports the q and v of generalized-alpha",
+        choices=("published", "corrected"),
+    )
+
+    @abstractmethod
+    def parameters(self) -> SecondOrder:
+        """Return the algorithmic parameters."""
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if scene.has("state_rate") or scene.has("output"):
+            return (
+                "its matrices are those of mass, damping and stiffness, which controller states "
+                "and outputs do not have; take noh_bathe or generalized_alpha."
+            )
+        return super().supports(scene)
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        if self.start == "published" or not _has_constant_damping(scene):
+            return {"q": 1, "v": 1, "a": 1}
+        p, orders = self.parameters(), {"q": 2, "v": 2}
+        if self.values == "equations" or p.alpha_m == p.alpha_f == 0:
+            return orders | {"a": 2}
+        return orders if p.alpha_m == p.alpha_f else orders | {"a": 1}
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ModelState:
+        z = start.z
+        damping, stiffness = jax.jacfwd(
+            lambda v, q: dynamics_residual(scene, z._replace(q=q, v=v)), argnums=(0, 1)
+        )(z.v, z.q)
+        tangents = Tangents(scene.mass(z.q), damping, stiffness)
+        matrices = self._matrices(tangents, h)
+        q, v, a = z.q, z.v, z.a
+        if self.start == "corrected":
+            p, a = self.parameters(), jnp.linalg.solve(matrices.alpha_1, a)
+            q, v = q - p.beta * h**2 * z.a, v - p.gamma * h * z.a
+        shown = self.reported(scene, z, start.xdot)
+        return ModelState(shown, q, v, a, tangents, matrices)
+
+    def _matrices(self, tangents: Tangents, h: Time) -> Integration:
+        p, (mass, damping, stiffness) = self.parameters(), tangents
+        implicit = p.gamma * h * damping + p.beta * h**2 * stiffness
+        whole = mass + implicit
+        part = (1 - p.alpha_m) * mass + (1 - p.alpha_f) * implicit
+        return Integration(h, jnp.linalg.solve(whole, mass), jnp.linalg.solve(part, whole))
+
+    def step(
+        self, scene: MechatronicSystem, state: ModelState, t: Time, h: Time, work: StepWork
+    ) -> ModelState:
+        p, old = self.parameters(), state.matrices
+        new = jnp.asarray(h != old.h)
+        matrices = jax.lax.cond(
+            new, lambda: self._matrices(state.tangents, h), lambda: old._replace(h=h)
+        )
+        work.count(factorisations=2 * new)
+        rate = matrices.alpha_1 @ state.a
+        q, v = state.q + h * state.v + (0.5 + p.gamma) * h**2 * rate, state.v + h * rate
+
+        def between(new: Array, old: Array) -> Array:
+            return (1 - p.alpha_f) * new + p.alpha_f * old
+
+        at = between(q, state.q), between(v, state.v), state.shown.x, t - p.alpha_f * h
+        z, xdot = evaluated(scene, *at, work)
+        a = state.a + matrices.gain @ (z.a - state.a)
+        z = z._replace(q=q, v=v, a=a, t=t)
+        if self.start == "corrected":
+            rate = matrices.alpha_1 @ a
+            z = z._replace(q=q + p.beta * h**2 * rate, v=v + p.gamma * h * rate, a=rate)
+        return ModelState(self.reported(scene, z, xdot, work), q, v, a, state.tangents, matrices)
+
+    def read(self, scene: MechatronicSystem, state: ModelState) -> Reading:
+        return state.shown
+
+
+def _has_constant_damping(scene: MechatronicSystem) -> bool:
+    """Return whether the derivative of the forces by v is the same at another state."""
+    start, t0 = scene.initial_state(), scene.interval[0]
+
+    def damping(away: float) -> np.ndarray:
+        q, v = jnp.asarray(start.q) + away, jnp.asarray(start.v) + away
+        return np.asarray(jax.jacfwd(lambda v: scene.force(q, v, jnp.asarray(t0)))(v))
+
+    return np.allclose(damping(0.0), damping(0.1), rtol=1e-9, atol=1e-12)
+
+
+@dataclass(frozen=True)
+class KRAlpha(ModelBasedMethod):
+    """KR-alpha: explicit in q and v with the spectrum of generalized-alpha."""
+
+    name: ClassVar[str] = "kr_alpha"
+    source: ClassVar[str] = "Kolay & Ricles (2014), doi:10.1002/eqe.2401"
+
+    rho_inf: float = option(
+        0.8,
+        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
+        low=0.0,
+        high=1.0,
+        always=True,
+    )
+
+    def parameters(self) -> SecondOrder:
+        return second_order_parameters(self.rho_inf)
+
+
+@dataclass(frozen=True)
+class CR(ModelBasedMethod):
+    """The method of Chen and Ricles: explicit in q and v with the trapezoidal rule's spectrum."""
+
+    name: ClassVar[str] = "cr"
+    source: ClassVar[str] = "Chen & Ricles (2008), doi:10.1061/(ASCE)0733-9399(2008)134:8(676)"
+
+    def parameters(self) -> SecondOrder:
+        return SecondOrder(0.0, 0.0, 0.25, 0.5)

@@ -1,0 +1,114 @@
+"""Backward differences of variable step and order: formulas, tolerances, orders, constraints."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers import long
+from proofs import SWING, TWO_RODS
+
+from bench.conformance.trials import ForcedOscillator
+from integrators import Tolerances
+from integrators.methods.bdf_adaptive import BDFAdaptive
+from problems import jax, jnp
+from problems.initial_values import consistent_start
+from problems.reference import Reference
+from problems.scenes.spring_mass import SpringMass
+
+
+def _largest_errors(method, scene, t_end, rtol):
+    run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
+    assert run.status == "ok", run.message
+    exact = Reference(scene, t_end)(run.t)
+    found = {}
+    for group in ("q", "v", "a", "lam", "x"):
+        if exact[group].shape[1]:
+            off = np.linalg.norm(getattr(run, group) - exact[group], axis=1).max()
+            found[group] = off / np.linalg.norm(exact[group], axis=1).max()
+    return found, run.work
+
+
+def _states(method, scene, steps):
+    """States after steps of the given sizes."""
+    program, numbers = method.program(scene, sparse=False)
+    start = jax.tree.map(jnp.asarray, consistent_start(scene))
+    step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])
+    t, states = start.z.t, [program.begin(scene, numbers, start, jnp.asarray(steps[0]))]
+    for h in map(jnp.asarray, steps):
+        t = t + h
+        states.append(step(states[-1], t, h))
+    return states
+
+
+def test_steps_are_those_of_polynomials_through_the_last_values():
+    steps = np.array([0.02, 0.03, 0.025, 0.02, 0.03, 0.04, 0.03, 0.02, 0.03, 0.025])
+    states = _states(BDFAdaptive(), ForcedOscillator(), steps)
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    v = np.array([float(state.shown.v[0]) for state in states])
+    a = np.array([float(state.shown.a[0]) for state in states])
+    assert {int(state.order_before) for state in states} >= {2, 3, 4}
+    for n in range(6, len(states)):
+        k, h = int(states[n].order_before), steps[n - 1]
+        # Monomials about the end, in units of the step.
+        at = (times[n - k - 1 : n] - times[n]) / h
+        p = np.polynomial.Polynomial.fit(at, v[n - k - 1 : n], k, domain=[-1, 1], window=[-1, 1])
+        leading = sum(1 / j for j in range(1, k + 1))
+        corrected = p(0.0) + (h * a[n] - p.deriv()(0.0)) / leading
+        assert v[n] == pytest.approx(corrected, abs=1e-11)
+        # Divided differences, scaled: the first is the change in the step.
+        assert float(states[n].differences[1, 1]) == pytest.approx(v[n] - v[n - 1], abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("method", "on"),
+    [
+        (BDFAdaptive(), SWING),
+        (BDFAdaptive(), (SpringMass(), 1.0)),
+        *long(
+            (BDFAdaptive(), TWO_RODS),
+            (BDFAdaptive(), (ForcedOscillator(), 5.0)),
+            (BDFAdaptive(formulation="index2"), SWING),
+            (BDFAdaptive(formulation="index1"), TWO_RODS),
+            (BDFAdaptive(max_order=2), SWING),
+            (BDFAdaptive(max_order=3), SWING),
+        ),
+    ],
+)
+def test_errors_follow_the_tolerance(method, on):
+    rtols = (1e-4, 1e-6, 1e-8)
+    runs = [_largest_errors(method, *on, rtol) for rtol in rtols]
+    for (errors, _), rtol in zip(runs, rtols, strict=True):
+        assert max(errors.values()) < 3 * rtol
+    for (coarse, _), (fine, _) in pairwise(runs):
+        assert 30 < coarse["v"] / fine["v"] < 300
+
+
+def test_index_3_follows_it_in_q_and_v_and_loses_part_of_a_and_lam():
+    runs = [_largest_errors(BDFAdaptive(formulation="index3"), *SWING, r)[0] for r in (1e-5, 1e-7)]
+    for errors, rtol in zip(runs, (1e-5, 1e-7), strict=True):
+        assert max(errors["q"], errors["v"]) < 3 * rtol
+    assert 5 < runs[0]["lam"] / runs[1]["lam"] < 40
+
+
+def test_higher_orders_save_steps():
+    steps = [_largest_errors(BDFAdaptive(max_order=k), *SWING, 1e-7)[1].steps for k in (2, 3, 5)]
+    assert steps[0] > 4 * steps[1] > 16 * steps[2]
+
+
+@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index3", "index2", "index1")])
+def test_the_constraints_of_the_formulation_hold(formulation):
+    run = BDFAdaptive(formulation=formulation).prepare(*SWING, Tolerances(1e-6)).measure()
+    positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+    velocities = abs((run.q * run.v).sum(axis=1)).max()
+    assert (positions < 1e-13) == (formulation in ("index3", "stabilised_index2"))
+    assert (velocities < 1e-12) == (formulation in ("index2", "stabilised_index2"))
+
+
+@pytest.mark.long
+def test_modified_newton_and_sparse_tangents_stay_within_the_tolerance():
+    for more in ({"newton": "modified"}, {"newton": "modified", "linear_solver": "sparse"}):
+        errors, work = _largest_errors(BDFAdaptive(**more), *TWO_RODS, 1e-6)
+        assert max(errors.values()) < 3e-6
+        assert work.factorisations < 0.8 * work.newton

@@ -1,0 +1,159 @@
+"""Explicit structural methods: published digits, limits of stability, identities, orders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import errors_at, local_slopes, long
+from proofs import OMEGA_H, damping_and_period, radii
+
+from bench.conformance.trials import ForcedOscillator
+from bench.stability.matrices import matrices
+from bench.stability.systems import Oscillator
+from integrators import Steps
+from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.generalized_alpha import GeneralizedAlphaClassical
+from integrators.methods.kr_alpha import CR, KRAlpha
+from problems import MechatronicSystem, State, jnp
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrankMinimal
+from problems.scenes.spring_mass import SpringMass
+
+
+def _radii(method, omega_h):
+    found = matrices(method, Oscillator(), omega_h).a
+    return [float(np.abs(np.linalg.eigvals(a)).max()) for a in found]
+
+
+@dataclass(frozen=True)
+class DampedPair(MechatronicSystem):
+    """Two masses, springs and dampers that are not proportional to each other."""
+
+    interval = (0.0, 2.0)
+    nominal_step = 0.02
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(jnp.array([1.0, 3.0]))
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        stiffness = jnp.array([[50.0, -20.0], [-20.0, 30.0]])
+        damping = jnp.array([[0.5, -0.3], [-0.3, 0.4]])
+        return jnp.array([t, 0.2]) - stiffness @ q - damping @ v
+
+    def initial_state(self) -> State:
+        return State(q=np.array([0.1, -0.2]), v=np.array([0.5, 0.0]))
+
+
+# ---- explicit in all ---------------------------------------------------------------------
+def test_explicit_generalized_alpha_has_the_digits_and_limits_of_the_formulas():
+    wanted = (0.999998149511, 0.982030217877)
+    assert _radii(ExplicitGeneralizedAlpha(), [0.1, 1.0]) == pytest.approx(wanted, abs=1e-9)
+    digits = 0.004450231273, -0.01091584946
+    assert damping_and_period(ExplicitGeneralizedAlpha()) == pytest.approx(digits, abs=1e-9)
+    for rho in (0.0, 0.5, 0.8):
+        joint = (1 + rho) * np.sqrt(2 - rho)
+        limit = np.sqrt(12 * (2 - rho) * (1 + rho) / (10 - 5 * rho + rho**2))
+        found = _radii(ExplicitGeneralizedAlpha(rho_b=rho), [joint, limit - 1e-5, limit + 1e-5])
+        assert found[0] == pytest.approx(rho, abs=1e-4)  # a triple root
+        assert found[1] < 1 < found[2]
+
+
+def test_noh_bathe_is_stable_up_to_the_published_limits():
+    for p, limit in ((0.54, 3.745), (0.7, 3.482)):
+        below, above = _radii(NohBathe(p=p), [limit - 2e-3, limit + 2e-3])
+        assert below < 1 < above
+    assert _radii(NohBathe(), [1.0])[0] == pytest.approx(0.9978817565, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", [ExplicitGeneralizedAlpha(), NohBathe()])
+def test_free_and_controlled_systems_are_second_order(method):
+    for scene, t_end in ((ForcedOscillator(), 5.0), (SpringMass(), 1.0)):
+        runs = [errors_at(method, scene, t_end, t_end / n) for n in (400, 800)]
+        for group in runs[0]:
+            falls = local_slopes([2.0, 1.0], [run[group].max() for run in runs])
+            assert falls[0] > 1.9, (scene.name, group)
+
+
+def test_the_work_is_that_of_one_and_of_two_evaluations_in_a_step():
+    for method, each in ((ExplicitGeneralizedAlpha(), 1), (NohBathe(), 2)):
+        run = method.prepare(ForcedOscillator(), 5.0, Steps(0.1)).measure()
+        assert (run.work.residuals, run.work.newton) == (50 * each, 0)
+
+
+# ---- explicit by matrices of the model -----------------------------------------------------
+@pytest.mark.parametrize(
+    ("rho", "wanted", "digits"),
+    [
+        (
+            0.5,
+            (0.999998160424, 0.989312786016, 0.682528421486, 0.537173623904),
+            (0.003780049758, 0.0467153187),
+        ),
+        (
+            0.8,
+            (0.999999931616, 0.999474614014, 0.929791767153, 0.834637608774),
+            (0.0001572715, 0.0338284060),
+        ),
+    ],
+)
+def test_kr_alpha_has_the_spectrum_of_generalized_alpha(rho, wanted, digits):
+    assert radii(KRAlpha(rho_inf=rho)) == pytest.approx(wanted, abs=1e-9)
+    assert damping_and_period(KRAlpha(rho_inf=rho)) == pytest.approx(digits, abs=1e-9)
+    system = Oscillator(zeta=0.1)
+    for omega_h in OMEGA_H:
+        explicit, implicit = (
+            np.linalg.eigvals(matrices(method, system, [omega_h]).a[0])
+            for method in (KRAlpha(rho_inf=rho), GeneralizedAlphaClassical(rho_inf=rho))
+        )
+        for root in explicit:
+            assert abs(implicit - root).min() < 1e-7
+
+
+def test_cr_and_undamped_kr_alpha_neither_damp_nor_grow():
+    for method in (CR(), KRAlpha(rho_inf=1.0)):
+        assert radii(method) == pytest.approx([1.0] * 4, abs=1e-9)
+        assert damping_and_period(method) == pytest.approx((0.0, 0.03207491062), abs=1e-9)
+
+
+def test_a_corrected_start_makes_kr_alpha_generalized_alpha():
+    # The same motion, not only the same spectrum.
+    scene, steps = DampedPair(), Steps(0.02)
+    explicit = KRAlpha(rho_inf=0.6, start="corrected").prepare(scene, 2.0, steps).measure()
+    implicit = GeneralizedAlphaClassical(rho_inf=0.6).prepare(scene, 2.0, steps).measure()
+    for group in ("q", "v", "a"):
+        np.testing.assert_allclose(
+            getattr(explicit, group), getattr(implicit, group), rtol=1e-10, atol=1e-10
+        )
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        KRAlpha(),
+        KRAlpha(start="corrected"),
+        *long(CR(), CR(start="corrected"), KRAlpha(start="corrected", values="equations")),
+    ],
+)
+def test_orders_are_those_claimed(method):
+    scene = ForcedOscillator()
+    runs = [errors_at(method, scene, 5.0, 5 / n) for n in (800, 1600)]
+    for group, claimed in method.claims(scene).items():
+        order = local_slopes([2.0, 1.0], [run[group].max() for run in runs])[0]
+        assert order == pytest.approx(claimed, abs=0.15), group
+
+
+@pytest.mark.long
+def test_damping_that_changes_costs_an_order():
+    scene, method = SliderCrankMinimal(), KRAlpha(start="corrected")
+    assert method.claims(scene) == {"q": 1, "v": 1, "a": 1}
+    runs = [errors_at(method, scene, 0.2, 0.2 / n)["q"].max() for n in (400, 800)]
+    assert local_slopes([2.0, 1.0], runs)[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_they_cannot_take_is_refused_with_a_reason():
+    for method in (ExplicitGeneralizedAlpha(), NohBathe(), KRAlpha(), CR()):
+        assert "constraints" in method.supports(Pendulum())
+    assert "controller" in KRAlpha().supports(SpringMass())
