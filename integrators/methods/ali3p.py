@@ -62,13 +62,14 @@ class ALI3P(OwnValues, ImplicitStepMethod):
     formulation: ClassVar[str] = "index3"  # pyright: ignore[reportIncompatibleVariableOverride]
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source: ClassVar[str] = (
-        "Bayo & Ledesma (1996), doi:10.1007/BF01833296; Dopico, Gonzalez, Cuadrado & Koevecses "
-        "(2014), doi:10.1115/1.4027671"
+        "Bayo & Ledesma (1996), doi:10.1007/BF01833296; multipliers after projections: Dopico, "
+        "Gonzalez, Cuadrado & Koevecses (2014), doi:10.1115/1.4027671"
     )
 
     penalty: float = option(
-        1e4,
-        "penalty alpha_p in units of 4 |M|/h^2: each iteration leaves about 1/penalty of the error",
+        1e6,
+        "penalty alpha_p in units of 4 |M|/(h |Phi_q|)^2: each iteration leaves about 1/penalty of "
+        "the error",
         low=1.0,
         high=1e10,
     )
@@ -86,7 +87,7 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         )
         slopes = Slopes(h**2 / 4, h / 2, h / 2)
         e = stage_equations(scene, "index3", base, slopes, t, (now.q, t - h))
-        softness = 1 / (self.penalty * formulations.largest_inertia(scene, now.q))
+        softness = self._softness(scene, now.q, t)
         e = e._replace(residual=self._softened(e.residual, e.cuts[0], e.cuts[1], softness))
         z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
         guess = state.guess.after(z, xdot, h)
@@ -96,6 +97,15 @@ class ALI3P(OwnValues, ImplicitStepMethod):
 
     def read(self, scene: MechatronicSystem, state: ALI3PState) -> Reading:
         return state.shown
+
+    def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
+        """4 / (alpha_p h^2), about 1/penalty of Phi_q M^-1 Phi_q^T."""
+        if not scene.sizes.nl:
+            return 0.0
+        # Rows that are equal or opposite do not cancel with these weights.
+        weights = jnp.linspace(1.0, 2.0, scene.sizes.nl)
+        gradient = largest(formulations.constraint_force(scene, q, t, weights))
+        return gradient**2 / (self.penalty * formulations.largest_inertia(scene, q))
 
     @staticmethod
     def _softened(
