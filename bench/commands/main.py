@@ -7,6 +7,7 @@ import click
 from bench.commands import (
     atlas,
     completion,
+    drift,
     history,
     listing,
     options,
@@ -55,6 +56,6 @@ for command in (
         results.figure,
         results.card,
     ),
-    *(stability.stability, atlas.atlas, outcome_map.map_),
+    *(stability.stability, drift.drift, atlas.atlas, outcome_map.map_),
 ):
     main.add_command(command)
