@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import contextlib
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from problems import answers, sparsity
 from problems.compiled import compiled
 from problems.formulations import Start
+from problems.redundant_start import least_start
 from problems.runtime import jax
 from problems.sparse_initial_values import sparse_start
 from problems.system import MechatronicSystem, State
 
 #: A start is consistent if its residuals, relative to the size of q or v, are below this.
 CONSISTENCY_TOLERANCE = 1e-9
+#: Accelerations solve their equations if the constraints' residual is below this part of them.
+_SOLVED = 1e-6
 
 
 class InconsistentStart(ValueError):
@@ -29,6 +33,8 @@ class NoConsistentStart(ValueError):
 def consistent_start(scene: MechatronicSystem) -> Start:
     """Check q and v of the initial state, and compute a, lam, y and the derivatives.
 
+    Of the multipliers of redundant constraints the least ones are taken.
+
     Returns
     -------
     Start
@@ -39,7 +45,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
     InconsistentStart
         If Phi or d/dt Phi is not zero at the given q, v (relative tolerance 1e-9).
     NoConsistentStart
-        If a, lam, y do not exist: singular equations or no convergence.
+        If there are no a, lam, y, or more than one a or y; or Newton's method does not converge.
     ValueError
         If an array has a wrong shape.
     """
@@ -48,13 +54,34 @@ def consistent_start(scene: MechatronicSystem) -> Start:
     _check_dimensions(scene, state)
     if scene.has("constraint"):
         _check_constraints(scene, state, t0)
-    start: Start = jax.tree.map(np.asarray, _completed(scene, state, t0))
-    if not all(np.isfinite(part).all() for part in start.z):
+    start = jax.tree.map(np.asarray, _completed(scene, state, t0))
+    if scene.has("constraint") and not _solves(scene, start):
+        start = jax.tree.map(np.asarray, least_start(scene, state, t0))
+    if start is None or not _is_finite(start):
         raise NoConsistentStart(
             f"{scene.spec} has no finite initial a, lam, y at t={t0:g}: the augmented mass matrix "
             f"is singular there, or its outputs have no solution near zero."
         )
     return start
+
+
+def _is_finite(start: Start) -> bool:
+    return all(np.isfinite(part).all() for part in start.z)
+
+
+def _solves(scene: MechatronicSystem, start: Start) -> bool:
+    """Whether accelerations keep the constraints; those from an almost singular matrix do not."""
+    z = start.z
+    if not _is_finite(start):
+        return False
+    *_, violation = _levels(scene, z.q, z.v, z.a, z.t)
+    return np.abs(violation).max() <= _SOLVED * (1.0 + np.abs(z.a).max() + np.abs(z.v).max() ** 2)
+
+
+def _levels(scene: MechatronicSystem, *values: Any) -> list[np.ndarray]:
+    """Residuals of the constraints and of their two derivatives at q, v, a and t."""
+    one = [np.asarray(part)[None] for part in values]
+    return [level[0] for level in compiled(scene).levels(scene.parameters(), *one)]
 
 
 def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
@@ -65,13 +92,12 @@ def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
 
 
 def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None:
-    one = [part[None] for part in (state.q, state.v, 0 * state.q, np.asarray(t))]
-    position, velocity, _ = compiled(scene).levels(scene.parameters(), *one)
+    position, velocity, _ = _levels(scene, state.q, state.v, 0 * state.q, t)
     for level, group, residual, values in (
         ("position", "q", position, state.q),
         ("velocity", "v", velocity, state.v),
     ):
-        violation, scale = np.abs(residual[0]).max(), max(1.0, np.abs(values).max())
+        violation, scale = np.abs(residual).max(), max(1.0, np.abs(values).max())
         if not violation <= CONSISTENCY_TOLERANCE * scale:
             raise InconsistentStart(
                 f"The initial {group} of {scene.spec} violates the constraints at {level} "

@@ -145,7 +145,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        program, _ = DiffraxStepMethod(method.scheme(), scene, counted).program(scene)
+        program, _ = DiffraxStepMethod(method.scheme(scene), scene, counted).program(scene)
         assert constant_steps.kernel(program, scene.template()).compilations == 1
 
 
@@ -180,7 +180,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = adaptive_programs(method.scheme(), scene.template(), method.max_steps)
+    programs = adaptive_programs(method.scheme(scene), scene.template(), method.max_steps)
     assert programs.timed._cache_size() == programs.counted._cache_size() == 1
 
 

@@ -7,6 +7,7 @@ import click
 from bench.commands import (
     atlas,
     completion,
+    drift,
     history,
     listing,
     options,
@@ -56,6 +57,6 @@ for command in (
         results.figure,
         results.card,
     ),
-    *(stability.stability, atlas.atlas, outcome_map.map_, orders_table.orders_table),
+    *(stability.stability, orders_table.orders_table, drift.drift, atlas.atlas, outcome_map.map_),
 ):
     main.add_command(command)

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from bench.commands.terminal import new_table
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
+from bench.results.drift import lines
 from bench.results.experiments import CaseResult, ExperimentResult, bounds
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows, median
@@ -138,6 +139,20 @@ def ensemble_table(result: Ensemble) -> Group:
         f"prepared in {result.compile_s:.2g} s, run in {result.run_s:.3g} s: {rate:.3g} members/s"
     )
     return Group(table, *lines)
+
+
+def drift_table(results: Sequence[Mapping[str, Any]]) -> Table:
+    """What drifts in long runs, a line for each integrator and quantity."""
+    table = new_table(f"Long runs of {results[0]['problem']}, h={results[0]['h']:g} s")
+    table.add_column("integrator", style="cyan", overflow="fold")
+    table.add_column("quantity")
+    _add_numbers(table, ("largest", "trend per s"))
+    for found in results:
+        name = f"{found['integrator']}, {found['steps']} steps: {found['status']}"
+        for k, (words, largest, per_s) in enumerate(lines(found) or [("-", None, None)]):
+            first = "" if k else name
+            table.add_row(Text(first), words, _number(largest), _number(per_s))
+    return table
 
 
 # ---- stability -----------------------------------------------------------------------------

@@ -39,6 +39,11 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
 
 
 def energy_drift(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
+    """Measure the absolute `energy_change` in each of the k rows."""
+    return {name: np.abs(change) for name, change in energy_change(scene, run).items()}
+
+
+def energy_change(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure the change of "energy" in each of the k rows, relative to the largest kinetic one.
 
     Raises
@@ -51,7 +56,7 @@ def energy_drift(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[n
     energy, p = compiled(scene).energy, scene.parameters()
     total = array(energy(p, run.q, run.v), "energy() of the rows", run.t.shape)
     rest = array(energy(p, run.q, 0 * run.v), "energy() at rest", run.t.shape)
-    return {"energy": np.abs(total - total[0]) / (np.abs(total - rest).max() or 1.0)}
+    return {"energy": (total - total[0]) / (np.abs(total - rest).max() or 1.0)}
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

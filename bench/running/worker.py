@@ -103,7 +103,7 @@ class Worker:
         """
         self.notify(PREPARING, "tracing and compiling")
         scene = self.problem(cell.problem)
-        trajectory, compile_s = self._run(cell)
+        trajectory, compile_s = self.run(cell)
         self.notify(MEASURING, "measuring")
         facts = (
             scene_facts(self.registry, cell.problem, {}),
@@ -165,7 +165,8 @@ class Worker:
             # Counting is not the integrator's work, and a run without a bill still has its errors.
             _add(record, f"Its operations are not known: {why(error)}")
 
-    def _run(self, cell: Cell) -> tuple[Trajectory, float | None]:
+    def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
+        """Run a cell; return its trajectory, whatever its end, and the seconds to prepare it."""
         scene = self.problem(cell.problem)
         integrator = self.registry.integrator(cell.integrator)
         span = scene.interval[0], cell.t_end
@@ -212,7 +213,7 @@ class Worker:
         """Return seconds per bare run, averaged over as many runs as fit a sample."""
         if cell.key not in self.prepared:
             self.notify(PREPARING, "tracing and compiling")
-            self._run(cell)
+            self.run(cell)
             self.notify(RUNNING, "running")
         run = self.prepared[cell.key]
         if self._seconds.get(cell.key, 0.0) < _LONG_SECONDS:

@@ -10,11 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_scheme import Scheme, bill_of, right_hand_side, work_of
+from integrators.adapters.diffrax_scheme import (
+    Numbers,
+    Scheme,
+    bill_of,
+    made_solver,
+    right_hand_side,
+    work_of,
+)
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory
 from integrators.kept_rows import kept_rows
 from problems.compiled import compiled
+from problems.formulations import Baumgarte
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp, slower
 from problems.system import MechatronicSystem
@@ -60,7 +68,7 @@ def adaptive_programs(
     options = {}
     if scheme.root_finder == "fair":
         options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-    rate, solver = right_hand_side(template), scheme.solver(**options)
+    rate, solver = right_hand_side(template), made_solver(scheme, template, **options)
     if scheme.root_finder != "none":  # the results of an explicit step are constants, and stay so
         solver = _traced_once(type(solver))(**options)
 
@@ -105,14 +113,16 @@ class AdaptiveRun(PreparedRun):
         scene: MechatronicSystem,
         t_end: float,
         resolution: Tolerances,
+        baumgarte: Baumgarte | None = None,
     ) -> None:
+        self._baumgarte = baumgarte
         self._scheme, self._max_steps, self._scene = scheme, max_steps, scene
         self._t0, self._t_end = scene.interval[0], float(t_end)
         self._programs = adaptive_programs(scheme, scene.template(), max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
-        arguments = (scene.parameters(), self._s0, self._t0, self._t_end, resolution.rtol,
-                     resolution.atol)  # fmt: skip
+        numbers = Numbers(scene.parameters(), baumgarte)
+        arguments = (numbers, self._s0, self._t0, self._t_end, resolution.rtol, resolution.atol)
         self._arguments = jax.tree.map(jnp.asarray, arguments)
         # A solve over no time compiles the program and costs nothing else.
         p, s0, t0, _, *tolerances = self._arguments
@@ -140,7 +150,7 @@ class AdaptiveRun(PreparedRun):
         return replace(trajectory, status=status, message=message, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        return bill_of(self._scheme, self._scene, run)
+        return bill_of(self._scheme, self._scene, self._baumgarte is not None, run)
 
     def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""

@@ -10,18 +10,25 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_scheme import Scheme, bill_of, right_hand_side, work_of
+from integrators.adapters.diffrax_scheme import (
+    Numbers,
+    Scheme,
+    bill_of,
+    made_solver,
+    right_hand_side,
+    work_of,
+)
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_records import Reading
-from problems.formulations import Start
+from problems.formulations import Baumgarte, Start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_records import Time
     from integrators.native.step_work import StepWork
 
 #: Newton's tolerance, relative to the size of states and rates. Every iteration linearises
@@ -47,19 +54,19 @@ def _terms(scheme: Scheme, template: MechatronicSystem, counted: bool) -> Any:
 class DiffraxStep(StepFunctions):
     """The step of a diffrax solver on scenes of one kind; counted steps are for `run_counted`.
 
-    Its numbers are the parameters of the scene, which the right-hand side is handed by diffrax.
+    Diffrax hands its numbers on to the right-hand side.
     """
 
     scheme: Scheme
     template: MechatronicSystem
     counted: bool
-    parameters: Any = None
+    numbers: Numbers | None = None
 
-    def with_numbers(self, numbers: dict[str, Scalar]) -> DiffraxStep:
-        return replace(self, parameters=numbers)
+    def with_numbers(self, numbers: Numbers) -> DiffraxStep:
+        return replace(self, numbers=numbers)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
-        z, p = start.z, self.parameters
+        z, p = start.z, self.numbers
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
         # No iteration can get below the rounding of the rates, which in stiff scenes is large.
@@ -75,7 +82,7 @@ class DiffraxStep(StepFunctions):
         from diffrax import RESULTS
 
         s, _, _, handed_on, result = self._solver(state.atol).step(
-            self._terms, t - h, t, state.s, self.parameters, state.handed_on, made_jump=False
+            self._terms, t - h, t, state.s, self.numbers, state.handed_on, made_jump=False
         )
         work.count(converged=result == RESULTS.successful)
         return State(s, handed_on, state.atol)
@@ -98,9 +105,9 @@ class DiffraxStep(StepFunctions):
         from optimistix import Newton, max_norm
 
         if self.scheme.root_finder == "none":
-            return self.scheme.solver()
+            return made_solver(self.scheme, self.template)
         finder = Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm)
-        return self.scheme.solver(root_finder=finder)
+        return made_solver(self.scheme, self.template, root_finder=finder)
 
 
 @dataclass(frozen=True)
@@ -113,12 +120,13 @@ class DiffraxStepMethod(NativeMethod):
     scheme: Scheme
     scene: MechatronicSystem
     counted: bool = False
+    baumgarte: Baumgarte | None = None
 
     def functions(self) -> StepFunctions:
         return DiffraxStep(self.scheme, self.scene.template(), self.counted)
 
-    def numbers(self) -> dict[str, float]:
-        return self.scene.parameters()
+    def numbers(self) -> Numbers:
+        return Numbers(self.scene.parameters(), self.baumgarte)
 
 
 class ConstantRun(PreparedRun):
@@ -128,14 +136,20 @@ class ConstantRun(PreparedRun):
     """
 
     def __init__(
-        self, scheme: Scheme, scene: MechatronicSystem, t_end: float, resolution: Steps
+        self,
+        scheme: Scheme,
+        scene: MechatronicSystem,
+        t_end: float,
+        resolution: Steps,
+        baumgarte: Baumgarte | None = None,
     ) -> None:
+        self._baumgarte = baumgarte
         self._scheme, self._scene = scheme, scene
         self._t_end, self._resolution = float(t_end), resolution
         self._timed = self._prepared(counted=False)
 
     def _prepared(self, counted: bool) -> PreparedRun:
-        method = DiffraxStepMethod(self._scheme, self._scene, counted)
+        method = DiffraxStepMethod(self._scheme, self._scene, counted, self._baumgarte)
         return method.prepare(self._scene, self._t_end, self._resolution)
 
     def execute(self) -> Any:
@@ -149,4 +163,4 @@ class ConstantRun(PreparedRun):
         return dataclasses.replace(completed, status=run.status, message=run.message, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        return bill_of(self._scheme, self._scene, run)
+        return bill_of(self._scheme, self._scene, self._baumgarte is not None, run)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from integrators.adapters.diffrax_adaptive import AdaptiveRun
 from integrators.adapters.diffrax_constant import ConstantRun, DiffraxStepMethod
 from integrators.adapters.diffrax_scheme import Scheme
+from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
 from problems.runtime import jnp
@@ -24,13 +25,13 @@ def _in_every_group(order: int) -> dict[str, int]:
 
 
 @dataclass(frozen=True)
-class DiffraxSolver(Integrator):
+class DiffraxSolver(ODEMethod):
     """Base of the diffrax methods: a method states ``library_class``, its order and its source.
 
-    A constrained scene is taken in its ODE form: accelerations and multipliers are solved from
-    the index-1 equations in every evaluation of the right-hand side, and the constraints drift.
-    Reported q, v and x are the solver's own, at the ends of accepted steps; a, lam, y and xdot
-    solve the equations of motion there.
+    A constrained scene is taken in its ODE form: accelerations and multipliers are solved from the
+    index-1 equations in every evaluation of the right-hand side. Reported q, v and x are the
+    solver's own, at the ends of accepted steps; a, lam, y and xdot solve the equations of motion
+    there.
 
     ``steps=adaptive`` is diffrax's own loop under its step-size control; the first step is
     diffrax's 0.01 s. ``steps=constant`` takes the solver's steps on a given grid, step patterns
@@ -39,13 +40,15 @@ class DiffraxSolver(Integrator):
     Work counts: ``residuals`` are evaluations of the right-hand side that are used as such;
     ``jacobians`` are linearisations of it, each of which is factorised once. They are counted in
     a second, untimed program.
+
+    With ``constraints=projected`` the slope that a method keeps for its next step stays that of the
+    state before the projection; the two differ by less than the error of a step.
     """
 
     family: ClassVar[str] = "diffrax"
     calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
-    formulation = "ode"
     #: An option of implicit methods; annotated here, it is the first option in printed names.
     root_finder: ClassVar[str] = "none"
 
@@ -66,7 +69,9 @@ class DiffraxSolver(Integrator):
         return replace(self, steps="constant")
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
-        return DiffraxStepMethod(self.scheme(), scene) if self.controls == "step" else None
+        if self.controls != "step":
+            return None
+        return DiffraxStepMethod(self.scheme(scene), scene, baumgarte=self.baumgarte(scene))
 
     @classmethod
     def solver(cls, **options: Any) -> diffrax.AbstractSolver:
@@ -82,14 +87,15 @@ class DiffraxSolver(Integrator):
 
         return diffrax.ODETerm(rate)
 
-    def scheme(self) -> Scheme:
-        """The solver as runs need it."""
-        return Scheme(self.solver, self.terms, self.root_finder)
+    def scheme(self, scene: MechatronicSystem) -> Scheme:
+        """The solver as runs on a scene need it."""
+        return Scheme(self.solver, self.terms, self.root_finder, self.projects(scene))
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
+        scheme, baumgarte = self.scheme(scene), self.baumgarte(scene)
         if self.steps == "constant":
-            return ConstantRun(self.scheme(), scene, t_end, resolution)
-        return AdaptiveRun(self.scheme(), self.max_steps, scene, t_end, resolution)
+            return ConstantRun(scheme, scene, t_end, resolution, baumgarte)
+        return AdaptiveRun(scheme, self.max_steps, scene, t_end, resolution, baumgarte)
 
 
 @dataclass(frozen=True)

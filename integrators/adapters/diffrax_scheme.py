@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from integrators.adapters.counting import Counts
-from integrators.adapters.ode import packed_rate_and_jacobian
+from integrators.adapters.ode import packed_projection, packed_rate_and_jacobian
 from integrators.contract import Trajectory, Work
 from integrators.operations import bill, dense
-from problems.formulations import ode_rate
+from problems.formulations import Baumgarte, ode_rate, projected_state
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Scheme(NamedTuple):
-    """A diffrax solver with its root finder: the key under which compiled programs are kept."""
+    """A diffrax solver with its options: the key under which compiled programs are kept."""
 
     #: Makes the solver; its argument is ``root_finder``, or nothing for diffrax's own.
     solver: Callable[..., diffrax.AbstractSolver]
@@ -26,11 +27,39 @@ class Scheme(NamedTuple):
     terms: Callable[[Callable], diffrax.AbstractTerm]
     #: "none" (an explicit method), "fair" or "library_default".
     root_finder: str
+    #: Whether each step ends by a projection onto the constraints.
+    projects: bool = False
+
+
+class Numbers(NamedTuple):
+    """What a right-hand side is handed: parameters of the scene, and rates of Baumgarte's term."""
+
+    parameters: dict[str, Any]
+    baumgarte: Baumgarte | None
 
 
 def right_hand_side(template: MechatronicSystem) -> Callable:
-    """The ODE form of a scene as a compiled function of (t, s, p)."""
-    return jax.jit(lambda t, s, p: ode_rate(template.with_parameters(p), t, s))
+    """The ODE form of a scene as a compiled function of (t, s, numbers)."""
+    return jax.jit(
+        lambda t, s, p: ode_rate(template.with_parameters(p.parameters), t, s, p.baumgarte)
+    )
+
+
+@cache
+def projecting(kind: type, template: MechatronicSystem) -> type:
+    """The same kind of solver, each step of which ends by a projection."""
+
+    def step(self: Any, terms: Any, t0: Any, t1: Any, s: Any, p: Any, *more: Any, **named: Any):
+        s, *others = kind.step(self, terms, t0, t1, s, p, *more, **named)  # type: ignore[attr-defined]
+        return projected_state(template.with_parameters(p.parameters), t1, s), *others
+
+    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+
+
+def made_solver(scheme: Scheme, template: MechatronicSystem, **options: Any) -> Any:
+    """The solver of a scheme on scenes of one kind."""
+    solver = scheme.solver(**options)
+    return projecting(type(solver), template)(**options) if scheme.projects else solver
 
 
 def work_of(scheme: Scheme, counts: Counts, steps: int, rejected: int) -> Work:
@@ -46,17 +75,22 @@ def work_of(scheme: Scheme, counts: Counts, steps: int, rejected: int) -> Work:
     return work
 
 
-def bill_of(scheme: Scheme, scene: MechatronicSystem, run: Trajectory) -> dict[str, float]:
+def bill_of(
+    scheme: Scheme, scene: MechatronicSystem, baumgarte: bool, run: Trajectory
+) -> dict[str, float]:
     """The bill of a run; empty for diffrax's own root finder, whose solves are not counted."""
     if scheme.root_finder == "library_default":
         return {}
-    rate, jacobian = (one.operations for one in packed_rate_and_jacobian(scene.template()))
+    template = scene.template()
+    rate, jacobian = (one.operations for one in packed_rate_and_jacobian(template, baumgarte))
+    attempts = (run.work.steps or 0) + (run.work.rejected or 0)
+    projections = packed_projection(template).operations.times(attempts * scheme.projects)
     algebra = dense(2 * scene.sizes.nq + scene.sizes.nx)
     iterations = run.work.newton or 0  # each with a Jacobian, which gives the value on the way
     return bill(
         scene,
         run,
-        rate.times((run.work.residuals or 0) - iterations),
+        rate.times((run.work.residuals or 0) - iterations).plus(projections),
         jacobian.times(iterations),
         iterations * algebra.factorisation,
         iterations * algebra.solve,

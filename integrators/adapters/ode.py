@@ -1,26 +1,83 @@
-"""The explicit ODE s' = f(t, s), compiled for solvers of other libraries."""
+"""The explicit ODE s' = f(t, s), compiled for solvers of other libraries; drift of constraints."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from integrators.adapters.callbacks import PackedFunction
-from problems.formulations import ode_rate
+from integrators.contract import Integrator, option
+from problems.formulations import Baumgarte, ode_rate, projected_state
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 
 
-@cache
+@dataclass(frozen=True)
+class ODEMethod(Integrator):
+    """Base of methods on the explicit ODE, which does not hold the constraints by itself.
+
+    With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
+    the motion drifts off the constraints. Baumgarte's d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi
+    = 0 lets the drift decay; rates beyond the inverse step make the equations stiff. The
+    projection moves q and v after each step, by the least changes in the norm of M.
+    """
+
+    formulation = "ode"
+
+    constraints: str = option(
+        "index1",
+        "index1: the motion drifts off them; baumgarte: the drift decays; projected: q and v are "
+        "moved onto them after each step",
+        choices=("index1", "baumgarte", "projected"),
+    )
+    alpha: float = option(
+        20.0, "damping of the drift by Baumgarte's term, per s; critical if equal to beta", low=0.0
+    )
+    beta: float = option(20.0, "frequency of the drift under Baumgarte's term, per s", low=0.0)
+
+    def baumgarte(self, scene: MechatronicSystem) -> Baumgarte | None:
+        """The rates of Baumgarte's term on a scene; None if it takes no part."""
+        taken = self.constraints == "baumgarte" and scene.has("constraint")
+        return Baumgarte(self.alpha, self.beta) if taken else None
+
+    def projects(self, scene: MechatronicSystem) -> bool:
+        """Whether each step on a scene ends by a projection."""
+        return self.constraints == "projected" and scene.has("constraint")
+
+
+def packed_parameters(scene: MechatronicSystem, baumgarte: Baumgarte | None = None) -> np.ndarray:
+    """The parameters of a scene, and the rates of Baumgarte's term if it takes part."""
+    return np.array([*scene.parameters().values(), *(baumgarte or ())])
+
+
 def packed_rate_and_jacobian(
-    template: MechatronicSystem,
+    template: MechatronicSystem, baumgarte: bool = False
 ) -> tuple[PackedFunction, PackedFunction]:
-    """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p is an array of the parameters."""
-    names = list(template.parameters())
-    lengths = len(names), None, 2 * template.sizes.nq + template.sizes.nx
+    """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p as `packed_parameters` gives it."""
+    return _packed(template, baumgarte)
+
+
+@cache  # which takes an argument that is left out for another one than its default
+def _packed(template: MechatronicSystem, baumgarte: bool) -> tuple[PackedFunction, PackedFunction]:
+    count = len(template.parameters())
+    lengths = count + 2 * baumgarte, None, 2 * template.sizes.nq + template.sizes.nx
 
     def rate(p: Any, t: Any, s: Any) -> Any:
-        scene = template.with_parameters(dict(zip(names, p, strict=True)))
-        return ode_rate(scene, t, s)
+        rates = Baumgarte(p[count], p[count + 1]) if baumgarte else None
+        return ode_rate(_scene(template, p), t, s, rates)
 
     return PackedFunction(rate, *lengths), PackedFunction(jax.jacfwd(rate, argnums=2), *lengths)
+
+
+@cache
+def packed_projection(template: MechatronicSystem) -> PackedFunction:
+    """`projected_state` as a compiled function of (p, t, s)."""
+    lengths = len(template.parameters()), None, 2 * template.sizes.nq + template.sizes.nx
+    return PackedFunction(lambda p, t, s: projected_state(_scene(template, p), t, s), *lengths)
+
+
+def _scene(template: MechatronicSystem, p: Any) -> MechatronicSystem:
+    return template.with_parameters(dict(zip(template.parameters(), p, strict=False)))

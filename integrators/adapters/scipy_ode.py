@@ -17,11 +17,17 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
-from integrators.adapters.ode import packed_rate_and_jacobian
+from integrators.adapters.ode import (
+    ODEMethod,
+    packed_parameters,
+    packed_projection,
+    packed_rate_and_jacobian,
+)
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
+from integrators.contract import PreparedRun, Tolerances, Trajectory, option
 from integrators.kept_rows import kept_rows
 from integrators.operations import NotCounted, bill, dense
+from problems.formulations import Baumgarte
 from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
@@ -30,25 +36,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ScipySolver(Integrator):
+class ScipySolver(ODEMethod):
     """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
-    accelerations and multipliers are solved from the index-1 equations in every evaluation of
-    the right-hand side, and the constraints drift. The Jacobian is exact (automatic
-    differentiation). Reported q, v and x are the solver's own, at the ends of its own steps; a,
-    lam, y and xdot solve the equations of motion there.
+    accelerations and multipliers are solved from the index-1 equations in every evaluation of the
+    right-hand side. The Jacobian is exact (automatic differentiation). Reported q, v and x are the
+    solver's own, at the ends of its own steps; a, lam, y and xdot solve the equations of motion
+    there.
 
     Everything is counted where it happens: ``residuals`` are evaluations of the right-hand side,
-    those of the choice of the first step included; ``factorisations`` and ``solves`` count real
-    and complex systems alike. A value that is not finite makes the solver take a smaller step;
-    where none helps the run ends as diverged.
+    those of the choice of the first step included; ``factorisations`` and ``solves`` count real and
+    complex systems alike. After a projection Radau evaluates the right-hand side once more, and BDF
+    moves its whole history along, which does not change the differences in it. A value that is not
+    finite makes the solver take a smaller step; where none helps the run ends as diverged.
     """
 
     family: ClassVar[str] = "scipy"
     controls = "tolerance"
     calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
-    formulation = "ode"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
 
@@ -89,6 +95,7 @@ class ScipyRun(PreparedRun):
         packed: tuple[PackedFunction, PackedFunction],
         tolerances: dict[str, Any],
         *vectors: Float[np.ndarray, " n"],
+        baumgarte: Baumgarte | None = None,
     ) -> None:
         """``packed`` are the equations and their Jacobian, ``vectors`` the values at the start."""
         self._solver, self._max_calls, self._tolerances = solver, max_calls, tolerances
@@ -97,7 +104,7 @@ class ScipyRun(PreparedRun):
         self.start = scene.interval[0], *vectors
         self._packed, self._unknowns = packed, len(vectors[0])
         self._complex = 0, 0
-        p = np.array(list(scene.parameters().values()))
+        p = packed_parameters(scene, baumgarte)
         self.functions = packed[0].bind(p), packed[1].bind(p)
         for function in self.functions:
             function(*self.start)  # compiles
@@ -118,6 +125,9 @@ class ScipyRun(PreparedRun):
 
     def _advice(self, status: str) -> str:
         return advice(status)
+
+    def _after_step(self, solver: Any, equations: CountedEquations) -> None:
+        """Change the solver's state at the end of an accepted step."""
 
     def execute(self) -> Any:
         return self._solve(self.counted_equations(), lambda solver: None, lambda t, w: None)
@@ -172,6 +182,7 @@ class ScipyRun(PreparedRun):
                     equations.begin_step(solver.t)
                     solver.step()
                     if solver.status != "failed":
+                        self._after_step(solver, equations)
                         keep(float(solver.t), solver.y)
             except EarlyEnd as end:
                 return end
@@ -192,16 +203,38 @@ class _ODERun(ScipyRun):
     ) -> None:
         from scipy import integrate
 
-        z = consistent_start(scene).z
+        z, baumgarte = consistent_start(scene).z, method.baumgarte(scene)
+        self._projection = packed_projection(scene.template()) if method.projects(scene) else None
         super().__init__(
             getattr(integrate, method.library_class),
             method.max_calls,
             scene,
             t_end,
-            packed_rate_and_jacobian(scene.template()),
+            packed_rate_and_jacobian(scene.template(), baumgarte is not None),
             {"rtol": resolution.rtol, "atol": resolution.atol},
             np.concatenate([z.q, z.v, z.x]),
+            baumgarte=baumgarte,
         )
+        if self._projection:
+            self._project = self._projection.bind(packed_parameters(scene))
+            self._project(*self.start)  # compiles
+
+    def _after_step(self, solver: Any, equations: CountedEquations) -> None:
+        if not self._projection:
+            return
+        solver.y = np.asarray(self._project(solver.t, solver.y))
+        if hasattr(solver, "D"):  # backward differences, the value before them
+            solver.D[0] = solver.y
+        else:
+            equations.begin_step(solver.t)  # the step has ended: no iteration is to be counted
+            solver.f = equations.value(solver.t, solver.y)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        found = super().bill(run)
+        if not self._projection:
+            return found
+        more = bill(self._scene, run, self._projection.operations.times(run.work.steps or 0))
+        return {part: found.get(part, 0.0) + more.get(part, 0.0) for part in found | more}
 
     def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
         nq = self._scene.sizes.nq

@@ -39,6 +39,7 @@ RIGHT = {
     "figure": ["{store}", "convergence"],
     "card": ["{store}"],
     "stability": ["newmark"],
+    "drift": ["pendulum", "newmark"],
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
     "orders-table": ["newmark"],

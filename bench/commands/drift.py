@@ -1,0 +1,103 @@
+"""The command `stepbench drift`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.commands import completion, options
+from bench.commands.pages import view
+from bench.commands.paths import PathName
+from problems.spec import SpecError
+
+#: Most steps that can be asked for.
+_MOST_STEPS = 10**9
+
+
+@click.command()
+@click.argument("problem", shell_complete=completion.scenes)
+@click.argument(
+    "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(2, _MOST_STEPS),
+    default=100_000,
+    show_default=True,
+    help="Number of steps.",
+)
+@click.option("--step", type=float, help="Step size h in s; the scene's nominal one if not given.")
+@options.with_set
+@options.with_budget
+@click.option("--out", type=PathName("folder"), help="Folder of a page with charts over time.")
+@options.with_plugins
+@click.option("--csv", "form", flag_value="csv", help="Print a row for each integrator.")
+@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
+def drift(
+    problem: str,
+    names: tuple[str, ...],
+    steps: int,
+    step: float | None,
+    settings: dict[str, str],
+    budget: float,
+    out: Path | None,
+    plugins: tuple[str, ...],
+    form: str | None,
+) -> None:
+    """Run integrators over many constant steps, and measure what drifts off.
+
+    Measured are the energy, relative to the largest kinetic one, the residuals of the constraints
+    and of their rates, and where there is a closed form of a motion that conserves energy, the
+    phase: the time by which a run is ahead. Of each the table shows the largest absolute value, and
+    the trend: the slope of a straight line through all rows.
+
+    \b
+    Examples:
+      stepbench drift pendulum "generalized_alpha[rho_inf=1]" bdf2 --steps 100000
+      stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
+      stepbench drift oscillator newmark bdf2 --csv > drift.csv
+    """
+    registry = options.usable_registry(plugins)
+    scene = registry.problem(problem, **settings)
+    methods = [registry.integrator(name) for name in names]
+    specs = [method.spec for method in methods]
+    twice = next((spec for spec in specs if specs.count(spec) > 1), None)
+    if twice:
+        raise SpecError(f"{twice} is named twice.")
+
+    from bench.running.drift import drift_job
+
+    results, faults = [], []
+    for method in methods:
+        sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
+        try:
+            results.append(options.guarded(method.spec, drift_job, sources, budget, task))
+        except SpecError as error:
+            faults.append(str(error))
+    if results:
+        _show(results, out, form)
+    faults += [f"{f['integrator']}: {f['status']}: {f['message']}"
+               for f in results if f["status"] != "ok"]  # fmt: skip
+    if faults:
+        raise click.ClickException(" ".join(faults))
+
+
+def _show(results: list[dict[str, Any]], out: Path | None, form: str | None) -> None:
+    from bench.results.drift import flat
+
+    if form == "json":
+        click.echo(json.dumps(results, indent=2, allow_nan=False))
+    elif form == "csv":
+        from bench.results.csv_text import csv_export
+
+        click.echo(csv_export([flat(found) for found in results]), nl=False)
+    else:
+        from bench.commands.terminal import show
+        from bench.commands.terminal_tables import drift_table
+
+        show(drift_table(results))
+    if out:
+        click.echo(f"Page: {view('drift')(results, out)}", err=bool(form))

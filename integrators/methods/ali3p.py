@@ -1,0 +1,148 @@
+"""Trapezoidal rule with an augmented Lagrangian and projections, for redundant constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import option
+from integrators.native.guesses import Guess
+from integrators.native.own_values import OwnValues
+from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Reading, largest
+from problems import formulations
+from problems.formulations import Start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from jax import Array
+
+    from integrators.native.step_records import Scalar, Time
+    from integrators.native.step_work import StepWork
+
+_EPS = float(np.finfo(float).eps)
+
+
+class ALI3PState(NamedTuple):
+    """Values at the end of the last step, projected, and the guess of the next one."""
+
+    shown: Reading
+    guess: Guess
+
+
+@dataclass(frozen=True)
+class ALI3P(OwnValues, ImplicitStepMethod):
+    """Augmented Lagrangian of index 3 with projections, on the trapezoidal rule.
+
+    The step solves M a+ + Phi_q^T lam - g = 0 with Phi(q+) = 0 for ::
+
+        q+ = q + h v + h^2/4 (a + a+),   v+ = v + h/2 (a + a+),   x+ = x + h/2 (xdot + xdot+)
+
+    Each iteration takes the displacement dq of a penalty method, and adds its force to the
+    multipliers, lam <- lam + alpha_p (Phi + Phi_q dq). That is Newton's method with a tangent
+    whose row of the constraint is Phi_q dq - dlam/alpha_p. This tangent is regular with redundant
+    constraints, too, and where the constraints lose rank. The solution does not depend on
+    alpha_p: where Newton's iteration ends, the constraints hold exactly.
+
+    v+ and a+ violate the derivatives of the constraints. Projections move them there by the least
+    changes in the norm of P = M - h/2 g_v - h^2/4 g_q; the next step begins with these. The force
+    that projects a+ is added to the multipliers that are reported: they are of order 2 by that,
+    and of order 1 without. Multipliers of redundant constraints are not unique: they share the
+    force as they did at the start. With ``values=equations`` constraints have to be independent.
+    """
+
+    name: ClassVar[str] = "ali3p"
+    family: ClassVar[str] = "augmented Lagrangian"
+    formulation: ClassVar[str] = "index3"  # pyright: ignore[reportIncompatibleVariableOverride]
+    orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
+    source: ClassVar[str] = (
+        "Bayo & Ledesma (1996), doi:10.1007/BF01833296; multipliers after projections: Dopico, "
+        "Gonzalez, Cuadrado & Koevecses (2014), doi:10.1115/1.4027671"
+    )
+
+    penalty: float = option(
+        1e6,
+        "penalty alpha_p in units of 4 |M|/(h |Phi_q|)^2: each iteration leaves about 1/penalty of "
+        "the error",
+        low=1.0,
+        high=1e10,
+    )
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ALI3PState:
+        shown = self.reported(scene, start.z, start.xdot)
+        return ALI3PState(shown, Guess.begin(start.z, start.xdot, h))
+
+    def step(
+        self, scene: MechatronicSystem, state: ALI3PState, t: Time, h: Time, work: StepWork
+    ) -> ALI3PState:
+        now = state.shown
+        base = Base(
+            now.q + h * now.v + h**2 / 4 * now.a, now.v + h / 2 * now.a, now.x + h / 2 * now.xdot
+        )
+        slopes = Slopes(h**2 / 4, h / 2, h / 2)
+        e = stage_equations(scene, "index3", base, slopes, t, (now.q, t - h))
+        softness = self._softness(scene, now.q, t)
+        e = e._replace(residual=self._softened(e.residual, e.cuts[0], e.cuts[1], softness))
+        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        guess = state.guess.after(z, xdot, h)
+        if scene.sizes.nl:
+            z = self._projected(scene, z, h, softness, work)
+        return ALI3PState(self.reported(scene, z, xdot, work), guess)
+
+    def read(self, scene: MechatronicSystem, state: ALI3PState) -> Reading:
+        return state.shown
+
+    def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
+        """4 / (alpha_p h^2), about 1/penalty of Phi_q M^-1 Phi_q^T."""
+        if not scene.sizes.nl:
+            return 0.0
+        # Rows that are equal or opposite do not cancel with these weights.
+        weights = jnp.linspace(1.0, 2.0, scene.sizes.nl)
+        gradient = largest(formulations.constraint_force(scene, q, t, weights))
+        return gradient**2 / (self.penalty * formulations.largest_inertia(scene, q))
+
+    @staticmethod
+    def _softened(
+        residual: Callable[[Array], Array], begin: int, end: int, softness: Scalar
+    ) -> Callable[[Array], Array]:
+        """The same residual, whose tangent has -softness between constraints and multipliers.
+
+        Multipliers are the unknowns from ``begin`` to ``end``, constraints the rows.
+        """
+
+        def softened(u: Array) -> Array:
+            lam = u[begin:end]
+            return residual(u).at[begin:end].add(-softness * (lam - jax.lax.stop_gradient(lam)))
+
+        return softened
+
+    def _projected(
+        self, scene: MechatronicSystem, z: Variables, h: Time, softness: Scalar, work: StepWork
+    ) -> Variables:
+        """Move v and then a to where d/dt Phi and d2/dt2 Phi are zero."""
+        q, t, nq = z.q, z.t, scene.sizes.nq
+        _, force_along = jax.linearize(lambda q, v: scene.force(q, v, t), q, z.v)
+        work.count(jacobians=1)
+
+        def moved(w: Array, violation: Callable[[Array], Array]) -> list[Array]:
+            def residual(u: Array) -> Array:
+                d, mu = u[:nq] - w, u[nq:]
+                inner = formulations.inertia(scene, q, d) - force_along(h**2 / 4 * d, h / 2 * d)
+                outer = formulations.constraint_force(scene, q, t, mu)
+                return jnp.concatenate([inner + outer, violation(u[:nq])])
+
+            guess = jnp.concatenate([w, jnp.zeros(scene.sizes.nl)])
+            soft = self._softened(residual, nq, len(guess), softness)
+            of_w = 4 * _EPS * largest(w)
+            of_mu = of_w * formulations.largest_inertia(scene, q)
+            return jnp.split(work.solve(soft, guess, groups=(nq,), rounding=(of_w, of_mu)), [nq])
+
+        v, _ = moved(z.v, lambda v: formulations.constraint_velocity(scene, q, v, t))
+        a, mu = moved(z.a, lambda a: formulations.constraint_acceleration(scene, q, v, a, t))
+        return z._replace(v=v, a=a, lam=z.lam + mu)

@@ -1,0 +1,72 @@
+"""Initial values of scenes whose constraints are redundant: multipliers are not unique there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from problems.formulations import Start, algebraic_residual
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem, State, Variables
+
+#: Singular values and residuals below this part of the largest one are zero.
+_ZERO = 1e-10
+_MOST_ITERATIONS = 20
+
+
+def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | None:
+    """Compute a start with the least multipliers, where a and y are unique although lam is not.
+
+    Returns
+    -------
+    Start or None
+        Values at time t (s); None if there are none, or more than one a or y.
+    """
+    nq, nl, _, ny = scene.sizes
+    equations, tangent, derivatives = _functions(scene.template())
+    p, known = scene.parameters(), (*state, np.asarray(t, float))
+    u = np.zeros(nq + nl + ny)
+    for _ in range(_MOST_ITERATIONS):
+        matrix, (residual, xdot) = np.asarray(tangent(p, u, *known)), equations(p, u, *known)
+        if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
+            return None
+        if np.abs(residual).max() <= _ZERO * (1.0 + np.abs(matrix).max() * np.abs(u).max()):
+            break
+        u = u - np.linalg.lstsq(matrix, np.asarray(residual), _ZERO)[0]
+    else:
+        return None
+    _, sizes, directions = np.linalg.svd(matrix)
+    free = directions[sizes <= _ZERO * sizes[0]]
+    if np.abs(np.delete(free, np.s_[nq : nq + nl], axis=1)).max(initial=0.0) > 1e-6:
+        return None
+    a, lam, y = np.split(u, [nq, nq + nl])
+    # The residual stays zero along the motion, so that its derivative gives that of u.
+    motion = state.v, a, np.asarray(xdot), np.ones(())
+    rest, _ = derivatives(p, (u, *known), (0 * u, *motion))
+    rate = np.linalg.lstsq(matrix, -np.asarray(rest), _ZERO)[0]
+    _, xddot = derivatives(p, (u, *known), (rate, *motion))
+    z = Variables(*map(jnp.asarray, (state.q, state.v, a, lam, state.x, y, t)))
+    return Start(z, xdot, jnp.asarray(rate[:nq]), xddot)
+
+
+@cache
+def _functions(template: MechatronicSystem) -> tuple[Callable, Callable, Callable]:
+    """Compiled functions of a scene: residual and xdot at u = [a, lam, y]; the residual's tangent
+    in u; derivatives of both along a direction."""
+    nq, nl, nx, _ = template.sizes
+
+    def equations(p: Any, u: Any, q: Any, v: Any, x: Any, t: Any) -> tuple[Any, Any]:
+        scene = template.with_parameters(p)
+        a, lam, y = jnp.split(u, [nq, nq + nl])
+        z = Variables(q, v, a, lam, x, y, t)
+        rate = scene.state_rate(z) if nx else jnp.zeros(0)
+        return algebraic_residual(scene, u, q, v, x, t), rate
+
+    def derivatives(p: Any, at: tuple, direction: tuple) -> tuple[Any, Any]:
+        return jax.jvp(lambda *at: equations(p, *at), at, direction)[1]
+
+    tangent = jax.jacfwd(lambda p, *at: equations(p, *at)[0], argnums=1)
+    return jax.jit(equations), jax.jit(tangent), jax.jit(derivatives)
