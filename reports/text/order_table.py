@@ -67,9 +67,8 @@ def order_table(series: Sequence[Series], title: str) -> Table | None:
 
 
 def _cell(fit: Fit, claimed: int | None, norm: str) -> str:
-    if fit.verdict == "does not converge":
-        return "0 *" if claimed else "0"
-    if fit.order is None:
+    if fit.order is None and fit.verdict != "does not converge":
         return NO_VALUE
-    short = claimed is not None and norm == "settled" and claimed - fit.order > _SHORT
-    return order_text(fit.order) + (" *" if short else "")
+    order = fit.order if fit.verdict == "converges" and fit.order else 0.0
+    short = claimed is not None and norm == "settled" and claimed - order > _SHORT
+    return (order_text(order) if order else "0") + (" *" if short else "")
