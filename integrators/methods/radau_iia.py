@@ -111,7 +111,8 @@ class RadauState(NamedTuple):
 class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     """Radau IIA with 2 or 3 stages: stiffly accurate collocation, L-stable, order 2 stages - 1.
 
-    Index 3 keeps this order in q alone; v has the order of the stages, a and lam one less. Index 2
+    Index 3 keeps this order in q alone; v has the order of the stages, a and lam one less, and x
+    that of v if the controller sees a or lam. Index 2
     and the stabilised form keep it in q and v, and give a and lam the order of the stages.
     """
 
@@ -146,7 +147,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         of_lam = s - 1 if self.formulation == "index3" else s
         if self.values == "equations":
             of_lam = of_v
-        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": p, "y": of_lam}
+        # A controller that sees a or lam of index 3 costs x its order; none can be told by blocks.
+        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": of_v, "y": of_lam}
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RadauState:
         z = start.z
