@@ -14,7 +14,8 @@ with eta = h mu gives V and the acceleration without another unknown::
 
 Constraint rows are divided by h^2, velocity rows by h, as in `integrators.native.stage_equations`.
 
-The local error is that of RADAU5 (Hairer & Wanner 1996, sec. IV.8): the defect of the collocation
+The local error is that of RADAU5 (Hairer & Wanner 1996, doi:10.1007/978-3-642-05221-7, sec. IV.8),
+the defect of the collocation
 polynomial at the start of the step, filtered by one implicit stage of slope g = gamma h::
 
     raw = g (rate at the start - its interpolation by the stages)
