@@ -14,7 +14,8 @@ with eta = h mu gives V and the acceleration without another unknown::
 
 Constraint rows are divided by h^2, velocity rows by h, as in `integrators.native.stage_equations`.
 
-The local error is that of RADAU5 (Hairer & Wanner 1996, sec. IV.8): the defect of the collocation
+The local error is that of RADAU5 (Hairer & Wanner 1996, doi:10.1007/978-3-642-05221-7, sec. IV.8),
+the defect of the collocation
 polynomial at the start of the step, filtered by one implicit stage of slope g = gamma h::
 
     raw = g (rate at the start - its interpolation by the stages)
@@ -111,7 +112,8 @@ class RadauState(NamedTuple):
 class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     """Radau IIA with 2 or 3 stages: stiffly accurate collocation, L-stable, order 2 stages - 1.
 
-    Index 3 keeps this order in q alone; v has the order of the stages, a and lam one less. Index 2
+    Index 3 keeps this order in q alone; v has the order of the stages, a and lam one less, and x
+    that of v if the controller sees a or lam. Index 2
     and the stabilised form keep it in q and v, and give a and lam the order of the stages.
     """
 
@@ -146,7 +148,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         of_lam = s - 1 if self.formulation == "index3" else s
         if self.values == "equations":
             of_lam = of_v
-        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": p, "y": of_lam}
+        # A controller that sees a or lam of index 3 costs x its order; none can be told by blocks.
+        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": of_v, "y": of_lam}
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RadauState:
         z = start.z

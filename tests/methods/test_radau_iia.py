@@ -142,6 +142,23 @@ class Coupled(MechatronicSystem):
         return State(q=np.zeros(2), v=np.array([1.0, 0.0]), x=np.array([0.4]))
 
 
+@dataclass(frozen=True)
+class Bent(Coupled):
+    """The same on a bent constraint."""
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        return jnp.stack([jnp.sin(q[0]) - 2 * q[1] + q[1] ** 2 - jnp.sin(t)])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("stages", "formulation"), ERRORS)
+def test_a_controller_that_sees_multipliers_has_the_claimed_order(stages, formulation):
+    method = constant(stages, formulation=formulation)
+    found = orders(method, 80 if stages == 2 else 20, (Bent(), 1.0))
+    for group, claimed in method.claims(Bent()).items():
+        assert found[group].order_of_largest == pytest.approx(claimed, abs=0.2), group
+
+
 @pytest.mark.parametrize(
     ("stages", "formulation", "scene"),
     [
