@@ -29,7 +29,7 @@ def plugins(tmp_path_factory):
 
 
 def test_the_examples_have_less_than_40_lines_of_code():
-    assert set(EXAMPLES) == {"ramp_oscillator.py", "bathe.py", "euler_dae.py", "euler.py"}
+    assert set(EXAMPLES) == {"ramp_oscillator.py", "bathe_ode.py", "euler_dae.py", "euler.py"}
     for code in EXAMPLES.values():
         assert sum(bool(line.strip()) for line in code.splitlines()) < 40
 
@@ -38,7 +38,7 @@ def test_the_examples_have_less_than_40_lines_of_code():
     ("kind", "name"),
     [
         ("problems", "ramp_oscillator"),
-        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe"))),
+        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe_ode"))),
     ],
 )
 def test_the_examples_pass_every_check(plugins, kind, name):
@@ -48,7 +48,7 @@ def test_the_examples_pass_every_check(plugins, kind, name):
 
 
 @pytest.mark.parametrize(
-    ("integrator", "order"), [("euler_dae", 1), *long(("bathe", 2), ("euler", 1))]
+    ("integrator", "order"), [("euler_dae", 1), *long(("bathe_ode", 2), ("euler", 1))]
 )
 def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
     result = stepbench(

@@ -94,10 +94,10 @@ def test_every_kind_of_method_and_patterns(problem, integrator, name, values):
 
 
 def test_a_plugin_runs_in_numbers(plugins):
-    scene, method = plugins.problem("ramp_oscillator"), plugins.integrator("bathe")
+    scene, method = plugins.problem("ramp_oscillator"), plugins.integrator("bathe_ode")
     found = ensemble(scene, method, {"k": [1.0, 2.0, 4.0]}, Steps(0.1), 2.0)
     for k, stiffness in enumerate((1, 2, 4)):
-        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe", 0.1, 2.0, plugins)
+        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe_ode", 0.1, 2.0, plugins)
         check_member(found, k, run, 1e-12)
 
 

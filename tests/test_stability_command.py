@@ -55,7 +55,8 @@ def test_a_pattern_is_looked_at_as_a_whole(stepbench):
 
 @pytest.mark.long
 def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
-    euler, bathe = found_by(stepbench, "euler", "bathe", "--plugins", plugins, "--at", "0.1,1000")
+    names = "euler", "bathe_ode"
+    euler, bathe = found_by(stepbench, *names, "--plugins", plugins, "--at", "0.1,1000")
     assert bathe["order"] == 2
     assert bathe["growing"] == []
     assert bathe["radius_at_infinity"] < 1e-4

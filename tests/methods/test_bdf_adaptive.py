@@ -57,6 +57,11 @@ def test_steps_are_those_of_polynomials_through_the_last_values():
         leading = sum(1 / j for j in range(1, k + 1))
         corrected = p(0.0) + (h * a[n] - p.deriv()(0.0)) / leading
         assert v[n] == pytest.approx(corrected, abs=1e-11)
+        # DASSL's error constant, from the times alone; 1/(k + 1) at equal steps.
+        parts = h / (times[n] - times[n - 1 - np.arange(k + 1)])
+        constant = max(parts[k], abs(parts[k] + parts[:k].sum() - leading))
+        error = float(states[n].error[1])
+        assert error == pytest.approx(constant * (v[n] - p(0.0)), rel=1e-5, abs=1e-14)
         # Divided differences, scaled: the first is the change in the step.
         assert float(states[n].differences[1, 1]) == pytest.approx(v[n] - v[n - 1], abs=1e-14)
 
