@@ -79,16 +79,8 @@ def test_the_command_prints_json_and_writes_a_page(stepbench, tmp_path):
 
 @pytest.mark.long
 def test_a_run_that_fails_is_told_beside_the_others(stepbench):
-    line = (
-        "drift",
-        "pendulum",
-        "generalized_alpha[rho_inf=1]",
-        "bdf2",
-        "--step",
-        0.05,
-        "--steps",
-        900,
-    )
+    names = "generalized_alpha[rho_inf=1]", "bdf2"
+    line = "drift", "pendulum", *names, "--step", 0.02, "--steps", 300
     result = stepbench(*line, "--csv")
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(result.stdout)))
@@ -102,7 +94,7 @@ def test_a_run_that_fails_is_told_beside_the_others(stepbench):
     [
         (["newmark", "newmark"], "named twice"),
         (["newmark", "--step", "-1"], "not allowed"),
-        (["newmark", "--step", "1e300"], "t_end"),
+        (["newmark", "--step", "1e306"], "end time"),
         (["newmark", "--steps", "1"], "range"),
         (["nomark"], "newmark"),
     ],
