@@ -36,16 +36,50 @@ BUILT_IN = _ALPHA_FAMILY | {
     "kencarp5": "KenCarp5",
     "implicit_euler": "Implicit Euler",
     "dopri8": "Dopri8",
+    "ali3p": "ALI3-P",
+    "bathe": "Bathe",
+    "bdf2": "BDF2",
+    "bdf_adaptive": "BDF 1-5",
+    "cr": "CR",
+    "energy_momentum": "Energy-momentum",
+    "explicit_generalized_alpha": "explicit gα",
+    "half_explicit_euler": "Half-explicit Euler",
+    "hht_i3": "HHT-I3",
+    "houbolt": "Houbolt",
+    "implicit_fast": "Implicit fast",
+    "kr_alpha": "KR-α",
+    "linearly_implicit_euler": "Linearly implicit Euler",
+    "lobatto_iiia_iiib": "Lobatto A-B",
+    "noh_bathe": "Noh-Bathe",
+    "park": "Park",
+    "phem56": "PHEM56",
+    "radau_iia": "Radau IIA",
+    "rattle": "RATTLE",
+    "rho_inf_bathe": "ρ∞-Bathe",
+    "semi_implicit_euler": "Semi-implicit Euler",
+    "shake": "SHAKE",
+    "stormer_verlet": "Störmer-Verlet",
+    "tr_bdf2": "TR-BDF2",
+    "variational_midpoint": "Variational midpoint",
+    "wilson_theta": "Wilson-θ",
 }
 #: Names of families; others are called as their methods state it.
 _FAMILIES = {"generalized-alpha": "generalized-α", "ida": "IDA", "scipy_dae": "scipy DAE"}
 #: Options whose value says enough.
-_BARE = ("rho_inf", "alpha")
+_BARE = ("rho_inf", "alpha", "stages", "rho_b")
 #: Values that go without saying, as the method is known by them.
 _USUAL = {
     ("newmark", "beta", "0.25"),
     ("newmark", "gamma", "0.5"),
     ("ida", "formulation", "stabilised_index2"),
+    ("bathe", "gamma", "0.5"),
+    ("wilson_theta", "theta", "1.4"),
+    ("noh_bathe", "p", "0.54"),
+    ("rattle", "multiplier", "averaged"),
+    ("variational_midpoint", "multiplier", "averaged"),
+    ("semi_implicit_euler", "erp", "0.2"),
+    ("implicit_fast", "erp", "0.2"),
+    ("linearly_implicit_euler", "erp", "1.0"),
 }
 _VALUES = {
     ("formulation", "stabilised_index2"): "GGL",
@@ -59,6 +93,10 @@ _VALUES = {
     ("linear_solver", "sparse"): "sparse",
     ("linear_solver", "dense"): "dense",
     ("steps", "constant"): "constant steps",
+    ("values", "equations"): "a, λ of the equations",
+    ("multiplier", "one_sided"): "one-sided λ",
+    ("constraints", "baumgarte"): "Baumgarte",
+    ("constraints", "projected"): "projected",
 }
 _GREEK = {
     "alpha_m": "αm",

@@ -14,7 +14,7 @@ from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdapt
 from integrators.native import constant_steps
 from problems import MechatronicSystem, State, Variables, formulations, jnp, parameter, sparsity
 from problems.compiled import compiled
-from problems.initial_values import NoConsistentStart, consistent_start
+from problems.initial_values import consistent_start
 from problems.reference import Reference, ReferenceFailed
 from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
@@ -158,10 +158,11 @@ def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
     assert consistent_start(scene).z.a == pytest.approx(start.z.a)
 
 
-def test_a_start_that_does_not_exist_is_refused(monkeypatch):
+def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypatch):
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
-    with pytest.raises(NoConsistentStart, match="singular"):
-        consistent_start(Pendulum(copies=2))
+    one, two = (consistent_start(Pendulum(copies=copies)).z for copies in (1, 2))
+    assert two.lam == pytest.approx(np.full(2, one.lam[0] / 2))
+    assert two.a == pytest.approx(one.a)
 
 
 def is_sparse(method, scene):

@@ -11,6 +11,8 @@ import click
 from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
+from bench.running.plan import check_end
+from integrators.contract import Steps
 from problems.spec import SpecError
 
 #: Most steps that can be asked for.
@@ -67,6 +69,9 @@ def drift(
     twice = next((spec for spec in specs if specs.count(spec) > 1), None)
     if twice:
         raise SpecError(f"{twice} is named twice.")
+
+    if step is not None:
+        check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 
     from bench.running.drift import drift_job
 
