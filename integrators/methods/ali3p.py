@@ -74,6 +74,11 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         high=1e10,
     )
 
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        # A controller sees a before its projection, where it is of first order.
+        controlled = scene.has("state_rate") or scene.has("output")
+        return dict.fromkeys(self.orders, 1 if scene.sizes.nl and controlled else 2)
+
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ALI3PState:
         shown = self.reported(scene, start.z, start.xdot)
         return ALI3PState(shown, Guess.begin(start.z, start.xdot, h))
