@@ -88,7 +88,7 @@ class StageEquations(NamedTuple):
         # The controller's values inherit the rounding errors of a.
         part = jnp.minimum(self.rounding[0] / (largest(a) + 1e-300), _MOST_ROUNDING)
         rounding = (*self.rounding, *(part * largest(now, 0.0) for now in control))
-        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding, enough))
+        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding, enough=enough))
 
     def _with_mu(self, u: Array) -> Array:
         no_mu = jnp.zeros(self.cuts[2] - self.cuts[1])
