@@ -41,7 +41,7 @@ def test_scenes_are_offered(line):
     ],
 )
 def test_integrators_are_offered(line):
-    assert set(offered(*line, "hht")) == {"hht", "hht_classical"}
+    assert set(offered(*line, "hht")) == {"hht", "hht_classical", "hht_i3"}
 
 
 def test_options_are_offered_in_brackets():

@@ -165,7 +165,7 @@ def open_(folder: Path) -> None:
 @click.argument("folder", type=PathName("folder"))
 @click.argument(
     "kind",
-    metavar="work_precision|convergence|trajectory|errors_over_time",
+    metavar="KIND",
     shell_complete=completion.one_of(
         "work_precision", "convergence", "trajectory", "errors_over_time"
     ),
@@ -197,6 +197,8 @@ def figure(
     out: Path | None,
 ) -> None:
     """Write a single figure for a paper, as wide as a column, from the results in FOLDER.
+
+    KIND is work_precision, convergence, trajectory or errors_over_time.
 
     \b
     Examples:

@@ -87,6 +87,10 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         """The order whose tolerance local errors have; see `integrators.native.adaptive_steps`."""
         return min(4, self.max_order)
 
+    @property
+    def order_of_first_step(self) -> int:
+        return min(2, self.max_order)
+
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> BDFState:
         """Begin with order two and the differences of Taylor polynomials, as at equal steps."""
         z = start.z
@@ -99,7 +103,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
             h**3 * jnp.concatenate([start.jerk, 0 * start.jerk, 0 * start.xddot]),
         ]
         differences = jnp.zeros((_KEPT, len(rows[0]))).at[: len(rows)].set(jnp.stack(rows))
-        order = jnp.asarray(min(2, self.max_order))
+        order = jnp.asarray(self.order_of_first_step)
         shown = self.reported(scene, z, start.xdot)
         guess = Guess.begin(z, start.xdot, h)
         spans = h * jnp.arange(1.0, _KEPT)

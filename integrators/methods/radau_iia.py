@@ -228,7 +228,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         rounding = (error, error * formulations.largest_inertia(scene, now.q), of_q, 0.0, 0.0)
         u = work.solve(
             residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
-            StageTangents(r.a, tangents), evaluations=s,
+            split=StageTangents(r.a, tangents), evaluations=s,
         )  # fmt: skip
 
         variables, rates = at(u)

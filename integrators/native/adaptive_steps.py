@@ -183,6 +183,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     has no memory for other rows: many runs side by side would copy it in every step.
     """
     order, estimated = program.functions.order, program.functions.order_of_estimate
+    first = program.functions.order_of_first_step
     #: States may err by the tolerance times this power of rtol.
     sharper = (estimated + 1) / order - 1
 
@@ -217,7 +218,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         def limit(rate: Array, scale: Scalar, power: int) -> Scalar:
             size = span.atol / span.rtol + scale
             time = (size / (jnp.linalg.norm(rate) + 1e-300)) ** (1 / power)
-            return time * span.rtol ** ((1 + sharper) / (power + estimated - 2))
+            return time * span.rtol ** ((1 + sharper) / (power + first - 2))
 
         norm = jnp.linalg.norm
         speed = jnp.maximum(norm(z.v), _FIRST_PART * length * norm(z.a))

@@ -60,8 +60,8 @@ _LINEAR = (
 _BILINEAR = ("mul", "dot_general")
 #: Elementary functions, and the distance of x from where their derivatives grow.
 _ELEMENTARY: dict[str, Callable[[Any], Any]] = {
-    **dict.fromkeys(("sinh", "cosh", "tanh", "atan", "logistic"), jnp.ones_like),
-    **dict.fromkeys(("log", "pow"), jnp.abs),
+    **dict.fromkeys(("sinh", "cosh", "tanh", "atan", "logistic"), lambda x: jnp.ones_like(x)),
+    **dict.fromkeys(("log", "pow"), lambda x: jnp.abs(x)),
     **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
 }
 #: Parameters that hold the program of a called function.
@@ -171,9 +171,9 @@ def _changes(
     if name == "rsqrt":
         return [-x.change * (start[0] * end[0]) ** 2 / (start[0] + end[0])]
     if name == "sin":
-        return [x.change * jnp.cos(x.mean) * _sinc((x.end - x.start) / 2)]
+        return [x.change * jnp.cos(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
     if name == "cos":
-        return [-x.change * jnp.sin(x.mean) * _sinc((x.end - x.start) / 2)]
+        return [-x.change * jnp.sin(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
     if name == "exp":
         return [x.change * jnp.exp(x.mean) * _sinc((x.end - x.start) / 2, jnp.sinh, -1.0)]
     if name in _ELEMENTARY and not any(pairs[1:]):
@@ -196,7 +196,7 @@ def _secant(function: Callable[[Any], Any], x: _Pair, distance: Callable[[Any], 
     return jnp.where(close, mean, secant)
 
 
-def _sinc(x: Any, sine: Callable[[Any], Any] = jnp.sin, sign: float = 1.0) -> Any:
+def _sinc(x: Any, sine: Callable[[Any], Any], sign: float = 1.0) -> Any:
     """sin(x)/x, or sinh(x)/x with the sign -1; a series near zero."""
     close = jnp.abs(x) < _CLOSE
     square = -sign * x**2

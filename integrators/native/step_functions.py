@@ -81,6 +81,11 @@ class StepFunctions(ABC):
         """Order of the method whose local errors are estimated, if it is not the method itself."""
         return self.order
 
+    @property
+    def order_of_first_step(self) -> int:
+        """Order with which a run begins, where a method varies its order."""
+        return self.order_of_estimate
+
     def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
         """Estimate the local errors of the step of size h (s) from one state to the next."""
         raise NotImplementedError

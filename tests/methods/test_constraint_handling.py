@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from helpers import errors_at, long, slope
 
-from bench.conformance.trials import DoublePendulum
 from integrators import Integrator, Tolerances, Trajectory
 from integrators.adapters.diffrax_adaptive import adaptive_programs
 from integrators.adapters.diffrax_methods import Dopri8, Kvaerno3
@@ -18,6 +17,7 @@ from problems import jax, jnp
 from problems.formulations import constraint_velocity, projected_state
 from problems.initial_values import consistent_start
 from problems.scenes.car_axis import CarAxis
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 

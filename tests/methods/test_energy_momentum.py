@@ -9,7 +9,7 @@ import pytest
 from helpers import long
 from proofs import OMEGA_H, SWING, orders, radii_on
 
-from bench.conformance.trials import DoublePendulum, ForcedOscillator
+from bench.conformance.trials import ForcedOscillator
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.contract import Trajectory
@@ -18,6 +18,7 @@ from integrators.methods.generalized_alpha import Newmark
 from integrators.native.discrete_gradients import NoDiscreteGradient, discrete_gradient
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.scenes.chain import Chain
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.soft_impact import SoftImpact
