@@ -30,6 +30,8 @@ NAMES = list(built_in_experiments())
 #: Experiments that take many seconds each.
 LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
 LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
+LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
+LONG |= {"no_error_control"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -49,6 +51,12 @@ MUTANTS = {
     "conditional_stability": ((0, 0), {"steps": [1.999]}),
     "bdf_damping": ((0, 3), {"integrator": "generalized_alpha[rho_inf=0]", "steps": [0.2]}),
     "discontinuity": ((1, 0), {"problem": "friction[eps=1]"}),
+    "composite_index3": ((0, 0), {"integrator": "bathe[formulation=index2]"}),
+    "stage_order": ((0, 0), {"integrator": "radau_iia[formulation=index2,steps=constant]"}),
+    "one_sided_multiplier": ((0, 0), {"integrator": "rattle"}),
+    "exact_energy": ((0, 1), {"integrator": "newmark"}),
+    "baumgarte": ((0, 1), {"integrator": "dopri8[constraints=baumgarte]"}),
+    "no_error_control": ((0, 0), {"integrator": "hht_i3[steps=constant]", "steps": [0.01]}),
 }
 
 
