@@ -67,6 +67,7 @@ def test_redundant_constraints_leave_the_motion_as_it_is(scene, newton):
     assert all(abs(level).max() < bound for level, bound in zip(levels, bounds, strict=True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [GeneralizedAlpha(), *long(BDF2(), Dopri8(steps="constant"))])
 def test_other_methods_fail_on_them_and_say_so(method):
     assert run(method, Pendulum()).status == "ok"

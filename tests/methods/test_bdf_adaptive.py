@@ -66,6 +66,7 @@ def test_steps_are_those_of_polynomials_through_the_last_values():
         assert float(states[n].differences[1, 1]) == pytest.approx(v[n] - v[n - 1], abs=1e-14)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "on"),
     [
@@ -90,6 +91,7 @@ def test_errors_follow_the_tolerance(method, on):
         assert 30 < coarse["v"] / fine["v"] < 300
 
 
+@pytest.mark.long
 def test_index_3_follows_it_in_q_and_v_and_loses_part_of_a_and_lam():
     runs = [_largest_errors(BDFAdaptive(formulation="index3"), *SWING, r)[0] for r in (1e-5, 1e-7)]
     for errors, rtol in zip(runs, (1e-5, 1e-7), strict=True):
@@ -97,6 +99,7 @@ def test_index_3_follows_it_in_q_and_v_and_loses_part_of_a_and_lam():
     assert 5 < runs[0]["lam"] / runs[1]["lam"] < 40
 
 
+@pytest.mark.long
 def test_higher_orders_save_steps():
     steps = [_largest_errors(BDFAdaptive(max_order=k), *SWING, 1e-7)[1].steps for k in (2, 3, 5)]
     assert steps[0] > 4 * steps[1] > 16 * steps[2]

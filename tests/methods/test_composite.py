@@ -108,6 +108,7 @@ def test_the_constraints_of_the_formulation_hold(formulation):
     assert (velocities < 1e-13) == (formulation != "index3")
 
 
+@pytest.mark.long
 def test_values_of_the_equations_are_second_order_with_index_3_too():
     found = orders(Bathe(values="equations"), 200)
     assert found["lam"].order_at_end == pytest.approx(2.0, abs=0.1)

@@ -51,6 +51,7 @@ def test_drift_grows_under_index_1_is_bounded_under_baumgarte_and_gone_by_projec
     assert pulled.a == pytest.approx(np.array([0.0, -9.81]) - pulled.lam * pulled.q, abs=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("handling", ["projected", *long("baumgarte")])
 @pytest.mark.parametrize(
     ("cls", "coarse"), [(Kvaerno3, 0.02), *long((Dopri8, 0.1))], ids=["kvaerno3", "dopri8"]
@@ -87,6 +88,7 @@ def test_other_rates_compile_nothing_new():
     assert len(compiled) == 1
 
 
+@pytest.mark.long
 def test_without_constraints_all_are_the_same_and_projections_are_billed():
     free = [Radau(constraints=handling) for handling in ("index1", "baumgarte", "projected")]
     ends = [m.prepare(SpringMass(), 1.0, Tolerances(1e-5)).measure().q[-1, 0] for m in free]

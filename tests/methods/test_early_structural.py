@@ -37,6 +37,7 @@ def test_park_has_the_roots_of_its_polynomial():
     assert radii(Park()) == pytest.approx(wanted, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "method", [Houbolt(), Park(), *long(WilsonTheta(), WilsonTheta(theta=2.0))]
 )

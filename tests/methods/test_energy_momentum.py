@@ -82,6 +82,7 @@ def test_the_energy_is_exact(scene, t_end, formulation):
     assert _change_of_energy(scene, run) < 1e-13
 
 
+@pytest.mark.long
 def test_it_goes_on_where_the_trapezoidal_rule_dies_with_exact_energy_and_momentum():
     scene, end, step = StiffBar(), 10.0, Steps(0.02)
     died = Newmark().prepare(scene, end, step).measure()
@@ -155,6 +156,7 @@ def test_a_discrete_gradient_gives_the_change_exactly(change):
     assert np.asarray(derivative) == pytest.approx(np.asarray(jax.grad(_potential)(q0)), rel=1e-13)
 
 
+@pytest.mark.long
 def test_a_drive_that_sets_in_later_ends_the_run():
     class Driven(ConservingOscillator):
         def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:

@@ -68,6 +68,7 @@ def test_noh_bathe_is_stable_up_to_the_published_limits():
     assert _radii(NohBathe(), [1.0])[0] == pytest.approx(0.9978817565, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [ExplicitGeneralizedAlpha(), NohBathe()])
 def test_free_and_controlled_systems_are_second_order(method):
     for scene, t_end in ((ForcedOscillator(), 5.0), (SpringMass(), 1.0)):
@@ -118,6 +119,7 @@ def test_cr_and_undamped_kr_alpha_neither_damp_nor_grow():
         assert damping_and_period(method) == pytest.approx((0.0, 0.03207491062), abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_corrected_start_makes_kr_alpha_generalized_alpha():
     # The same motion, not only the same spectrum.
     scene, steps = DampedPair(), Steps(0.02)
@@ -129,6 +131,7 @@ def test_a_corrected_start_makes_kr_alpha_generalized_alpha():
         )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "method",
     [

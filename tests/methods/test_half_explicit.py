@@ -100,6 +100,7 @@ def test_a_controller_with_implicit_outputs_is_integrated_in_full_order():
         assert np.log2(one[group][-1] / two[group][-1]) > 4.7, group
 
 
+@pytest.mark.long
 def test_steps_follow_the_tolerance():
     errors = []
     for rtol in (1e-4, 1e-6, 1e-8):

@@ -65,6 +65,7 @@ def test_the_published_control_holds_the_local_error():
     assert slopes[1] == pytest.approx([1 / 3, 1 / 3], abs=0.03)
 
 
+@pytest.mark.long
 def test_chronos_rule_halves_on_failure_and_doubles_after_five_quick_steps():
     method = HHTI3(control="chrono", newton_tol=1e-3, newton_max=2)
     step = Steps(0.25)

@@ -159,6 +159,7 @@ def test_a_controller_that_sees_multipliers_has_the_claimed_order(stages, formul
         assert found[group].order_of_largest == pytest.approx(claimed, abs=0.2), group
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stages", "formulation", "scene"),
     [
@@ -207,6 +208,7 @@ def test_sparse_tangents_give_the_same_steps(newton):
 
 
 # ---- tolerances --------------------------------------------------------------------------------
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scene", "t_end", "formulation", "stages"),
     [

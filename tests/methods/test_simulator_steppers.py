@@ -64,6 +64,7 @@ class SoftSpring(MechatronicSystem):
         return State(q=np.array([0.7]), v=np.array([-0.4]))
 
 
+@pytest.mark.long
 def test_linearly_implicit_steps_are_implicit_euler_on_linear_systems():
     method = LinearlyImplicitEuler()
     wanted = [(1 + w * w) ** -0.5 for w in (0.1, 1.0, 10.0, 100.0)]
@@ -140,6 +141,7 @@ def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method):
     assert (bill["factorisations"], bill["solves"]) == (steps * 18, steps * 18)
 
 
+@pytest.mark.long
 def test_sparse_tangents_give_the_same():
     scene = Chain()
     dense, sparse = (

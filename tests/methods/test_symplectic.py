@@ -155,6 +155,7 @@ def test_positions_and_velocities_satisfy_the_constraints(method):
     assert abs((run.q * run.v).sum(axis=1)).max() < 5e-15
 
 
+@pytest.mark.long
 def test_shake_has_the_positions_of_rattle_and_central_differences_as_velocities():
     one, two = (m.prepare(*SWING, Steps(0.01)).measure() for m in (SHAKE(), RATTLE()))
     assert one.q == pytest.approx(two.q, abs=1e-12)
@@ -198,6 +199,7 @@ def test_the_limit_of_stability_is_two(method):
     assert (damping, period) == pytest.approx((0.0, -0.01693422976), abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_midpoint_rule_is_stable_at_every_step():
     a = matrices(VariationalMidpoint(), Oscillator(), [0.1, 1.0, 10.0, 100.0]).a
     assert [abs(np.linalg.eigvals(m)).max() for m in a] == pytest.approx([1.0] * 4, abs=1e-9)
