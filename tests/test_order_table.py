@@ -49,7 +49,7 @@ def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
 def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
     answer = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path)
     assert answer.exit_code == 0, answer.output
-    for words in ("bdf2", "claimed", "settled", "with start"):
+    for words in ("BDF2", "claimed", "settled", "with start"):
         assert words in answer.stdout
     with Store(tmp_path) as store:
         plan, records = store.plan(), store.records()
@@ -59,4 +59,4 @@ def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
     }
     assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
     again = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path, "--markdown")
-    assert "| bdf2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
+    assert "| BDF2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
