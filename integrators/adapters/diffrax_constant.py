@@ -54,12 +54,13 @@ def _terms(scheme: Scheme, template: MechatronicSystem, counted: bool) -> Any:
 class DiffraxStep(StepFunctions):
     """The step of a diffrax solver on scenes of one kind; counted steps are for `run_counted`.
 
-    Diffrax hands its numbers on to the right-hand side.
+    Diffrax hands its numbers on to the right-hand side; those of Baumgarte make another program.
     """
 
     scheme: Scheme
     template: MechatronicSystem
     counted: bool
+    with_baumgarte: bool
     numbers: Numbers | None = None
 
     def with_numbers(self, numbers: Numbers) -> DiffraxStep:
@@ -123,7 +124,8 @@ class DiffraxStepMethod(NativeMethod):
     baumgarte: Baumgarte | None = None
 
     def functions(self) -> StepFunctions:
-        return DiffraxStep(self.scheme, self.scene.template(), self.counted)
+        template = self.scene.template()
+        return DiffraxStep(self.scheme, template, self.counted, self.baumgarte is not None)
 
     def numbers(self) -> Numbers:
         return Numbers(self.scene.parameters(), self.baumgarte)

@@ -31,6 +31,7 @@ class Kernel:
 
     def __init__(self, loop: Callable) -> None:
         self._unpack: Callable | None = None
+        self._form: Any = None
         self._shapes: Any = None
 
         def run(packed: Array, *wanted: Any) -> Any:
@@ -55,7 +56,12 @@ class Kernel:
                 ],
             )
 
-        self._unpack = self._unpack or unpack
+        form = tree, tuple(leaf.shape for leaf in leaves)
+        if self._form not in (None, form):
+            raise RuntimeError(
+                "A kernel takes arguments of one form; another needs its own program."
+            )
+        self._form, self._unpack = form, self._unpack or unpack
         return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
 
     def unpacked(self, packed: Float[Array, " n"]) -> Any:
