@@ -194,6 +194,16 @@ def with_file(words: str) -> Callable:
     return click.option("--out", "-o", type=PathName("file"), help=words)
 
 
+with_scenes = click.option(
+    "-p",
+    "--problem",
+    "problems",
+    multiple=True,
+    help="Only this scene; repeatable.",
+    shell_complete=completion.scenes,
+)
+
+
 def with_integrators(words: str) -> Callable:
     """Add -i, which may be repeated."""
     return click.option(

@@ -16,14 +16,7 @@ SUITE = "orders"
 
 @click.command()
 @click.argument("integrators", nargs=-1, shell_complete=completion.integrators)
-@click.option(
-    "-p",
-    "--problem",
-    "problems",
-    multiple=True,
-    help="Only this scene; repeatable.",
-    shell_complete=completion.scenes,
-)
+@options.with_scenes
 @click.option("--markdown", is_flag=True, help="Print the tables in Markdown, and write no report.")
 @options.with_folder("stepbench-orders", "Folder of the runs and their report.")
 @options.with_fresh

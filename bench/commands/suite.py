@@ -99,14 +99,7 @@ def run_suite(
 
 @click.command(cls=_WithSuites)
 @click.argument("suite", default="quick", shell_complete=completion.suites)
-@click.option(
-    "-p",
-    "--problem",
-    "problems",
-    multiple=True,
-    help="Only this scene; repeatable.",
-    shell_complete=completion.scenes,
-)
+@options.with_scenes
 @options.with_integrators(
     "Only this integrator; repeatable. One that the suite lacks is added.",
 )

@@ -142,7 +142,7 @@ def ensemble_table(result: Ensemble) -> Group:
 
 
 def drift_table(results: Sequence[Mapping[str, Any]]) -> Table:
-    """What drifts in long runs, a line for each integrator and quantity."""
+    """Drift in long runs, a line for each integrator and quantity."""
     table = new_table(f"Long runs of {results[0]['problem']}, h={results[0]['h']:g} s")
     table.add_column("integrator", style="cyan", overflow="fold")
     table.add_column("quantity")

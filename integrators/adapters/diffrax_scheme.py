@@ -32,7 +32,7 @@ class Scheme(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """What a right-hand side is handed: parameters of the scene, and rates of Baumgarte's term."""
+    """Numbers for a right-hand side: parameters of the scene, and rates of Baumgarte's term."""
 
     parameters: dict[str, Any]
     baumgarte: Baumgarte | None

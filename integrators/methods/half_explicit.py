@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Ahead(NamedTuple):
-    """Where the velocity constraint of a stage holds: q, v = base + slope a, and t."""
+    """Place at which the velocity constraint of a stage holds: q, v = base + slope a, and t."""
 
     q: Array
     base: Array

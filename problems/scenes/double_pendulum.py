@@ -11,7 +11,7 @@ from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
 
 @dataclass(frozen=True)
 class TwoRods(MechatronicSystem):
-    """What both scenes share."""
+    """Common base of both scenes."""
 
     interval = (0.0, 1.0)
     nominal_step = 0.02
