@@ -33,7 +33,7 @@ PAGES = {
     "report/measured.html",
     "report/glossary.html",
 }
-SHORT = {"report.html", "report/scene-pendulum.html"}
+SHORT = {"report.html"}
 CASE = CaseResult(
     label="mine", integrator="mine", family="other", axis="h", x=[0.1, 0.05], y=[0.2, 0.1],
     number=1.0, predicted=(0.9, 1.1), as_predicted=True, healthy=False,

@@ -133,6 +133,7 @@ def steps_of_fixed(scene, t_end, wanted):
     return high
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scene", "factor"), [(SWING, 1.4), (SoftImpact(), 15.0)])
 def test_it_needs_fewer_steps_than_equal_ones_at_equal_error(scene, factor):
     run = run_of(GeneralizedAlphaAdaptive(), scene, 1e-5)

@@ -84,6 +84,7 @@ def test_errors_fall_with_the_tolerance_to_eight_digits_in_every_group(method, s
         assert worst(tight, scene, group) < worst(loose, scene, group) / 100
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cls", [Dopri8, *long(ImplicitEuler, Kvaerno3, KenCarp3)])
 def test_the_error_falls_with_the_tolerance(cls):
     rtols = (1e-3, 1e-5) if cls is ImplicitEuler else (1e-5, 1e-9)
@@ -224,6 +225,7 @@ def test_at_constant_steps_the_stages_are_counted_to_the_last():
     assert explicit.jacobians == explicit.newton == explicit.solves == 0
 
 
+@pytest.mark.long
 def test_the_librarys_own_root_finder_linearises_twice_a_step_and_rejects_in_masses():
     # Once for the explicit stage, whose Jacobian is the identity, once for the others.
     default, fair = (

@@ -121,6 +121,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     assert blown.work.newton <= 3 * blown.work.steps
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("problem", "vary"),
     [

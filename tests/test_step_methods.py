@@ -143,6 +143,7 @@ def test_a_method_with_an_estimate_follows_the_tolerance():
     assert errors[1] < 0.3 * errors[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("newton", ["modified", *long("full")])
 def test_chosen_steps_with_sparse_tangents_are_those_with_dense_ones(newton):
     scene = Chain(links=4)

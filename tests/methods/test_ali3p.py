@@ -40,6 +40,7 @@ def run(method: Integrator, scene: MechatronicSystem, h: float = 0.01) -> Trajec
     return method.prepare(scene, 1.35, Steps(h)).measure()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scene", "t_end"), [SWING, *long(TWO_RODS)])
 def test_all_groups_are_second_order_from_the_first_step(scene, t_end):
     found = orders(ALI3P(), 400, (scene, t_end))
