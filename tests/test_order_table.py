@@ -26,8 +26,8 @@ def test_claims_stand_beside_settled_orders_and_those_with_the_start():
         r.errors["lam"]["max"] = 2 * r.h
     found = rows(records)
     assert found["mine", "claimed"] == {"q": "2", "λ": "3"}
-    assert found["", "settled"] == {"q": "2.00", "λ": "2.00 *"}
-    assert found["", "with start"] == {"q": "2.00", "λ": "1.00"}
+    assert found["mine", "settled"] == {"q": "2.00", "λ": "2.00 *"}
+    assert found["mine", "with start"] == {"q": "2.00", "λ": "1.00"}
 
 
 def test_no_claim_and_no_convergence_are_told_apart():
@@ -37,7 +37,7 @@ def test_no_claim_and_no_convergence_are_told_apart():
     ]
     found = rows(records)
     assert found["mine", "claimed"] == {"q": "–", "a": "1"}  # noqa: RUF001
-    assert found["", "settled"] == {"q": "2.00", "a": "0 *"}
+    assert found["mine", "settled"] == {"q": "2.00", "a": "0 *"}
 
 
 def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():

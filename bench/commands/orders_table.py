@@ -68,7 +68,9 @@ def _show(table: Any) -> None:
     shown = new_table(table.caption)
     for k, name in enumerate(table.head):
         shown.add_column(name, justify="right" if k > 1 else "left", overflow="fold")
-    for row in table.rows:
-        shown.add_row(*row)
+    before = ""
+    for name, *cells in table.rows:
+        shown.add_row("" if name == before else name, *cells)
+        before = name
     show(shown)
     say(table.note)

@@ -61,7 +61,7 @@ def order_table(series: Sequence[Series], title: str) -> Table | None:
         rows.append([names[s.label], "claimed", *(str(claims.get(g, NO_VALUE)) for g in groups)])
         for norm, said in _MEASURED.items():
             cells = (_cell(s.fit(g, norm), claims.get(g), norm) for g in groups)
-            rows.append(["", said, *cells])
+            rows.append([names[s.label], said, *cells])
     head = ["integrator", "order", *("λ" if g == "lam" else g for g in groups)]
     return Table(title, head, rows, code=(), note=_NOTE)
 
