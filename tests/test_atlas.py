@@ -145,11 +145,13 @@ HIT = {
     },
     "kvaerno3": {
         ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("baumgarte", "Largest violation of the constraint's positions, pendulum over 20 s"),
         ("bdf_damping", "Part of the energy that is lost in 100 periods"),
         ("bdf_damping", "Power of the tolerance in that loss"),
     },
     "kvaerno3[steps=constant]": {
         ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
+        ("baumgarte", "Largest violation of the constraint's positions, pendulum over 20 s"),
         ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
          "two steps"),  # lam is computed at the fold
         ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
