@@ -124,7 +124,7 @@ def _factorised(pattern: Pattern, entries: np.ndarray) -> SuperLU | None:
 def projected(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: float, w: Float[Array, " nq"]
 ) -> Float[Array, " nq"]:
-    """Compute `formulations.constrained_part` of w; NaN where the augmented matrix is singular."""
+    """Compute `projections.constrained_part` of w; NaN where the augmented matrix is singular."""
     nq, nl, now = scene.sizes.nq, scene.sizes.nl, jnp.asarray(t)
 
     def augmented(u: Array) -> Array:

@@ -23,7 +23,8 @@ from integrators.methods.generalized_alpha_parameters import (
     second_order_parameters,
     updated_weight,
 )
-from problems import MechatronicSystem, State, formulations, jnp
+from problems import MechatronicSystem, State, jnp
+from problems.projections import constrained_part
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
@@ -217,5 +218,5 @@ def test_the_classical_acceleration_fed_back_spoils_everything(method):
 def test_the_projector_keeps_what_constraints_act_on():
     scene = Pendulum(m=3.0)
     q = np.array([0.6, -0.8])
-    part = formulations.constrained_part(scene, q, 0.0, np.array([1.0, 2.0]))
+    part = constrained_part(scene, q, 0.0, np.array([1.0, 2.0]))
     assert part == pytest.approx(q * (q @ [1.0, 2.0]), abs=1e-14)

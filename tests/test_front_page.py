@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shutil
@@ -13,7 +12,6 @@ from test_browser import waited
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
-from reports.pages.site_data import column
 from reports.series import cost_of
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -291,65 +289,6 @@ def test_tables_sort_and_filter(page, folder):
     )
     assert page.execute_script(visible) == 2
     assert page.get_log("browser") == []
-
-
-def test_the_policy_allows_no_script_but_the_page_s_own(folder):
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text).group(1)
-    (scripts,) = [part for part in policy.split("; ") if part.startswith("script-src")]
-    assert "unsafe" not in scripts
-    assert "default-src 'none'" in policy.replace("&#39;", "'")
-    assert len(text) < 300_000
-
-
-def numbers(text):
-    """The numbers of a column, read in another way than by the scripts."""
-    alphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
-    for k in range(0, len(text), 4):
-        part = text[k : k + 4]
-        bits = sum(alphabet.index(c) << 6 * (3 - i) for i, c in enumerate(part))
-        yield None if part == "----" else 10 ** (80 * bits / (2**24 - 1) - 40)
-
-
-def test_a_column_keeps_its_numbers_and_those_that_are_missing():
-    reserved = 10 ** (80 * 0xFBEFBE / (2**24 - 1) - 40)  # would be written as "----"
-    values = [1.0, 3.7e-13, None, 0.0, math.nan, math.inf, 12345.678, 1e-40, 1e40, reserved]
-    found = list(numbers(column(values)))
-    assert [v is None for v in found] == [v is None or not 0 < v < math.inf for v in values]
-    for value, read in zip(values, found, strict=True):
-        assert read is None or read == pytest.approx(value, rel=1.2e-5)
-
-
-def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    first = json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
-    assert list(first["answers"]) == ["a|1e-4|operations"]
-    rest = (folder / "report" / "data.js").read_text(encoding="utf-8")
-    more = json.loads(rest.removeprefix("stepbench.more(").rstrip().removesuffix(");"))
-    assert len(more["answers"]) == len(first["group_names"]) * 9 * 3
-    # Until all comes, a number has its first three characters.
-    place = more["columns"].index("operations")
-    short, full = first["runs_of"][0][0][2][1], more["runs_of"][0][0][2][place]
-    assert (first["letters"], more["letters"]) == (3, 4)
-    assert [short[k : k + 3] for k in range(0, len(short), 3)] == [
-        full[k : k + 3] for k in range(0, len(full), 4)
-    ]
-    one, other = (with_references(data)["answers"]["a|1e-4|operations"] for data in (first, more))
-    assert one["filters"]["all"]["sentences"][0][1] == "1e-4 in acceleration ("
-    assert one["filters"]["all"]["sentences"][0][2]["text"] == "largest over time"
-    for name, part in one.items():
-        assert other[name] == part
-
-
-def with_references(data):
-    """The data with the references that the places in sentences stand for."""
-    for answer in data["answers"].values():
-        for own in answer["filters"].values():
-            own["sentences"] = [
-                [p if isinstance(p, str) else data["refs"][p] for p in said]
-                for said in own["sentences"]
-            ]
-    return data
 
 
 @in_chromium

@@ -15,6 +15,7 @@ from integrators.native import constant_steps
 from problems import MechatronicSystem, State, Variables, formulations, jnp, parameter, sparsity
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
+from problems.projections import constrained_part
 from problems.reference import Reference, ReferenceFailed
 from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
@@ -128,7 +129,7 @@ def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
     assert dense.constrained_jerk is None
     if scene.sizes.nl:
         at = (jnp.asarray(part) for part in (dense.z.q, dense.z.t, dense.jerk))
-        part = np.asarray(formulations.constrained_part(scene, *at))
+        part = np.asarray(constrained_part(scene, *at))
         size = np.abs(part).max()
         assert sparse.constrained_jerk == pytest.approx(part, abs=1e-8 * size)
 

@@ -10,7 +10,8 @@ from integrators.adapters.counting import Counts
 from integrators.adapters.ode import packed_projection, packed_rate_and_jacobian
 from integrators.contract import Trajectory, Work
 from integrators.operations import bill, dense
-from problems.formulations import Baumgarte, ode_rate, projected_state
+from problems.formulations import Baumgarte, ode_rate
+from problems.projections import projected_state
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 

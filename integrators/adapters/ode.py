@@ -10,7 +10,8 @@ import numpy as np
 
 from integrators.adapters.callbacks import PackedFunction
 from integrators.contract import Integrator, option
-from problems.formulations import Baumgarte, ode_rate, projected_state
+from problems.formulations import Baumgarte, ode_rate
+from problems.projections import projected_state
 from problems.runtime import jax
 from problems.system import MechatronicSystem
 

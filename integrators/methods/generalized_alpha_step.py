@@ -30,8 +30,8 @@ from integrators.native.guesses import Guess
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Reading
-from problems import formulations
 from problems.formulations import Start
+from problems.projections import constrained_part
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -135,7 +135,7 @@ class AlphaStep(StepFunctions):
             c = 1 / 6 - s.beta - (s.alpha_m - s.alpha_f) / 2
             part = start.constrained_jerk
             if part is None:
-                part = formulations.constrained_part(scene, z.q, z.t, start.jerk)
+                part = constrained_part(scene, z.q, z.t, start.jerk)
             v = v + corrected * c * h**2 * part
         aux = z.a + corrected * shift * start.jerk
         auxx = start.xdot + corrected * shift_x * start.xddot

@@ -17,6 +17,7 @@ from problems import formulations
 from problems.formulations import Start
 from problems.index1_newton import matrix_and_residual, newton
 from problems.named_equations import named
+from problems.projections import constrained_part
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -222,7 +223,7 @@ class PHEM56(FreeSteps, HalfExplicit):
             weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
             e_q, e_v, e_x = (_sum(0.0 * r[0], h, weights, r) for r in (of_q, of_v, of_x))
             if scene.sizes.nl:
-                e_v = e_v - formulations.constrained_part(scene, z.q, t, e_v)
+                e_v = e_v - constrained_part(scene, z.q, t, e_v)
                 work.count(factorisations=1, solves=1)
             errors = e_q, e_v, e_x
         return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, errors)
