@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,14 @@ class HeavyTop(MechatronicSystem):
     nod: float = parameter(2.0, "rad/s", "initial angular velocity of the tip upwards")
 
     @staticmethod
-    def angular_velocity(p: jax.Array, rate: jax.Array) -> jax.Array:
-        """Angular velocity in the body's axes, shape ``(3,)``: 2 times the vector of p* p'."""
-        return 2 * (p[0] * rate[1:] - rate[0] * p[1:] - jnp.cross(p[1:], rate[1:]))
+    def turning(p: jax.Array) -> jax.Array:
+        """B(p) of the angular velocity B(p) p' in the body's axes, shape ``(3, 4)``.
+
+        It is 2 times the vector of p* p', so B(p) r = -B(r) p.
+        """
+        p0, p1, p2, p3 = p
+        rows = [[-p1, p0, p3, -p2], [-p2, -p3, p0, p1], [-p3, p2, -p1, p0]]
+        return 2 * jnp.stack([jnp.stack(row) for row in rows])
 
     @staticmethod
     def axis(p: jax.Array) -> jax.Array:
@@ -60,26 +65,29 @@ class HeavyTop(MechatronicSystem):
             [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
         )
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        turning = self.angular_velocity(q[3:], v[3:])
-        inertias = jnp.stack([self.j, self.j_axis, self.j])
-        return 0.5 * self.m * (v[:3] @ v[:3]) + 0.5 * (inertias * turning) @ turning
-
-    def potential_energy(self, q: jax.Array) -> jax.Array:
-        return self.m * self.g * q[2]
+    def momentum(self, p: jax.Array, rate: jax.Array) -> jax.Array:
+        """Angular momentum J B(p) p' in the body's axes, kg m^2/s, shape ``(3,)``."""
+        return jnp.stack([self.j, self.j_axis, self.j]) * (self.turning(p) @ rate)
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return jax.vmap(lambda a: self.mass_product(q, a))(jnp.eye(7))
+
+    def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
+        p = q[3:]
+        return jnp.concatenate([self.m * a[:3], self.momentum(p, a[3:]) @ self.turning(p)])
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        # Of T = (B(p) p')^T J B(p) p'/2: T_p - d/dt T_p' + B^T J B p'' = -2 B(p')^T J B(p) p'.
+        p, rate = q[3:], v[3:]
+        gyroscopic = -2 * self.momentum(p, rate) @ self.turning(rate)
+        return jnp.concatenate([jnp.stack([0.0, 0.0, -self.m * self.g]), gyroscopic])
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x, p = q[:3], q[3:]
         return jnp.concatenate([x - self.length * self.axis(p), 0.5 * (p @ p - 1.0)[None]])
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self.kinetic_energy(q, v) + self.potential_energy(q)
+        return 0.5 * (v @ self.mass_product(q, v)) + self.m * self.g * q[2]
 
     def initial_state(self) -> State:
         # Space and body axes coincide; the tip is at (0, length, 0).
