@@ -24,6 +24,12 @@ from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 
+#: Choices of `linear_solver`, for the lists of options.
+LINEAR_SOLVERS = (
+    "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill"
+)
+
+
 class NewtonSettings(NamedTuple):
     """Settings of Newton's method; see the options of `NewtonOptions`."""
 
@@ -160,7 +166,7 @@ class NewtonOptions(NativeMethod):
     )
     linear_solver: str = option(
         "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
+        LINEAR_SOLVERS,
         choices=("auto", "dense", "sparse"),
     )
 
