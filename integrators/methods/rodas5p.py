@@ -1,7 +1,7 @@
 """Rosenbrock methods: an implicit step by linear equations with one matrix, and no iteration.
 
-All variables together, z = (q, v, x, a, lam, y), obey a differential-algebraic system M z' = F(t, z)
-with M = diag(1, 1, 1, 0, 0, 0)::
+All variables together, z = (q, v, x, a, lam, y), obey a differential-algebraic system
+M z' = F(t, z) with M = diag(1, 1, 1, 0, 0, 0)::
 
     q' = v,   v' = a,   x' = f,   0 = M(q) a - g + Phi_q^T lam - L y,   0 = C,   0 = y - h
 
@@ -10,8 +10,8 @@ Of ``formulation=index1`` the constraint C is d2/dt2 Phi, with Baumgarte's terms
 
     (M/(gamma h) - J) k_s = F(t + c_s h, z + sum a_sj k_j) + h d_s F_t + M sum (C_sj / h) k_j
 
-The rows of q, v and x are eliminated by g = gamma h, as in `integrators.native.stage_equations`. The
-unknowns that are left are the changes of a, lam and y, and the rate k_x / g less known terms.
+The rows of q, v and x are eliminated by g = gamma h, as in `integrators.native.stage_equations`.
+The unknowns that are left are the changes of a, lam and y, and k_x / g less known terms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Options that families of methods share: formulation, handling of drift, reported values, steps."""
+"""Options that families of methods share: formulation, drift, reported values, steps."""
 
 from __future__ import annotations
 

@@ -23,7 +23,6 @@ from problems.sparsity import Pattern, uses_sparse
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-
 #: Choices of `linear_solver`, for the lists of options.
 LINEAR_SOLVERS = (
     "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill"
