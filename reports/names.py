@@ -56,6 +56,7 @@ BUILT_IN = _ALPHA_FAMILY | {
     "radau_iia": "Radau IIA",
     "rattle": "RATTLE",
     "rho_inf_bathe": "ρ∞-Bathe",
+    "rodas5p": "Rodas5P",
     "semi_implicit_euler": "Semi-implicit Euler",
     "shake": "SHAKE",
     "stormer_verlet": "Störmer-Verlet",

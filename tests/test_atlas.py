@@ -31,7 +31,7 @@ NAMES = list(built_in_experiments())
 LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
 LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
 LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
-LONG |= {"no_error_control"}
+LONG |= {"no_error_control", "rosenbrock_index2"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -57,6 +57,7 @@ MUTANTS = {
     "exact_energy": ((0, 1), {"integrator": "newmark"}),
     "baumgarte": ((0, 1), {"integrator": "dopri8[constraints=baumgarte]"}),
     "no_error_control": ((0, 0), {"integrator": "hht_i3[steps=constant]", "steps": [0.01]}),
+    "rosenbrock_index2": ((0, 1), {"integrator": "rodas5p[steps=constant]"}),
 }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from integrators.adapters.callbacks import PackedFunction
-from integrators.contract import Integrator, option
+from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
 from problems.projections import projected_state
 from problems.runtime import jax
@@ -17,36 +17,10 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ODEMethod(Integrator):
-    """Base of methods on the explicit ODE, which does not hold the constraints by itself.
-
-    With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
-    the motion drifts off the constraints. Baumgarte's d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi
-    = 0 lets the drift decay; rates beyond the inverse step make the equations stiff. The
-    projection moves q and v after each step, by the least changes in the norm of M.
-    """
+class ODEMethod(DriftHandling):
+    """Base of methods on the explicit ODE."""
 
     formulation = "ode"
-
-    constraints: str = option(
-        "index1",
-        "index1: the motion drifts off them; baumgarte: the drift decays; projected: q and v are "
-        "moved onto them after each step",
-        choices=("index1", "baumgarte", "projected"),
-    )
-    alpha: float = option(
-        20.0, "damping of the drift by Baumgarte's term, per s; critical if equal to beta", low=0.0
-    )
-    beta: float = option(20.0, "frequency of the drift under Baumgarte's term, per s", low=0.0)
-
-    def baumgarte(self, scene: MechatronicSystem) -> Baumgarte | None:
-        """The rates of Baumgarte's term on a scene; None if it takes no part."""
-        taken = self.constraints == "baumgarte" and scene.has("constraint")
-        return Baumgarte(self.alpha, self.beta) if taken else None
-
-    def projects(self, scene: MechatronicSystem) -> bool:
-        """Whether each step on a scene ends by a projection."""
-        return self.constraints == "projected" and scene.has("constraint")
 
 
 def packed_parameters(scene: MechatronicSystem, baumgarte: Baumgarte | None = None) -> np.ndarray:

@@ -24,7 +24,7 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.own_values import OwnValues
-from integrators.native.step_method import NewtonSettings, StepMethod
+from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Reading
 from problems import lagrange
 from problems.formulations import (
@@ -62,7 +62,7 @@ class SimulatorStepper(OwnValues, StepMethod):
     erp: float = option(0.2, _ERP, low=0.0, high=1.0, always=True)
     linear_solver: str = option(
         "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
+        LINEAR_SOLVERS,
         choices=("auto", "dense", "sparse"),
     )
 

@@ -1,14 +1,14 @@
-"""Options that families of constrained methods share: formulation, reported values, steps."""
+"""Options that families of methods share: formulation, drift, reported values, steps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
-from integrators.contract import option
+from integrators.contract import Integrator, option
 from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Reading
-from problems.formulations import complete
+from problems.formulations import Baumgarte, complete
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
@@ -57,6 +57,37 @@ class Formulated(NativeMethod):
     formulation: str = option(
         "index3", FORMULATIONS, choices=("index3", "index2", "stabilised_index2")
     )
+
+
+@dataclass(frozen=True)
+class DriftHandling(Integrator):
+    """Base of methods on equations of index 1, which do not hold the constraints by themselves.
+
+    With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
+    the motion drifts off the constraints. Baumgarte's d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi
+    = 0 lets the drift decay; rates beyond the inverse step make the equations stiff. The
+    projection moves q and v after each step, by the least changes in the norm of M.
+    """
+
+    constraints: str = option(
+        "index1",
+        "index1: the motion drifts off them; baumgarte: the drift decays; projected: q and v are "
+        "moved onto them after each step",
+        choices=("index1", "baumgarte", "projected"),
+    )
+    alpha: float = option(
+        20.0, "damping of the drift by Baumgarte's term, per s; critical if equal to beta", low=0.0
+    )
+    beta: float = option(20.0, "frequency of the drift under Baumgarte's term, per s", low=0.0)
+
+    def baumgarte(self, scene: MechatronicSystem) -> Baumgarte | None:
+        """The rates of Baumgarte's term on a scene; None if it takes no part."""
+        taken = self.constraints == "baumgarte" and scene.has("constraint")
+        return Baumgarte(self.alpha, self.beta) if taken else None
+
+    def projects(self, scene: MechatronicSystem) -> bool:
+        """Whether each step on a scene ends by a projection."""
+        return self.constraints == "projected" and scene.has("constraint")
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ from problems.sparsity import Pattern, uses_sparse
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Choices of `linear_solver`, for the lists of options.
+LINEAR_SOLVERS = (
+    "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill"
+)
+
 
 class NewtonSettings(NamedTuple):
     """Settings of Newton's method; see the options of `NewtonOptions`."""
@@ -160,7 +165,7 @@ class NewtonOptions(NativeMethod):
     )
     linear_solver: str = option(
         "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
+        LINEAR_SOLVERS,
         choices=("auto", "dense", "sparse"),
     )
 

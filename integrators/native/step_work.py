@@ -135,6 +135,25 @@ class StepWork:
         self.count(residuals=1, jacobians=1, factorisations=1, solves=1)
         return guess - self._solvers(k).once(residual, guess)
 
+    def factorised(self, residual: Residual, u: Float[Array, " n"]) -> Callable[[Array], Array]:
+        """Factorise the tangent of a residual at u; return the solution for right-hand sides.
+
+        The method has to keep tangents (`NewtonSettings.modified`): the factorisation is freed when
+        the next step brings another one. Each solution counts as a solve.
+        """
+        k, self._calls = self._calls, self._calls + 1
+        assert self._before is not None
+        solver = self._solvers(k)
+        kept = solver.renewed(residual, u, self._before[k])
+        self.kept.append(kept)
+        self.count(jacobians=1, factorisations=1)
+
+        def solution(r: Array) -> Array:
+            self.count(solves=1)
+            return solver.update(kept, r)
+
+        return solution
+
     def count(
         self,
         residuals: int = 0,
@@ -199,3 +218,8 @@ class EquationsFinder(StepWork):
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         return self.solve(residual, guess)
+
+    def factorised(self, residual: Residual, u: Float[Array, " n"]) -> Callable[[Array], Array]:
+        """Record the equations; a right-hand side stands for its solution."""
+        self.solve(residual, u)
+        return lambda r: r

@@ -58,6 +58,7 @@ _BUILT_IN = {
     "stormer_verlet": (75, 10, 4),
     "variational_midpoint": (105, 5, 0),
     "lobatto_iiia_iiib": (119, 9, 3),
+    "rodas5p": (62, 12, 2),
     "phem56": (285, 13, 1),
     "half_explicit_euler": (295, 5, 7),
     "energy_momentum": (169, 6, 4),

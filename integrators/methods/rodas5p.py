@@ -1,0 +1,236 @@
+"""Rosenbrock methods: an implicit step by linear equations with one matrix, and no iteration.
+
+All variables together, z = (q, v, x, a, lam, y), obey a differential-algebraic system
+M z' = F(t, z) with M = diag(1, 1, 1, 0, 0, 0)::
+
+    q' = v,   v' = a,   x' = f,   0 = M(q) a - g + Phi_q^T lam - L y,   0 = C,   0 = y - h
+
+Of ``formulation=index1`` the constraint C is d2/dt2 Phi, with Baumgarte's terms if wanted, and of
+``index2`` it is d/dt Phi. With J = F_z at the start of the step, the stages are::
+
+    (M/(gamma h) - J) k_s = F(t + c_s h, z + sum a_sj k_j) + h d_s F_t + M sum (C_sj / h) k_j
+
+The rows of q, v and x are eliminated by g = gamma h, as in `integrators.native.stage_equations`.
+The unknowns that are left are the changes of a, lam and y, and k_x / g less known terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import option
+from integrators.native.own_values import DriftHandling, FreeSteps, OwnValues
+from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
+from integrators.native.step_records import Errors, Reading
+from problems import formulations
+from problems.formulations import Start
+from problems.runtime import jax, jnp
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from jax import Array
+
+    from integrators.native.step_records import Time
+    from integrators.native.step_work import StepWork
+
+_GAMMA = 0.21193756319429014
+#: Weights a_sj of the stages before; the last row is the end of the step.
+_A = (
+    (),
+    (3.0,),
+    (2.849394379747939, 0.45842242204463923),
+    (-6.954028509809101, 2.489845061869568, -10.358996098473584),
+    (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641),
+    (
+        -7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256,
+        0.030198172008377946,
+    ),
+)  # fmt: skip
+#: From the sixth stage on, each stage begins with the values to which the one before leads.
+_A += tuple((*_A[5], *[1.0] * more) for more in (1, 2, 3))
+#: Weights C_sj of the stages before, over h.
+_C_OVER_H = (
+    (),
+    (-14.155112264123755,),
+    (-17.97296035885952, -2.859693295451294),
+    (147.12150275711716, -1.41221402718213, 71.68940251302358),
+    (165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306),
+    (
+        24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125,
+        -0.6610691825249471,
+    ),
+    (
+        30.91273214028599, -3.1208243349937974, 77.79954646070892, 34.28646028294783,
+        -19.097331116725623, -28.087943162872662,
+    ),
+    (
+        37.80277123390563, -3.2571969029072276, 112.26918849496327, 66.9347231244047,
+        -40.06618937091002, -54.66780262877968, -9.48861652309627,
+    ),
+)  # fmt: skip
+_PLACES = (
+    0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664,
+    1.0, 1.0, 1.0,
+)  # fmt: skip
+#: Weights d_s of the derivative by time.
+_OF_TIME = (
+    0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
+    2.325825639765069, 0.0, 0.0, 0.0,
+)  # fmt: skip
+#: Iterations of a projection with one matrix.
+_PROJECTIONS = 3
+
+
+class RosenbrockState(NamedTuple):
+    """Reported values, the method's own values, and errors of q, v and x in the step."""
+
+    shown: Reading
+    z: Variables
+    errors: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
+    """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for index 1.
+
+    An embedded method of order four estimates the errors of q, v and x. On index 2 the orders fall
+    to three, and to two in its own a and lam.
+    """
+
+    name: ClassVar[str] = "rodas5p"
+    family: ClassVar[str] = "Rosenbrock"
+    source: ClassVar[str] = "Steinebach (2023), doi:10.1007/s10543-023-00967-x"
+    orders: ClassVar[dict[str, int]] = {"q": 5, "v": 5, "a": 5, "lam": 5, "x": 5, "y": 5}
+
+    formulation: str = option(
+        "index1",
+        "constraints that hold: index1, of accelerations; index2, of velocities, for which the "
+        "method is not made",
+        choices=("index1", "index2"),
+    )
+    linear_solver: str = option("auto", LINEAR_SOLVERS, choices=("auto", "dense", "sparse"))
+
+    order = 5
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        if self.formulation == "index1" or not scene.has("constraint"):
+            return self.orders
+        of_lam = 3 if self.values == "equations" else 2
+        return {"q": 3, "v": 3, "a": of_lam, "lam": of_lam, "x": 3, "y": of_lam}
+
+    @property
+    def order_of_estimate(self) -> int:
+        """Order of the embedded method."""
+        return 4
+
+    @property
+    def newton_settings(self) -> NewtonSettings:
+        return NewtonSettings(most=1, modified=True, linear_solver=self.linear_solver)
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if self.formulation == "index2" and self.baumgarte(scene):
+            return "Baumgarte's term belongs to index 1; take constraints=projected."
+        return super().supports(scene)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RosenbrockState:
+        z = start.z
+        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
+        return RosenbrockState(self.reported(scene, z, start.xdot), z, nothing)
+
+    def step(
+        self, scene: MechatronicSystem, state: RosenbrockState, t: Time, h: Time, work: StepWork
+    ) -> RosenbrockState:
+        z, g = state.z._replace(t=t - h), _GAMMA * h
+        cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, scene.sizes.nx]).tolist()
+        still = jnp.zeros(scene.sizes.nx)
+
+        def rows(z: Variables, rate: Array) -> Array:
+            """Residuals of a, lam, the rate of x, and y."""
+            parts = [formulations.dynamics_residual(scene, z)]
+            if scene.sizes.nl:
+                parts.append(self._constraint(scene, z, g))
+            return jnp.concatenate(parts + formulations.control_residuals(scene, z, rate))
+
+        def moved(u: Array) -> Array:
+            a, lam, rate, y = jnp.split(u, cuts)
+            change = Variables(g**2 * a, g * a, a, lam, g * rate, y, 0.0 * t)
+            return rows(jax.tree.map(jnp.add, z, change), rate)
+
+        solution = work.factorised(moved, jnp.zeros(cuts[-1] + scene.sizes.ny))
+        residual, along = jax.linearize(lambda z: rows(z, still), z)
+        changes: list[Variables] = []
+        for s, (over_h, place, of_time) in enumerate(
+            zip(_C_OVER_H, _PLACES, _OF_TIME, strict=True)
+        ):
+            there = _plus(z, _A[s], changes)._replace(t=z.t + place * h)
+            if s:
+                residual = rows(there, still)
+            known = _plus(jax.tree.map(jnp.zeros_like, z), [c / h for c in over_h], changes)
+            v = g * (there.a + known.v)
+            base = Variables(
+                g * (there.v + known.q + v), v, 0.0 * z.a, 0.0 * z.lam, g * known.x, 0.0 * z.y,
+                of_time * h,
+            )  # fmt: skip
+            a, lam, rate, y = jnp.split(-solution(residual + along(base)), cuts)
+            changes.append(
+                Variables(base.q + g**2 * a, v + g * a, a, lam, base.x + g * rate, y, 0.0 * t)
+            )
+        work.count(residuals=len(_PLACES))
+        end, last = _plus(z, _A[-1], changes)._replace(t=t), changes[-1]
+        if self.projects(scene):
+            end = _projected(scene, end, work)
+        xdot = scene.state_rate(end) if scene.sizes.nx else still
+        shown = self.reported(scene, end, xdot, work)
+        return RosenbrockState(shown, end, (last.q, last.v, last.x))
+
+    def read(self, scene: MechatronicSystem, state: RosenbrockState) -> Reading:
+        return state.shown
+
+    def estimate(self, before: RosenbrockState, after: RosenbrockState, h: Time) -> Errors:
+        return Errors(*after.errors, 0.0 * after.z.a, 0.0 * after.z.lam)
+
+    def _constraint(self, scene: MechatronicSystem, z: Variables, g: Time) -> Array:
+        """The constraint that holds, scaled so that its tangent does not depend on the step."""
+        if self.formulation == "index2":
+            return formulations.constraint_velocity(scene, z.q, z.v, z.t) / g
+        row = formulations.constraint_acceleration(scene, z.q, z.v, z.a, z.t)
+        rates = self.baumgarte(scene)
+        if rates:
+            row = row + 2 * rates.alpha * formulations.constraint_velocity(scene, z.q, z.v, z.t)
+            row = row + rates.beta**2 * scene.constraint(z.q, z.t)
+        return row
+
+
+def _plus(z: Variables, weights: Sequence, changes: list[Variables]) -> Variables:
+    """z + sum of weights times changes."""
+    for weight, change in zip(weights, changes, strict=True):
+        z = jax.tree.map(lambda a, b, w=weight: a + w * b, z, change)
+    return z
+
+
+def _projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
+    """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
+
+    As `problems.projections.projected_state`, with the matrix at z alone.
+    """
+    nq = scene.sizes.nq
+    cuts, nothing = [nq], jnp.zeros(nq)
+
+    def least_change(u: Array) -> Array:
+        w, mu = jnp.split(u, cuts)
+        force = formulations.constraint_force(scene, z.q, z.t, mu)
+        motion = formulations.inertia(scene, z.q, w) + force
+        return jnp.concatenate([motion, scene.constraint(z.q + w, z.t)])
+
+    solution = work.factorised(least_change, jnp.zeros(nq + scene.sizes.nl))
+    q, v = z.q, z.v
+    for _ in range(_PROJECTIONS):
+        q = q - solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nq]
+        drift = formulations.constraint_velocity(scene, q, v, z.t)
+        v = v - solution(jnp.concatenate([nothing, drift]))[:nq]
+    return z._replace(q=q, v=v)
