@@ -31,33 +31,34 @@ def worker():
 )
 def test_phase_and_energy_of_the_oscillator_follow_the_spectrum(worker, method, energy, within):
     found = drift_job(worker, "oscillator", method, H, 2000)
-    assert (found["status"], found["steps"]) == ("ok", 2000)
-    drifts = found["drifts"]
-    assert drifts["energy"]["largest"] == pytest.approx(energy, abs=within)
+    assert (found.status, found.steps) == ("ok", 2000)
+    drifts = found.drifts
+    assert drifts["energy"].largest == pytest.approx(energy, abs=within)
     if method == "newmark":
         # The period is longer by this part, so that the run falls behind.
         wanted = 1 / (1 + PERIOD_ERROR) - 1
-        assert drifts["phase"]["per_s"] == pytest.approx(wanted, rel=1e-6)
-        assert drifts["phase"]["largest"] == pytest.approx(-wanted * 2000 * H, rel=1e-3)
-    assert max(map(len, found["rows"].values())) < 500
+        assert (drifts["energy"].verdict, drifts["phase"].verdict) == ("none", "linear")
+        assert drifts["phase"].per_s == pytest.approx(wanted, rel=1e-6)
+        assert drifts["phase"].largest == pytest.approx(-wanted * 2000 * H, rel=1e-3)
 
 
 @pytest.mark.long
 def test_projection_ends_the_drift_of_constraints(worker):
     drifts, held = (
-        drift_job(worker, "pendulum", f"kvaerno3[constraints={name}]", 0.02, 2000)["drifts"]
+        drift_job(worker, "pendulum", f"kvaerno3[constraints={name}]", 0.02, 2000).drifts
         for name in ("index1", "projected")
     )
     for name in ("position", "velocity"):
-        assert drifts[name]["largest"] > 1e-6 > 1e-14 > held[name]["largest"]
-    assert drifts["position"]["per_s"] > 1e-8
+        assert drifts[name].largest > 1e-6 > 1e-14 > held[name].largest
+    assert drifts["position"].per_s > 1e-8
 
 
 def test_rows_do_not_grow_with_the_steps(worker):
     found = drift_job(worker, "oscillator", "newmark", 0.1, 40_000)
-    assert found["steps"] == 40_000
-    assert len(found["rows"]["t"]) < 500
-    assert found["rows"]["t"][-1] == pytest.approx(4000.0)
+    assert (found.steps, len(found.t)) == (40_000, 200)
+    assert found.rows < 5000
+    assert found.t[-1] == pytest.approx(4000.0)
+    assert {len(band) for d in found.drifts.values() for band in (d.low, d.high)} == {200}
 
 
 def test_a_method_without_constant_steps_is_refused(worker):
@@ -72,15 +73,19 @@ def test_the_command_prints_json_and_writes_a_page(stepbench, tmp_path):
     assert result.exit_code == 0, result.output
     (found,) = json.loads(result.stdout)
     assert found["drifts"]["energy"]["largest"] < 1e-12
+    assert str(tmp_path / "drift.html") in result.stderr
     page = (tmp_path / "drift.html").read_text()
     assert "<svg" in page
-    assert "phase in s" in Document(page).words
+    assert "phase [s]" in Document(page).words
+    with Store(tmp_path) as store:
+        (run,) = store.long_runs().values()
+    assert run.drifts["energy"].verdict == "none"
 
 
 @pytest.mark.long
-def test_a_run_that_fails_is_told_beside_the_others(stepbench):
+def test_a_run_that_fails_is_told_beside_the_others(stepbench, tmp_path):
     names = "generalized_alpha[rho_inf=1]", "bdf2"
-    line = "drift", "pendulum", *names, "--step", 0.02, "--steps", 300
+    line = "drift", "pendulum", *names, "--step", 0.02, "--steps", 300, "--out", tmp_path
     result = stepbench(*line, "--csv")
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(result.stdout)))
