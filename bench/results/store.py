@@ -149,7 +149,8 @@ class Store:
 
     def save_long_run(self, run: LongRun) -> None:
         """Keep a long run, in the place of an earlier one with the same steps."""
-        self._write("INSERT OR REPLACE INTO long_runs VALUES (?, ?)", run.key, self._encoded(run))
+        key, value = clean(run.key), self._encoded(run)
+        self._write("INSERT OR REPLACE INTO long_runs VALUES (?, ?)", key, value)
 
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""

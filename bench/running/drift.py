@@ -82,10 +82,10 @@ def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift
     distance = np.abs(np.subtract(*halves)).max()
     parts = _parts(np.abs(values))
     return Drift(
-        largest=finite(np.abs(values).max()),
+        largest=finite(float(np.abs(values).max())),
         per_s=finite(slope),
         straight=finite(1 - left / whole) if whole > 0 else None,
-        apart=finite(distance / (high - low)) if high > low else 0.0,
+        apart=finite(float(distance / (high - low))) if high > low else 0.0,
         low=[finite(part.min()) for part in parts],
         high=[finite(part.max()) for part in parts],
     )

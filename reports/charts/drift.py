@@ -40,7 +40,7 @@ def drift_chart(runs: Sequence[LongRun], interactive: bool) -> vl.Spec | None:
 def _highs(runs: Sequence[LongRun], name: str) -> list[list[float]]:
     """The largest values that a logarithmic axis can show, of each run."""
     known = [run.drifts[name].high for run in runs if name in run.drifts]
-    return [[value for value in high if (shown := vl.short(value)) and shown > 0] for high in known]
+    return [[shown for value in high if (shown := vl.short(value))] for high in known]
 
 
 def _rows(run: LongRun, ends: dict[str, float]) -> list[dict[str, float | str | None]]:
