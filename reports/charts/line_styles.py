@@ -61,7 +61,7 @@ _BUILT_IN = {
     "phem56": (285, 13, 1),
     "half_explicit_euler": (295, 5, 7),
     "energy_momentum": (169, 6, 4),
-    "hht_i3": (269, 5, 3),
+    "hht_i3": (269, 0, 3),
     "semi_implicit_euler": (0, 3, 3),
     "implicit_fast": (12, 4, 4),
     "linearly_implicit_euler": (348, 12, 0),
