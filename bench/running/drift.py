@@ -84,7 +84,7 @@ def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift
     return Drift(
         largest=finite(float(np.abs(values).max())),
         per_s=finite(slope),
-        straight=finite(1 - left / whole) if whole > 0 else None,
+        straight=finite(float(1 - left / whole)) if whole > 0 else None,
         apart=finite(float(distance / (high - low))) if high > low else 0.0,
         low=[finite(part.min()) for part in parts],
         high=[finite(part.max()) for part in parts],
