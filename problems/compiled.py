@@ -45,6 +45,8 @@ class Compiled(NamedTuple):
         each ``(k, nl)``
     ``energy(p, q, v)``
         energy in J at k times, ``(k,)``
+    ``momentum(p, q, v)``
+        momenta that are conserved at k times, ``(k, n)``
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.solve_algebraic` at k times, ``(k,)``; for scenes with outputs
     """
@@ -55,6 +57,7 @@ class Compiled(NamedTuple):
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     energy: Callable[..., Float[np.ndarray, " k"]]
+    momentum: Callable[..., Float[np.ndarray, "k n"]]
     iterations: Callable[..., Int[np.ndarray, " k"]]
 
 
@@ -87,6 +90,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=_over_rows(levels),
         energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
+        momentum=_over_rows(lambda p, q, v: at(p).momentum(q, v)),
         iterations=_over_rows(lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)),
     )
 

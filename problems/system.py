@@ -152,7 +152,8 @@ class MechatronicSystem:
 
     Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
     scenes that have it: ``constraint``; ``state_rate`` (controller states); ``output`` together
-    with ``actuation``; ``energy``; ``exact``; ``draw``. An override may leave out annotations.
+    with ``actuation``; ``energy``; ``momentum``; ``exact``; ``draw``. An override may leave out
+    annotations.
 
     The class attributes say how to use the scene:
 
@@ -234,6 +235,10 @@ class MechatronicSystem:
     # ---- optional knowledge ------------------------------------------------------------
     def energy(self, q: Float[Array, " nq"], v: Float[Array, " nq"]) -> Float[Array, ""]:
         """Total mechanical energy in J, if it is conserved."""
+        raise NotImplementedError
+
+    def momentum(self, q: Float[Array, " nq"], v: Float[Array, " nq"]) -> Float[Array, " k"]:
+        """Those linear and angular momenta that the motion conserves, in kg m/s or kg m^2/s."""
         raise NotImplementedError
 
     def exact(self, t: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k n"]]:

@@ -6,6 +6,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+from bench.results.drift import Drift, LongRun
 from bench.results.experiments import ExperimentResult
 from bench.results.records import (
     Damping,
@@ -21,6 +22,23 @@ NO_ROWS = Rows(t=[], values={})
 A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]
+)
+A_LONG_RUN = LongRun(
+    problem="pendulum",
+    integrator="newmark",
+    status="ok",
+    message="",
+    asked=100,
+    steps=100,
+    h=0.1,
+    t_end=10.35,
+    rows=101,
+    t=[5.35, 10.35],
+    drifts={
+        "energy": Drift(
+            largest=0.5, per_s=0.05, straight=1.0, apart=0.55, low=[0.0, 0.25], high=[0.25, 0.5]
+        )
+    },
 )
 
 
@@ -77,6 +95,7 @@ def filled(folder: Path) -> Path:
         store.save_scene(A_SCENE)
         store.save_damping("newmark", A_DAMPING)
         store.save_experiment(AN_EXPERIMENT)
+        store.save_long_run(A_LONG_RUN)
         store.save(a_record(), NO_ROWS)
         store.add_sample("k", 0, 1.0)
     return folder

@@ -94,6 +94,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
     ("name", "check", "sentence"),
     [
         ("wrong_energy", "energy", "W; let the energy fit the forces"),
+        ("wrong_momentum", "momentum", "let the momentum fit the forces"),
         ("lopsided_mass", "mass", "M[0,1]=0.1, M[1,0]=0"),
         ("twice_held", "mass", "is singular at the start"),
         ("wrong_exact", "reference", "its a differs from a of the equations of motion"),

@@ -5,15 +5,30 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 
+import msgspec
+import numpy as np
 import pytest
 from helpers import long
-from planted import Document
+from planted import Document, plant, planted
+from small_stores import A_LONG_RUN
 
 from bench.plugins.registry import Registry
-from bench.running.drift import drift_job
+from bench.results.drift import LongRun, scenes_of
+from bench.results.store import Store
+from bench.running import measure
+from bench.running.drift import course, drift_job
 from bench.running.worker import Worker
+from integrators.contract import Trajectory
 from problems.spec import SpecError
+from reports.charts.line_styles import style_of
+from reports.pages.addresses import site_of
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.pages.report import read_report
+from reports.pages.site import report_site
+from reports.text.drift_table import drift_sentences, drift_table
 
 #: The step of the oscillator at omega h = 0.2 pi, and the trapezoidal rule's period error there.
 H, PERIOD_ERROR = 0.6283185307179586, 0.03207491062
@@ -31,33 +46,34 @@ def worker():
 )
 def test_phase_and_energy_of_the_oscillator_follow_the_spectrum(worker, method, energy, within):
     found = drift_job(worker, "oscillator", method, H, 2000)
-    assert (found["status"], found["steps"]) == ("ok", 2000)
-    drifts = found["drifts"]
-    assert drifts["energy"]["largest"] == pytest.approx(energy, abs=within)
+    assert (found.status, found.steps) == ("ok", 2000)
+    drifts = found.drifts
+    assert drifts["energy"].largest == pytest.approx(energy, abs=within)
     if method == "newmark":
         # The period is longer by this part, so that the run falls behind.
         wanted = 1 / (1 + PERIOD_ERROR) - 1
-        assert drifts["phase"]["per_s"] == pytest.approx(wanted, rel=1e-6)
-        assert drifts["phase"]["largest"] == pytest.approx(-wanted * 2000 * H, rel=1e-3)
-    assert max(map(len, found["rows"].values())) < 500
+        assert (drifts["energy"].verdict, drifts["phase"].verdict) == ("none", "linear")
+        assert drifts["phase"].per_s == pytest.approx(wanted, rel=1e-6)
+        assert drifts["phase"].largest == pytest.approx(-wanted * 2000 * H, rel=1e-3)
 
 
 @pytest.mark.long
 def test_projection_ends_the_drift_of_constraints(worker):
     drifts, held = (
-        drift_job(worker, "pendulum", f"kvaerno3[constraints={name}]", 0.02, 2000)["drifts"]
+        drift_job(worker, "pendulum", f"kvaerno3[constraints={name}]", 0.02, 2000).drifts
         for name in ("index1", "projected")
     )
     for name in ("position", "velocity"):
-        assert drifts[name]["largest"] > 1e-6 > 1e-14 > held[name]["largest"]
-    assert drifts["position"]["per_s"] > 1e-8
+        assert drifts[name].largest > 1e-6 > 1e-14 > held[name].largest
+    assert drifts["position"].per_s > 1e-8
 
 
 def test_rows_do_not_grow_with_the_steps(worker):
     found = drift_job(worker, "oscillator", "newmark", 0.1, 40_000)
-    assert found["steps"] == 40_000
-    assert len(found["rows"]["t"]) < 500
-    assert found["rows"]["t"][-1] == pytest.approx(4000.0)
+    assert (found.steps, len(found.t)) == (40_000, 200)
+    assert found.rows < 5000
+    assert found.t[-1] == pytest.approx(4000.0)
+    assert {len(band) for d in found.drifts.values() for band in (d.low, d.high)} == {200}
 
 
 def test_a_method_without_constant_steps_is_refused(worker):
@@ -72,15 +88,19 @@ def test_the_command_prints_json_and_writes_a_page(stepbench, tmp_path):
     assert result.exit_code == 0, result.output
     (found,) = json.loads(result.stdout)
     assert found["drifts"]["energy"]["largest"] < 1e-12
+    assert str(tmp_path / "drift.html") in result.stderr
     page = (tmp_path / "drift.html").read_text()
     assert "<svg" in page
-    assert "phase in s" in Document(page).words
+    assert "phase [s]" in Document(page).words
+    with Store(tmp_path) as store:
+        (run,) = store.long_runs().values()
+    assert run.drifts["energy"].verdict == "none"
 
 
 @pytest.mark.long
-def test_a_run_that_fails_is_told_beside_the_others(stepbench):
+def test_a_run_that_fails_is_told_beside_the_others(stepbench, tmp_path):
     names = "generalized_alpha[rho_inf=1]", "bdf2"
-    line = "drift", "pendulum", *names, "--step", 0.02, "--steps", 300
+    line = "drift", "pendulum", *names, "--step", 0.02, "--steps", 300, "--out", tmp_path
     result = stepbench(*line, "--csv")
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(result.stdout)))
@@ -103,3 +123,117 @@ def test_wrong_input_is_refused_in_a_sentence(stepbench, more, words):
     result = stepbench("drift", "oscillator", *more)
     assert result.exit_code != 0
     assert words in result.stderr
+
+
+# ---- the rule, and what is shown ---------------------------------------------------------
+T = np.linspace(0.0, 100.0, 2001)
+COURSES = {
+    "round-off": (1e-13 * np.sin(T), "none"),
+    "line": (1e-3 * T, "linear"),
+    "line that swings": (1e-3 * T + 5e-3 * np.sin(T), "linear"),
+    "swing": (0.1 * np.sin(T) ** 2, "bounded"),
+    "swing beside zero": (0.1 + 0.01 * np.sin(T), "bounded"),
+    "growing swing": (1e-3 * T * np.sin(T), "neither"),
+    "end of damping": (np.exp(-T / 20) - 1, "neither"),
+    "jump": (np.where(T > 90, 1.0, 0.0), "neither"),
+}
+
+
+@pytest.mark.parametrize(("values", "verdict"), COURSES.values(), ids=COURSES)
+def test_the_rule_names_the_drift_of_known_courses(values, verdict):
+    found = course(T, values)
+    assert found.verdict == verdict
+    assert found.largest == np.abs(values).max() == max(found.high)
+    assert len(found.low) == len(found.high) == 200
+    slope = np.polynomial.Polynomial.fit(T, values, 1).convert().coef[1]
+    assert found.per_s == pytest.approx(slope, rel=1e-9, abs=1e-18)
+
+
+def test_the_momentum_is_that_which_changes_most(worker):
+    scene = worker.problem("heavy_top")
+    start = scene.initial_state()
+    spinning = start.v.copy()
+    spinning[5] *= 0.75  # the second of three rates: the spin about the body's own axis
+    still = {name: np.zeros((2, 0)) for name in ("x", "xdot", "y")}
+    run = Trajectory(
+        t=np.array([0.0, 1.0]),
+        q=np.array([start.q, start.q]),
+        v=np.array([start.v, spinning]),
+        a=np.zeros((2, 7)),
+        lam=np.zeros((2, 4)),
+        **still,
+    )
+    assert measure.momentum_change(scene, run)["momentum"] == pytest.approx([0.0, -0.25])
+    assert measure.momentum_change(worker.problem("pendulum"), run) == {}
+
+
+def a_run(integrator: str, **drifts: np.ndarray) -> LongRun:
+    found = {name: course(T, values) for name, values in drifts.items()}
+    t = [float(part[-1]) for part in np.array_split(T, 200)]
+    return msgspec.structs.replace(A_LONG_RUN, integrator=integrator, t=t, drifts=found)
+
+
+RUNS = [
+    a_run("rattle", energy=COURSES["swing"][0], phase=COURSES["line"][0]),
+    a_run("energy_momentum", energy=COURSES["round-off"][0], phase=-COURSES["line"][0]),
+    a_run("newmark", energy=COURSES["line"][0]),
+]
+
+
+def test_sentences_and_rows_say_the_numbers():
+    first, second = drift_sentences(RUNS)
+    assert first == (
+        "The energy does not drift with Energy-momentum (at most 1e-13); it stays bounded with "
+        "RATTLE (at most 0.1); it drifts linearly with Newmark (0.001 per s)."
+    )
+    assert second == (
+        "The phase drifts linearly with RATTLE (0.001 s per s) and Energy-momentum "
+        "(-0.001 s per s)."
+    )
+    failed = msgspec.structs.replace(RUNS[2], status="diverged", message="It is gone.", steps=9)
+    assert list(drift_sentences([failed]))[-1] == "Newmark ended as diverged: It is gone."
+    rows = {tuple(row[:2]): row[2:] for row in drift_table([*RUNS, failed]).rows}
+    assert rows["rattle", "phase [s]"] == ["100", "0.1", "0.001", "1", "0.556", "linear"]
+    assert rows["newmark", "energy [1]"][0] == "9 (diverged)"
+
+
+def test_runs_with_other_steps_are_not_compared():
+    more = msgspec.structs.replace(A_LONG_RUN, asked=200)
+    runs = {run.key: run for run in [*RUNS, more]}
+    assert scenes_of(runs) == [RUNS, [more]]
+
+
+def plant_long_runs(folder):
+    plant(folder, [planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1)])
+    with Store(folder, create=True) as store:
+        for run in RUNS:
+            store.save_long_run(run)
+
+
+def test_long_runs_have_a_page_that_the_side_links(tmp_path):
+    plant_long_runs(tmp_path)
+    report = read_report(tmp_path, interactive=True)
+    site, pages = report_site(report)
+    linked = [link.address for _, links in site.contents for link in links]
+    assert linked.count("report/drift.html") == [p.file for p in pages].count("drift.html") == 1
+    (section,) = report.long_runs
+    assert site.address(section.anchor, "report.html") == "report/drift.html#drift-1"
+    bare = replace(report, long_runs=[])
+    assert "report/drift.html" not in [x.address for _, xs in site_of(bare).contents for x in xs]
+
+
+@pytest.mark.long
+def test_the_report_has_a_chapter_on_long_runs(tmp_path):
+    plant_long_runs(tmp_path)
+    assert 'href="report/drift.html"' in write_html_report(tmp_path).read_text(encoding="utf-8")
+    page = Document((tmp_path / "report" / "drift.html").read_text(encoding="utf-8"))
+    assert "does not drift with Energy-momentum" in page.words
+    assert len(page.rows("Largest drift, and its trend")) == 5
+    (chart,) = page.charts.values()
+    assert len(chart["concat"]) == 2
+    colors = chart["concat"][0]["layer"][1]["encoding"]["color"]["scale"]
+    assert colors["range"] == [style_of(run.integrator).color for run in RUNS]
+    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
+    assert "## Long runs" in text
+    assert r"| energy \[1\] |" in text
+    assert (tmp_path / "report_figures" / "drift-1-chart.svg").is_file()

@@ -55,6 +55,17 @@ def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):
     assert words in str(error.value)
 
 
+def test_a_suite_takes_the_studies_of_those_that_it_includes(tmp_path):
+    registry = Inventory()
+    whole, part = (make_suite(*read_profile(name), registry) for name in ("methods", "orders"))
+    assert set(part.cells) < set(whole.cells)
+    assert whole.plan.studies[-len(part.plan.studies) :] == part.plan.studies
+    assert whole.plan.title != part.plan.title
+    for other, words in (("methods", "which includes others"), ("ordes", "did you mean 'orders'")):
+        with pytest.raises(SpecError, match=words):
+            suite_of(tmp_path, STUDY.replace("samples", f'include = ["{other}"]\nsamples'))
+
+
 @pytest.mark.parametrize("name", built_in_profiles())
 def test_built_in_profiles_name_only_what_there_is(name):
     registry = Inventory()

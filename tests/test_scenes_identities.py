@@ -267,6 +267,7 @@ def check_stiff_bar(scene):
         by_q, by_v = jax.grad(scene.energy, (0, 1))(q, v)
         assert float(by_v @ a) == pytest.approx(-float(by_q @ v), rel=1e-12)
         assert cross(q, a) == pytest.approx(0.0, abs=1e-12 * np.abs(a).max())
+        assert np.asarray(scene.momentum(q, v)) == pytest.approx([scene.m * cross(q, v)])
 
 
 def check_heavy_top(scene):
@@ -309,6 +310,9 @@ def check_heavy_top(scene):
         spinning = 0.5 * w @ momentum
         assert lam[3] == pytest.approx(4 * spinning + 2 * q[:3] @ lam[:3], rel=1e-11)
         keeps_energy(scene, q, v, 0.0)
+        about = matrix @ momentum + scene.m * np.cross(q[:3], v[:3])
+        stated = [about[2], (inertia @ w)[1]]
+        assert np.asarray(scene.momentum(q, v)) == pytest.approx(stated, rel=1e-12)
 
 
 def check_chain(scene):
@@ -366,12 +370,14 @@ MUTANTS = {
         "force": ["spring", "r", "g", *(f"q{k}" for k in range(4))],
         "constraint": ["r", *(f"q{k}" for k in range(4))],
     },
-    StiffBar: {"force": ["ea", "q0", "q1"]},
+    StiffBar: {"force": ["ea", "q0", "q1"], "momentum": ["m", "q0", "v1"]},
     HeavyTop: {
         "force": ["m", "j", "j_axis", "g", *(f"q{k}" for k in range(3, 7)),
                   *(f"v{k}" for k in range(3, 7))],
         "mass": ["m", "j", *(f"q{k}" for k in range(3, 7))],
         "constraint": ["length", *(f"q{k}" for k in range(7))],
+        "momentum": ["m", "j", "j_axis", *(f"q{k}" for k in (0, 1, 3, 4, 5, 6)),
+                     *(f"v{k}" for k in (0, 1, 3, 4, 5, 6))],
     },
     Chain: {"force": ["m", "g"], "constraint": ["q0", "q5"]},
 }  # fmt: skip

@@ -31,10 +31,20 @@ from bench.results.store import Store, StoreError, set_aside_text
         ("scenes SET value = {}", Store.scenes, {}),
         ("damping SET value = {}", Store.damping, {}),
         ("experiments SET value = {}", Store.experiments, {}),
+        ("long_runs SET value = {}", Store.long_runs, {}),
         ("records SET value = {}", Store.records, {}),
         ("records SET rows = {}", lambda store: store.rows("k"), NO_ROWS),
     ],
-    ids=["plan", "environments", "scenes", "damping", "experiments", "records", "rows"],
+    ids=[
+        "plan",
+        "environments",
+        "scenes",
+        "damping",
+        "experiments",
+        "long_runs",
+        "records",
+        "rows",
+    ],
 )
 def test_a_damaged_value_is_set_aside_and_named(tmp_path, column, read, empty, damage, request):
     change(filled(tmp_path), f"UPDATE {column.format(damage)}")

@@ -130,6 +130,14 @@ class WrongEnergy(Pendulum):
 
 
 @dataclass(frozen=True)
+class WrongMomentum(Pendulum):
+    """An angular momentum that gravity changes."""
+
+    def momentum(self, q, v):
+        return self.m * jnp.array([q[0] * v[1] - q[1] * v[0]])
+
+
+@dataclass(frozen=True)
 class LopsidedMass(Pendulum):
     """A mass matrix that is not symmetric."""
 

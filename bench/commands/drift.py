@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from bench.commands import completion, options
 from bench.commands.pages import view
-from bench.commands.paths import PathName
 from bench.running.plan import check_end
 from integrators.contract import Steps
 from problems.spec import SpecError
+
+if TYPE_CHECKING:
+    from bench.results.drift import LongRun
 
 #: Most steps that can be asked for.
 _MOST_STEPS = 10**9
@@ -34,7 +37,7 @@ _MOST_STEPS = 10**9
 @click.option("--step", type=float, help="Step size h in s; the scene's nominal one if not given.")
 @options.with_set
 @options.with_budget
-@click.option("--out", type=PathName("folder"), help="Folder of a page with charts over time.")
+@options.with_folder("stepbench-drift", "Folder of the long runs and their page.")
 @options.with_plugins
 @click.option("--csv", "form", flag_value="csv", help="Print a row for each integrator.")
 @click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
@@ -45,20 +48,22 @@ def drift(
     step: float | None,
     settings: dict[str, str],
     budget: float,
-    out: Path | None,
+    out: Path,
     plugins: tuple[str, ...],
     form: str | None,
 ) -> None:
     """Run integrators over many constant steps, and measure what drifts off.
 
-    Measured are the energy, relative to the largest kinetic one, the residuals of the constraints
-    and of their rates, and where there is a closed form of a motion that conserves energy, the
-    phase: the time by which a run is ahead. Of each the table shows the largest absolute value, and
-    the trend: the slope of a straight line through all rows.
+    Measured are the energy, relative to the largest kinetic one, momenta that the motion conserves,
+    the residuals of the constraints and of their rates, and where there is a closed form of a
+    motion that conserves energy, the phase: the time by which a run is ahead. Of each the table
+    shows the largest absolute value, the slope of a straight line through all rows, and whether the
+    drift is linear, bounded, or none. The folder keeps long runs beside other results; the report
+    of these has a chapter on them.
 
     \b
     Examples:
-      stepbench drift pendulum "generalized_alpha[rho_inf=1]" bdf2 --steps 100000
+      stepbench drift pendulum rattle energy_momentum generalized_alpha --steps 100000
       stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
       stepbench drift oscillator newmark bdf2 --csv > drift.csv
     """
@@ -83,26 +88,41 @@ def drift(
         except SpecError as error:
             faults.append(str(error))
     if results:
-        _show(results, out, form)
-    faults += [f"{f['integrator']}: {f['status']}: {f['message']}"
-               for f in results if f["status"] != "ok"]  # fmt: skip
+        _show(results, form)
+        _keep(results, out, quiet=bool(form))
+    faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
     if faults:
         raise click.ClickException(" ".join(faults))
 
 
-def _show(results: list[dict[str, Any]], out: Path | None, form: str | None) -> None:
+def _show(results: Sequence[LongRun], form: str | None) -> None:
+    import msgspec
+
     from bench.results.drift import flat
 
     if form == "json":
-        click.echo(json.dumps(results, indent=2, allow_nan=False))
+        click.echo(json.dumps(msgspec.to_builtins(results), indent=2, allow_nan=False))
     elif form == "csv":
         from bench.results.csv_text import csv_export
 
-        click.echo(csv_export([flat(found) for found in results]), nl=False)
+        click.echo(csv_export([flat(run) for run in results]), nl=False)
     else:
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import drift_table
 
         show(drift_table(results))
-    if out:
-        click.echo(f"Page: {view('drift')(results, out)}", err=bool(form))
+
+
+def _keep(results: Sequence[LongRun], out: Path, quiet: bool) -> None:
+    """Store long runs, and write the page on all that the folder has; say where it is."""
+    from bench.results.store import Store
+
+    with Store(out, create=True) as store:
+        for run in results:
+            store.save_long_run(run)
+        page, others = view("drift")(store.long_runs(), out), store.plan()
+    click.echo(f"Page: {page}", err=quiet)
+    if others:
+        click.echo(
+            "The report of this folder has it as a chapter after `stepbench report`.", err=quiet
+        )

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.commands.terminal import new_table
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
-from bench.results.drift import lines
+from bench.results.drift import RULE, LongRun, titled
 from bench.results.experiments import CaseResult, ExperimentResult, bounds
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows, median
@@ -141,18 +141,21 @@ def ensemble_table(result: Ensemble) -> Group:
     return Group(table, *lines)
 
 
-def drift_table(results: Sequence[Mapping[str, Any]]) -> Table:
+def drift_table(results: Sequence[LongRun]) -> Group:
     """Drift in long runs, a line for each integrator and quantity."""
-    table = new_table(f"Long runs of {results[0]['problem']}, h={results[0]['h']:g} s")
+    table = new_table(f"Long runs of {results[0].problem}, h={results[0].h:g} s")
     table.add_column("integrator", style="cyan", overflow="fold")
     table.add_column("quantity")
-    _add_numbers(table, ("largest", "trend per s"))
-    for found in results:
-        name = f"{found['integrator']}, {found['steps']} steps: {found['status']}"
-        for k, (words, largest, per_s) in enumerate(lines(found) or [("-", None, None)]):
-            first = "" if k else name
-            table.add_row(Text(first), words, _number(largest), _number(per_s))
-    return table
+    _add_numbers(table, ("largest", "per s"))
+    table.add_column("drift")
+    for run in results:
+        name = f"{run.integrator}, {run.steps} steps: {run.status}"
+        for k, (quantity, found) in enumerate(run.measured):
+            numbers = _number(found.largest), _number(found.per_s)
+            table.add_row(Text("" if k else name), Text(titled(quantity)), *numbers, found.verdict)
+        if not run.measured:
+            table.add_row(Text(name), *"----")
+    return Group(table, RULE)
 
 
 # ---- stability -----------------------------------------------------------------------------

@@ -25,6 +25,7 @@ _ARGUMENTS = {
     "force": "qvt",
     "constraint": "qt",
     "energy": "qv",
+    "momentum": "qv",
     "state_rate": "z",
     "output": "z",
 }

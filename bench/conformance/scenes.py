@@ -24,7 +24,7 @@ _REFERENCE_ERROR = 1e-8
 #: Largest residual of a constraint level along the reference, relative to the size of q, v or a.
 _CONSTRAINT_ERROR = 1e-8
 #: Largest d/dt E along the reference, relative to the powers that it is the sum of.
-_POWER_ERROR = 1e-6
+_RATE_ERROR = 1e-6
 #: A closed form fits the equations of motion and its own slopes to this.
 _SLOPE_ERROR = 1e-6
 #: Its difference quotients are tried with these parts of the nominal step, which may be longer
@@ -127,19 +127,32 @@ def check_energy(registry: Registry, scene: MechatronicSystem) -> str:
     if not scene.has("energy"):
         raise DoesNotApply("It states no energy.")
     first_energy(scene)
+    return _conserved(scene, "energy", "W")
+
+
+def check_momentum(registry: Registry, scene: MechatronicSystem) -> str:
+    """No stated momentum changes along the motion: p_q v + p_v a = 0."""
+    if not scene.has("momentum"):
+        raise DoesNotApply("It states no momentum.")
+    return _conserved(scene, "momentum", "N (or N m)")
+
+
+def _conserved(scene: MechatronicSystem, block: str, unit: str) -> str:
+    """Compare the rate of a block along the motion with the parts whose sum it is."""
     t, values = _along(scene)
-    powers = []
+    by = jax.jacrev(lambda q, v: jnp.atleast_1d(getattr(scene, block)(q, v)), argnums=(0, 1))
+    rates = []
     for q, v, a in zip(*(jnp.asarray(values[g]) for g in ("q", "v", "a")), strict=True):
-        by_q, by_v = jax.grad(scene.energy, argnums=(0, 1))(q, v)
-        powers.append(np.concatenate([by_q * v, by_v * a]))
-    net, parts = np.abs(np.sum(powers, axis=1)), np.abs(powers).sum(axis=1)
-    if not net.max() <= _POWER_ERROR * max(parts.max(), np.finfo(float).tiny):
+        by_q, by_v = by(q, v)
+        rates.append(np.concatenate([by_q * v, by_v * a], axis=1))
+    net, parts = np.abs(np.sum(rates, axis=2)).max(axis=1), np.abs(rates).sum(axis=2).max(axis=1)
+    if not net.max() <= _RATE_ERROR * max(parts.max(), np.finfo(float).tiny):
         raise Failed(
-            f"d/dt energy is {net.max():.2g} W at t={t[net.argmax()]:.4g} s, of parts of "
-            f"{parts.max():.2g} W; let the energy fit the forces, or leave it out where it is "
-            f"not conserved."
+            f"d/dt {block} is {net.max():.2g} {unit} at t={t[net.argmax()]:.4g} s, of parts of "
+            f"{parts.max():.2g} {unit}; let the {block} fit the forces, or leave it out where it "
+            f"is not conserved."
         )
-    return f"d/dt energy stays below {net.max():.1e} W, of parts of {parts.max():.2g} W."
+    return f"d/dt {block} stays below {net.max():.1e} {unit}, of parts of {parts.max():.2g} {unit}."
 
 
 def check_constraints(registry: Registry, scene: MechatronicSystem) -> str:
@@ -242,5 +255,6 @@ CHECKS = {
     "reference": check_reference,
     "constraints": check_constraints,
     "energy": check_energy,
+    "momentum": check_momentum,
     "drawing": check_drawing,
 }

@@ -1,38 +1,114 @@
-"""Drifts of long runs as rows, for tables of every kind."""
+"""Long runs at constant steps: what drifts off in them, and the rule that says how."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-#: Quantities that drift by name, with the words of a column.
+import msgspec
+
+from bench.results.records import Count, Name, NotNegative, Positive
+
+#: Quantities that drift by name, with the words of a column and the unit of their numbers; Φ is
+#: that of the constraints, 1 that of relative numbers.
 DRIFTS = {
-    "energy": "energy",
-    "position": "constraints",
-    "velocity": "constraints' rate",
-    "phase": "phase in s",
+    "energy": ("energy", "1"),
+    "momentum": ("momentum", "1"),
+    "position": ("position residual", "Φ"),
+    "velocity": ("velocity residual", "Φ/s"),
+    "phase": ("phase", "s"),
 }
+#: Smaller values are no drift: round-off and what Newton's method leaves, in the quantity's unit.
+NO_DRIFT = 1e-10
+#: The line explains at least this part of the variance of a quantity that drifts linearly.
+STRAIGHT = 0.9
+#: The bands of both halves of a bounded quantity end within this part of the whole band.
+APART = 0.2
+RULE = (
+    f"None: no value above {NO_DRIFT:g}. Linear: a straight line through all rows explains at "
+    f"least {STRAIGHT:.0%} of the variance. Bounded: the bands of the first and second half, which "
+    f"hold 90% of the rows each, end within {APART:.0%} of the whole band of each other. Else "
+    f"neither."
+)
 
 
-def flat(found: Mapping[str, Any]) -> dict[str, Any]:
-    """One long run as a row: its largest drifts, and their trends by a straight line.
+class Drift(msgspec.Struct, kw_only=True):
+    """Course of one quantity over a long run; None where there is no number.
 
-    Parameters
-    ----------
-    found
-        An answer of `bench.running.drift.drift_job`.
+    ``largest`` is its largest absolute value, ``per_s`` the slope of a straight line through all
+    rows in 1/s, ``straight`` the part of the variance that this line explains, and ``apart`` the
+    distance of the bands of both halves as a part of the whole band. ``low`` and ``high`` are the
+    least and largest absolute values of each part of the run.
     """
-    row = {name: found[name] for name in ("problem", "integrator", "steps", "h", "status")}
-    for words, largest, per_s in lines(found):
-        row |= {f"{words}: largest": largest, f"{words}: per s": per_s}
+
+    largest: NotNegative | None
+    per_s: float | None
+    straight: float | None
+    apart: NotNegative | None
+    low: list[NotNegative | None]
+    high: list[NotNegative | None]
+
+    @property
+    def verdict(self) -> str:
+        """Return "none", "linear", "bounded" or "neither", by `RULE`."""
+        if self.largest is None:
+            return "neither"
+        if self.largest <= NO_DRIFT:
+            return "none"
+        if self.straight is not None and self.straight >= STRAIGHT:
+            return "linear"
+        return "bounded" if self.apart is not None and self.apart <= APART else "neither"
+
+
+class LongRun(msgspec.Struct, kw_only=True):
+    """A run over ``asked`` steps of h (s), of which ``steps`` were done, up to ``t_end`` (s).
+
+    ``t`` holds the ends of its parts in s, ``drifts`` the course of each quantity by name;
+    ``rows`` counts the steps at which they were measured.
+    """
+
+    problem: Name
+    integrator: Name
+    status: Name
+    message: str
+    asked: Count
+    steps: Count | None
+    h: Positive
+    t_end: float | None
+    rows: Count
+    t: list[float]
+    drifts: dict[str, Drift]
+
+    @property
+    def key(self) -> str:
+        """Return the key in the store: scene, integrator and steps."""
+        return f"{self.problem} | {self.integrator} | {self.asked} x h={self.h!r}"
+
+    @property
+    def measured(self) -> list[tuple[str, Drift]]:
+        """Return the quantities that were measured, in the order of `DRIFTS`."""
+        return [(name, self.drifts[name]) for name in DRIFTS if name in self.drifts]
+
+
+def titled(quantity: str) -> str:
+    """Return a quantity in words with its unit."""
+    words, unit = DRIFTS[quantity]
+    return f"{words} [{unit}]"
+
+
+def flat(run: LongRun) -> dict[str, Any]:
+    """Return one long run as a row: largest drifts, trends by a straight line, verdicts."""
+    row = {name: getattr(run, name) for name in ("problem", "integrator", "steps", "h", "status")}
+    for name, drift in run.measured:
+        words = DRIFTS[name][0]
+        row |= {f"{words}: largest": drift.largest, f"{words}: per s": drift.per_s}
+        row |= {f"{words}: drift": drift.verdict}
     return row
 
 
-def lines(found: Mapping[str, Any]) -> list[tuple[str, float | None, float | None]]:
-    """Quantity in words, largest drift and trend per s, of all that were measured."""
-    drifts = found["drifts"]
-    return [
-        (words, drifts[name]["largest"], drifts[name]["per_s"])
-        for name, words in DRIFTS.items()
-        if name in drifts
-    ]
+def scenes_of(runs: Mapping[str, LongRun]) -> list[list[LongRun]]:
+    """Return long runs in groups that can be compared: of one scene, with the same steps."""
+    groups: dict[tuple[str, int, float], list[LongRun]] = {}
+    for run in runs.values():
+        groups.setdefault((run.problem, run.asked, run.h), []).append(run)
+    return list(groups.values())

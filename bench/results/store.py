@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
 
+from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
 from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store_file import (
@@ -146,6 +147,11 @@ class Store:
         value = self._encoded(found)
         self._write("INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, value)
 
+    def save_long_run(self, run: LongRun) -> None:
+        """Keep a long run, in the place of an earlier one with the same steps."""
+        key, value = clean(run.key), self._encoded(run)
+        self._write("INSERT OR REPLACE INTO long_runs VALUES (?, ?)", key, value)
+
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""
         if damping is None:
@@ -199,8 +205,8 @@ class Store:
     def set_aside(self) -> list[SetAside]:
         """All rows that cannot be read; the other methods pass over them."""
         self._spoilt.clear()
-        readers = self.environments, self.scenes, self.experiments, self.damping, self.records
-        for read in (self.plan, *readers, self.keys_with_rows):
+        readers = self.environments, self.scenes, self.experiments, self.long_runs, self.damping
+        for read in (self.plan, *readers, self.records, self.keys_with_rows):
             read()
         return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
 
@@ -226,6 +232,13 @@ class Store:
             return {}
         found = [value for _, value in self._values("experiments", ("name",), ExperimentResult)]
         return {value.name: value for value in sorted(found, key=lambda value: value.number)}
+
+    def long_runs(self) -> dict[str, LongRun]:
+        """Long runs by key, in the order in which they were kept."""
+        if not self._has_table("long_runs"):
+            return {}
+        found = self._values("long_runs ORDER BY rowid", ("key",), LongRun)
+        return {key: run for (key,), run in found}
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""

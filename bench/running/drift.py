@@ -5,31 +5,31 @@ Memory does not grow with the number of steps: a trajectory has some thousands o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bench.results.drift import Drift, LongRun
 from bench.running import measure
 from bench.running.errors import finite
 from bench.running.plan import Cell, check_end
 from bench.running.worker import Worker
 from integrators.contract import Steps, Trajectory
-from integrators.kept_rows import spread_rows
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-#: Rows of a run that are handed on for a chart.
-_DRAWN = 400
+#: Parts of a run of which a chart shows least and largest values.
+_PARTS = 200
 #: Iterations that find the phase at a row from that at the row before.
 _PHASE_ITERATIONS = 2
 
 
 def drift_job(
     worker: Worker, problem: str, integrator: str, h: float | None, steps: int
-) -> dict[str, Any]:
+) -> LongRun:
     """Run an integrator over many steps and measure what drifts.
 
     Parameters
@@ -40,12 +40,6 @@ def drift_job(
         Step in s; the scene's nominal one if None.
     steps
         Number of steps.
-
-    Returns
-    -------
-    dict
-        Names and numbers of the run; "drifts" by name, each with its largest absolute value and
-        its trend, the slope of a straight line in 1/s; "rows", times and drifts of some rows.
 
     Raises
     ------
@@ -64,27 +58,46 @@ def drift_job(
     t_end = check_end(scene.interval[0], scene.interval[0] + steps * resolution.h)
     run, _ = worker.run(Cell(scene.spec, constant.spec, t_end, resolution))
     drifts = drifts_of(scene, run) if len(run.t) > 2 else {}
-    drawn = spread_rows(len(run.t) - 1, _DRAWN) if drifts else []
-    return {
-        "problem": scene.spec,
-        "integrator": constant.spec,
-        "status": run.status,
-        "message": run.message,
-        "steps": run.work.steps,
-        "h": resolution.h,
-        "t_end": float(run.t[-1]) if len(run.t) else None,
-        "drifts": {
-            name: {
-                "largest": finite(np.abs(values).max()),
-                "per_s": finite(np.polyfit(run.t - run.t[0], values, 1)[0]),
-            }
-            for name, values in drifts.items()
-        },
-        "rows": {
-            name: [finite(value) for value in values[drawn]]
-            for name, values in ({"t": run.t} | drifts).items()
-        },
-    }
+    return LongRun(
+        problem=scene.spec,
+        integrator=constant.spec,
+        status=run.status,
+        message=run.message,
+        asked=steps,
+        steps=run.work.steps,
+        h=resolution.h,
+        t_end=float(run.t[-1]) if len(run.t) else None,
+        rows=len(run.t),
+        t=[float(part[-1]) for part in _parts(run.t)] if drifts else [],
+        drifts={name: course(run.t, values) for name, values in drifts.items()},
+    )
+
+
+def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift:
+    """Describe the course of a quantity, measured at k times in s: its trend and its bands."""
+    slope, start = np.polyfit(t - t[0], values, 1)
+    left, whole = np.var(values - start - slope * (t - t[0])), np.var(values)
+    halves = [_band(half) for half in np.array_split(values, 2)]
+    low, high = _band(values)
+    distance = np.abs(np.subtract(*halves)).max()
+    parts = _parts(np.abs(values))
+    return Drift(
+        largest=finite(float(np.abs(values).max())),
+        per_s=finite(slope),
+        straight=finite(float(1 - left / whole)) if whole > 0 else None,
+        apart=finite(float(distance / (high - low))) if high > low else 0.0,
+        low=[finite(part.min()) for part in parts],
+        high=[finite(part.max()) for part in parts],
+    )
+
+
+def _band(values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 2"]:
+    """Ends of the band that holds 90 % of the values."""
+    return np.percentile(values, (5, 95))
+
+
+def _parts(rows: Float[np.ndarray, " k"]) -> list[Float[np.ndarray, " part"]]:
+    return np.array_split(rows, min(_PARTS, len(rows)))
 
 
 def drifts_of(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -93,13 +106,14 @@ def drifts_of(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.n
     Returns
     -------
     dict
-        "energy", its change relative to the largest kinetic one; "position" and "velocity", the
-        largest residuals of the constraints and of their rates; "phase", the time in s by which
-        the run is ahead of the closed form of a motion that conserves energy.
+        "energy", its change relative to the largest kinetic one; "momentum", that of the one that
+        changes most, relative to its largest value; "position" and "velocity", the largest
+        residuals of the constraints and of their rates; "phase", the time in s by which the run is
+        ahead of the closed form of a motion that conserves energy.
     """
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
-    drifts = measure.energy_change(scene, run) | violations
+    drifts = measure.energy_change(scene, run) | measure.momentum_change(scene, run) | violations
     if scene.has("energy") and scene.has("exact"):
         drifts["phase"] = phase(scene, run)
     return drifts

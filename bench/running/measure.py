@@ -59,6 +59,28 @@ def energy_change(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[
     return {"energy": (total - total[0]) / (np.abs(total - rest).max() or 1.0)}
 
 
+def momentum_change(
+    scene: MechatronicSystem, run: Trajectory
+) -> dict[str, Float[np.ndarray, " k"]]:
+    """Measure the change of "momentum" in each of the k rows, relative to its largest value.
+
+    Of several momenta it is the one that changes most.
+
+    Raises
+    ------
+    FalseAnswer
+        If a momentum is not a finite number.
+    """
+    if not scene.has("momentum"):
+        return {}
+    found = compiled(scene).momentum(scene.parameters(), run.q, run.v)
+    shape = (len(run.t), *np.shape(found)[1:2])
+    momenta = array(found, "momentum() of the rows", shape).reshape(len(run.t), -1)
+    sizes = np.abs(momenta).max(axis=0)
+    changes = (momenta - momenta[0]) / np.where(sizes > 0, sizes, 1.0)
+    return {"momentum": changes[:, np.abs(changes).max(axis=0).argmax()]}
+
+
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
     """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s."""
     if trajectory.status != "ok":

@@ -50,10 +50,12 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; and the
-    experiments of the failure ``atlas`` that belong to it (true: all)."""
+    """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; the
+    experiments of the failure ``atlas`` that belong to it (true: all); and profiles whose studies
+    it takes, too."""
 
     study: list[StudyFile]
+    include: list[str] = []
     title: str = ""
     samples: int = 7
     budget_s: float = 60.0
@@ -76,11 +78,25 @@ def suite_titles() -> dict[str, str]:
 def read_profile(name: str) -> tuple[str, ProfileFile]:
     """Read a built-in profile by name or any TOML file by path; return its name and contents.
 
+    The studies of profiles that it includes follow its own.
+
     Raises
     ------
     SpecError
-        If it is not there, is not TOML, or has an unknown key or a value of the wrong type.
+        If it is not there, is not TOML, or has an unknown key or a value of the wrong type; or if
+        it includes a profile that includes others itself.
     """
+    path, profile = _read_file(name)
+    studies = [*profile.study]
+    for other in profile.include:
+        _, included = _read_file(other)
+        if included.include:
+            raise SpecError(f"{path} includes {other}, which includes others; name them all there.")
+        studies += included.study
+    return path.stem, msgspec.structs.replace(profile, study=studies, include=[])
+
+
+def _read_file(name: str) -> tuple[Path, ProfileFile]:
     known = built_in_profiles()
     path = known.get(name, Path(name))
     if path.suffix != ".toml":
@@ -97,7 +113,7 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
         profile = msgspec.convert(data, ProfileFile)
     except msgspec.ValidationError as error:
         raise SpecError(f"The suite {path} is not as expected: {error}.") from None
-    return path.stem, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
+    return path, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

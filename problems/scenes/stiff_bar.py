@@ -56,6 +56,9 @@ class StiffBar(MechatronicSystem):
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v) + 0.5 * self.ea * self.length * self._strain(q) ** 2
 
+    def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return self.m * (q[0] * v[1] - q[1] * v[0])[None]
+
     def initial_state(self) -> State:
         start = self.exact(np.array([self.interval[0]]))
         return State(q=start["q"][0], v=start["v"][0])

@@ -24,6 +24,7 @@ HISTORIES = ERRORS | {
     "position": ("constraint residual, position", True),
     "velocity": ("constraint residual, velocity", True),
     "energy": ("relative change of the energy", True),
+    "momentum": ("relative change of the momentum", True),
     "phase": ("phase in s", True),
 }
 

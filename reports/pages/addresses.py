@@ -81,6 +81,7 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
     ]
     scenes = [Link(scene_name(s.name), page(scene_page(s.name))) for s in report.scenes]
     why = [Link("Orders", page("orders.html"))] if report.orders else []
+    why += [Link("Long runs", page("drift.html"))] if report.long_runs else []
     why += [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
     why += [
         Link("How it was measured", page("measured.html")),

@@ -1,56 +1,64 @@
-"""drift.html: what drifts off in long runs, as a table and charts over time."""
+"""drift.html: long runs as a chapter of the report, and as a page of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from bench.results.drift import DRIFTS, lines
-from bench.results.records import Rows
-from reports.charts.line_styles import line_styles
-from reports.charts.over_time import histories
+from bench.results.drift import LongRun, scenes_of
+from reports.charts.drift import drift_chart
 from reports.charts.rendering import pictures
-from reports.formatting import number
+from reports.names import scene_name
+from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.templating import html
+from reports.text.drift_table import drift_sentences, drift_table
 from reports.text.table import Table
 
 FILE = "drift.html"
+_CAPTION = (
+    "Absolute values over time, from the least (or the end of the axis) to the largest in each of "
+    "up to 200 parts of the run. Energy: its change, relative to the largest kinetic one. "
+    "Momentum: the change of the one that changes most, relative to its largest value. "
+    "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
+    "run is ahead of the closed form or behind it."
+)
 
 
-def write_drift_page(found: Sequence[Mapping[str, Any]], folder: Path) -> Path:
-    """Write drift.html into a folder, from answers of `bench.running.drift.drift_job`."""
-    head = ["integrator", "steps", "status", "quantity", "largest", "trend per s"]
-    cells = [
-        [one["integrator"], str(one["steps"]), one["status"], words, _cell(largest), _cell(per_s)]
-        for one in found
-        for words, largest, per_s in lines(one) or [("-", None, None)]
-    ]
-    runs = [(one["integrator"], _rows(one["rows"])) for one in found if one["rows"]["t"]]
-    drawn = histories(runs, line_styles(label for label, _ in runs), notes=tuple(DRIFTS))
-    text = html(
-        "drift.html.j2",
-        problem=found[0]["problem"],
-        h=f"{found[0]['h']:g}",
-        table=Table("Largest drift, and its trend", head, cells),
-        charts=[one.svg for one in pictures({"drift": drawn}).values()] if drawn else [],
-        messages=[f"{one['integrator']}: {one['message']}" for one in found if one["message"]],
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / FILE
-    path.write_text(text, encoding="utf-8")
+@dataclass
+class DriftSection:
+    """Long runs of one scene with the same steps."""
+
+    anchor: str
+    title: str
+    rows: str
+    sentences: list[str]
+    figure: CaptionedCharts | None
+    table: Table
+
+
+def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> list[DriftSection]:
+    """The sections on these long runs."""
+    return [_section(f"drift-{k}", own, interactive) for k, own in enumerate(scenes_of(runs), 1)]
+
+
+def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
+    """Write drift.html into a folder."""
+    sections = drift_chapter(runs, interactive=False)
+    charts = {n: c for s in sections if s.figure for n, c in s.figure.charts.items()}
+    drawn = {name: picture.svg for name, picture in pictures(charts).items()}
+    path = Path(folder) / FILE
+    path.write_text(html("drift.html.j2", sections=sections, pictures=drawn), encoding="utf-8")
     return path
 
 
-def _rows(values: Mapping[str, list[float | None]]) -> Rows:
-    """Absolute values, as the charts' axes are logarithmic."""
-    notes = {
-        name: [None if value is None else abs(value) for value in column]
-        for name, column in values.items()
-        if name != "t"
-    }
-    return Rows(t=values["t"], values={}, notes=notes)  # pyright: ignore[reportArgumentType]
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else number(value)
+def _section(anchor: str, own: list[LongRun], interactive: bool) -> DriftSection:
+    first = own[0]
+    return DriftSection(
+        anchor=anchor,
+        title=f"{scene_name(first.problem)}: {first.asked} steps of {first.h:g} s",
+        rows=f"Measured at {max(run.rows for run in own)} rows of each run.",
+        sentences=list(drift_sentences(own)),
+        figure=captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)}),
+        table=drift_table(own),
+    )

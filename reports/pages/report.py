@@ -16,6 +16,7 @@ from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
 from reports.pages.atlas import AtlasChapter, atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.drift import DriftSection, drift_chapter
 from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
@@ -65,6 +66,7 @@ class Report:
     unsupported: Table | None
     lost_orders: Table | None
     orders: list[Table]
+    long_runs: list[DriftSection]
     timing: Table | None
     noise: str
     environments: list[tuple[int, Environment]]
@@ -121,7 +123,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
                 scene_chapter(f"scene-{i}", sections, series[names[key]], studies, same_as)
             )
         environments, experiments = store.environments(), list(store.experiments().values())
-        known, set_aside = store.damping(), store.set_aside()
+        known, long_runs, set_aside = store.damping(), store.long_runs(), store.set_aside()
     ranking, facts = rank(series), plan.integrators if plan else {}
     described = {names[k]: scenes[k] for k in keys if k in scenes}
     words = words_of(series, {name: scene.tags for name, scene in described.items()})
@@ -152,6 +154,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         unsupported=unsupported_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
         orders=order_tables(plan, records),
+        long_runs=drift_chapter(long_runs, interactive),
         timing=timing_table(series_of(runs)),
         noise=noise_sentence(runs),
         environments=list(environments.items()),

@@ -65,6 +65,9 @@ def pages(report: Report) -> Iterator[Page]:
     yield Page("failures.html", "failures.html.j2", "Failures", "failures")
     if report.orders:
         yield Page("orders.html", "orders.html.j2", "Orders", "orders")
+    if report.long_runs:
+        anchors = [section.anchor for section in report.long_runs]
+        yield Page("drift.html", "drift_chapter.html.j2", "Long runs", "drift", {}, anchors)
     if report.atlas:
         anchors = [f"atlas-{e.result.name}" for e in report.atlas.experiments]
         yield Page("atlas.html", "atlas_chapter.html.j2", "Failure atlas", "atlas", {}, anchors)

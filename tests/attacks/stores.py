@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from planted import everything, plant
+from small_stores import A_LONG_RUN
 
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import Damping, IntegratorFacts
@@ -54,6 +55,7 @@ PLACES = {
     "scenes": ("scenes", "value", "problem = 'pendulum'"),
     "damping": ("damping", "value", f"integrator = '{METHOD}'"),
     "experiments": ("experiments", "value", "name = 'e'"),
+    "long_runs": ("long_runs", "value", "key LIKE '%| 100 x%'"),
     "records": ("records", "value", f"key = 'pendulum | {METHOD} | h=0.1'"),
     "rows": ("records", "rows", f"key = 'pendulum | {METHOD} | h=0.1'"),
 }
@@ -76,6 +78,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store.save_damping("poor", known)
         store.save_experiment(AN_EXPERIMENT)
         store.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, name="f", number=2))
+        store.save_long_run(A_LONG_RUN)
+        store.save_long_run(msgspec.structs.replace(A_LONG_RUN, asked=200))
         store.save_environment(store.environments()[1])
         plan = store.plan()
         assert plan
@@ -112,6 +116,7 @@ def content(folder: Path) -> dict[str, dict]:
             "scenes": store.scenes(),
             "damping": store.damping(),
             "experiments": store.experiments(),
+            "long_runs": store.long_runs(),
             "records": records,
             "rows": {key: rows for key in records if (rows := store.rows(key)) and rows.t},
         }
