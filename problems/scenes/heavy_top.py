@@ -93,7 +93,7 @@ class HeavyTop(MechatronicSystem):
         # About the vertical through the fixed point, and about the body's own axis.
         p, rate = q[3:], v[3:]
         upwards = 2 * (p[0] * rate[3] - rate[0] * p[3] + p[1] * rate[2] - p[2] * rate[1])
-        spin = self.angular_velocity(p, rate)[1]
+        spin = (self.turning(p) @ rate)[1]
         tilted = (self.j_axis - self.j) * spin * self.axis(p)[2]
         moving = self.m * (q[0] * v[1] - q[1] * v[0])
         return jnp.stack([moving + self.j * upwards + tilted, self.j_axis * spin])
