@@ -38,6 +38,7 @@ attack: .venv/installed  ## hostile plugins, signals, inputs, stores and machine
 bench: .venv/installed  ## our time loop against C, exudyn and other solvers; microseconds per step
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
 	$(BIN)/python tests/benchmarks/race.py
+	$(BIN)/python tests/benchmarks/families.py
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/sizes_ida.py
 	$(BIN)/python tests/benchmarks/callbacks.py

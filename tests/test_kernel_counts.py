@@ -20,6 +20,7 @@ from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted, watch
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.native import constant_steps, small_matrices
 from problems import jnp, runtime
 from problems.scenes.chain import Chain
@@ -88,6 +89,12 @@ def test_the_march_of_a_small_scene_is_one_function(scene, newton):
 def test_so_is_the_march_of_chosen_steps():
     method = GeneralizedAlphaAdaptive(newton="modified")
     assert Program(method.prepare(SliderCrank(), 5.0, Tolerances(1e-4))).joined()
+
+
+@pytest.mark.parametrize("method", [HalfExplicitEuler(), *long(PHEM56())], ids=lambda m: m.name)
+def test_so_are_steps_that_solve_linear_equations(method):
+    size = Steps(1e-3) if method.controls == "step" else Tolerances(1e-4)
+    assert Program(method.prepare(SliderCrank(), 5.0, size)).joined()
 
 
 @pytest.mark.skipif(

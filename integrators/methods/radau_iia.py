@@ -223,9 +223,11 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         # Positions and velocities round, and the scaled rows turn this into errors of b.
         of_q = _EPS * largest(now.q, 1.0) / h**2 * abs(np.linalg.inv(of_b)).sum(axis=1).max()
         of_v = _EPS * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
-        error = of_q if self.formulation == "index3" else of_v
-        error = error if scene.sizes.nl else 0.0
-        rounding = (error, error * formulations.largest_inertia(scene, now.q), of_q, 0.0, 0.0)
+        # b follows positions but in index 2; what they round cancels in a of the stabilised form.
+        first = of_v if self.formulation == "index2" else of_q
+        of_a = of_q if self.formulation == "index3" else of_v
+        of_lam = of_a * formulations.largest_inertia(scene, now.q)
+        rounding = (first, of_lam, of_q, 0.0, 0.0) if scene.sizes.nl else (0.0,) * 5
         u = work.solve(
             residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
             split=StageTangents(r.a, tangents), evaluations=s,

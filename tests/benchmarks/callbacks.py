@@ -29,6 +29,7 @@ from problems.runtime import jax, one_thread
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
+from problems.system import MechatronicSystem
 
 #: Scene, method, end of the interval, rtol; short, as other work on the machine spares short runs.
 _CASES = (
@@ -38,31 +39,33 @@ _CASES = (
     (SliderCrank(), Radau(), 0.2, 1e-6),
 )
 _KINDS = ("now", "before")
-_LOOP = 200
+#: Turns of the loop that measures arithmetic without calls.
+LOOP = 200
 #: Both kinds end within so many tolerances of each other.
 _SAME = 10.0
 
 
 def least(call: Callable[[], Any], window: float = 1e-3, total: float = 0.15) -> float:
-    """Least mean seconds of a call in a short window: other work on the machine spares some."""
+    """Least mean processor seconds of a call in a short window."""
     call()
-    began = time.perf_counter()
+    began = time.process_time()
     call()
-    count = max(1, int(window / (time.perf_counter() - began)))
+    count = max(1, int(window / (time.process_time() - began)))
     means: list[float] = []
-    while len(means) < 5 or time.perf_counter() - began < total:
-        started = time.perf_counter()
+    while len(means) < 5 or time.process_time() - began < total:
+        started = time.process_time()
         for _ in range(count):
             call()
-        means.append((time.perf_counter() - started) / count)
+        means.append((time.process_time() - started) / count)
     return min(means)
 
 
-class _Case:
+class Case:
     """A prepared run, its two compiled functions, and where they are called."""
 
-    def __init__(self, case: int) -> None:
-        scene, method, t_end, rtol = _CASES[case]
+    def __init__(
+        self, scene: MechatronicSystem, method: IDA | Radau, t_end: float, rtol: float
+    ) -> None:
         self.run = method.prepare(scene, t_end, Tolerances(rtol))
         self.p = np.array([*scene.parameters().values()])
         if isinstance(method, IDA):
@@ -119,7 +122,7 @@ class _Case:
                 values = jax.lax.optimization_barrier(values)
                 return w + 1e-300 * values.ravel()[: len(w)]
 
-            program = jax.jit(lambda w: jax.lax.fori_loop(0, _LOOP, again, w))
+            program = jax.jit(lambda w: jax.lax.fori_loop(0, LOOP, again, w))
             return lambda: program(at[1])
 
         return [looped(packed, at) for packed, at in zip(self.packed, self.at, strict=True)]
@@ -130,7 +133,7 @@ def measure(case: int, kind: str) -> dict[str, Any]:
     if kind == "before":
         jax.jit  # noqa: B018 - loads JAX with our own settings, which are then taken back
         jax.config.update("jax_cpu_enable_async_dispatch", True)
-    it = _Case(case)
+    it = Case(*_CASES[case])
     if kind == "before":
         it.run.functions = it.plain()
     end = it.run.measure()
@@ -145,7 +148,7 @@ def measure(case: int, kind: str) -> dict[str, Any]:
     }
     if kind == "now":
         found["program"] = [least(call) for call in it.alone()]
-        found["arithmetic"] = [least(call) / _LOOP for call in it.in_a_loop()]
+        found["arithmetic"] = [least(call) / LOOP for call in it.in_a_loop()]
     return found
 
 

@@ -66,11 +66,16 @@ def race(title: str, agreement: str, contestants: list[Contestant], rounds: int)
                 "contestant": one.name,
                 "about": one.about,
                 "steps": one.steps,
+                "seconds": own.tolist(),
+                "work": one.work,
                 "us_per_step": {
                     "median": 1e6 * float(np.median(own)) / one.steps,
                     "least": 1e6 * float(own.min()) / one.steps,
                 },
-                "milliseconds": 1e3 * float(np.median(own)),
+                "milliseconds": {
+                    "median": 1e3 * float(np.median(own)),
+                    "least": 1e3 * float(own.min()),
+                },
                 "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True))
                 | {"of_least": float(own.min() / seconds[:, 0].min())},
                 "agreement": {agreement: float(gap if one.error is None else one.error)},
@@ -117,7 +122,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             lines += ["", head, "|---|---|---:|---:|---:|---:|---:|"]
         us, ratio = row["us_per_step"], row["ratio"]
         lines.append(
-            f"| {row['contestant']} | {row['about']} | {row['milliseconds']:.1f} "
+            f"| {row['contestant']} | {row['about']} | {row['milliseconds']['median']:.1f} "
             f"| {us['median']:.2f} ({us['least']:.2f}) "
             f"| {ratio['median']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f}) "
             f"| {ratio['of_least']:.2f} | {gap:.1e} |"

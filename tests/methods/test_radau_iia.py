@@ -246,3 +246,13 @@ def test_multipliers_can_be_tested_too(formulation):
     one, two = (m.prepare(Pendulum(), 1.35, Tolerances(1e-6)).measure() for m in (states, every))
     assert two.status == "ok"
     assert two.work.steps >= one.work.steps
+
+
+@pytest.mark.long
+def test_the_stabilised_form_keeps_its_tangents_at_small_steps():
+    # b follows positions: an iteration that asks for less than their rounding never contracts.
+    method = RadauIIA(formulation="stabilised_index2", steps="constant", newton="modified")
+    run = method.prepare(SliderCrank(), 0.5, Steps(2.5e-4)).measure()
+    assert run.status == "ok"
+    assert run.work.factorisations < 0.2 * run.work.steps
+    assert run.work.residuals < 15 * run.work.steps

@@ -1,0 +1,223 @@
+"""Families of native methods on the slider crank, and native backward differences beside IDA.
+
+``make bench`` prints three kinds of tables and writes them as JSON: all methods at the same step;
+each at the step or tolerance that gives the error of generalized-alpha in a; and backward
+differences of our own beside IDA at the same tolerances, with the parts of IDA's time. Contestants
+run in turn and ratios are taken within rounds (see `race`). Times are not checked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from callbacks import LOOP, Case, least
+from opponents import (
+    OURS,
+    SCENE,
+    STEPS,
+    T_END,
+    Contestant,
+    NotHere,
+    c_program,
+    equally_accurate,
+    stepbench,
+)
+from race import race
+
+from bench.results.environment import environment
+from integrators import Steps, Tolerances
+from integrators.adapters.ida import IDA
+from problems.reference import Reference
+from problems.runtime import one_thread
+from problems.scenes.car_axis import CarAxis
+from problems.system import MechatronicSystem
+
+#: One or two methods of each family.
+MEMBERS = (
+    OURS,
+    "generalized_alpha[formulation=stabilised_index2,rho_inf=0.8,newton=modified]",
+    "hht_i3[newton=modified,steps=constant]",
+    "park[newton=modified]",
+    "bdf2[newton=modified]",
+    "bdf2[formulation=stabilised_index2,newton=modified]",
+    "bathe[formulation=index2,newton=modified]",
+    "bathe[formulation=stabilised_index2,newton=modified]",
+    "ali3p[newton=modified]",
+    "energy_momentum[newton=modified]",
+    "rattle",
+    "rattle[newton=modified]",
+    "lobatto_iiia_iiib[newton=modified]",
+    "semi_implicit_euler",
+    "linearly_implicit_euler",
+    "half_explicit_euler",
+    "phem56[steps=constant]",
+    "radau_iia[stages=2,newton=modified,steps=constant]",
+    "radau_iia[formulation=stabilised_index2,newton=modified,steps=constant]",
+    "kr_alpha",
+)
+#: Those of the race at equal error: adaptive methods follow a tolerance there.
+RACERS = (
+    *(one.replace(",steps=constant", "").replace("[steps=constant]", "") for one in MEMBERS),
+    "bdf_adaptive[newton=modified]",
+    "generalized_alpha_adaptive[newton=modified]",
+)
+#: Steps of generalized-alpha in the races at equal error, and tolerances beside IDA.
+SIZES, RTOLS = (1e-3, 1e-4), (1e-4, 1e-6, 1e-8)
+_BDF = ("bdf_adaptive[newton=modified]", "bdf_adaptive", "ida")
+_ERROR = "settled error in a"
+
+
+def _held(
+    title: str, makers: Iterable[Callable[[], Contestant]], rounds: int
+) -> list[dict[str, Any]]:
+    """A race; contestants that cannot run have a row with the reason."""
+    found, reasons = [], []
+    for make in makers:
+        try:
+            found.append(make())
+        except NotHere as reason:
+            reasons.append({"race": title, "left_out": str(reason)})
+    return race(title, _ERROR, found, rounds) + reasons
+
+
+def same_step(members: Sequence[str], steps: int, rounds: int) -> list[dict[str, Any]]:
+    """All methods with the same constant steps, and the program in C with its own."""
+    h, reference = Steps(T_END / steps), Reference(SCENE, T_END)
+    makers = [partial(stepbench, one, h, reference) for one in members]
+    return _held(f"the same step, h={h.h:g} s", [*makers, c_program], rounds)
+
+
+def same_error(racers: Sequence[str], h: float, rounds: int) -> list[dict[str, Any]]:
+    """All methods at about the error of generalized-alpha in a; its row is the first."""
+    reference = Reference(SCENE, T_END)
+    ours = stepbench(OURS, Steps(h), reference)
+    assert ours.error is not None
+    others = [one for one in racers if one != OURS]
+    makers = [partial(equally_accurate, one, ours.error, reference) for one in others]
+    return _held(f"equal error in a, h={h:g} s", [lambda: ours, *makers], rounds)
+
+
+def beside_ida(scene: MechatronicSystem, rtol: float, rounds: int) -> list[dict[str, Any]]:
+    """Native backward differences and IDA; of IDA also the parts of its time."""
+    t_end, at = scene.interval[1], Tolerances(rtol)
+    makers = [partial(stepbench, one, at, Reference(scene, t_end), scene) for one in _BDF]
+    rows = _held(f"{scene.name}, rtol={rtol:g}", makers, rounds)
+    for row in rows:
+        if row.get("contestant") == "ida":
+            case, work = Case(scene, IDA(), t_end, rtol), row["work"]
+            calls = np.array([work["residuals"], work["jacobians"]])
+            compiled = calls @ [least(call) / LOOP for call in case.in_a_loop()]
+            called = calls @ [least(call) for call in case.callbacks()]
+            row["parts_ms"] = {
+                "compiled equations": 1e3 * float(compiled),
+                "calls through Python": 1e3 * float(called - compiled),
+                "the library": row["milliseconds"]["least"] - 1e3 * float(called),
+            }
+    return rows
+
+
+def per_step(row: dict[str, Any], name: str) -> float:
+    """A work count per step; NaN if it is not known."""
+    count = row["work"].get(name)
+    return np.nan if count is None else count / row["steps"]
+
+
+def _table(head: str, rows: list[dict[str, Any]], cells: Callable[[dict], list[str]]) -> str:
+    """A table of a race in Markdown; what was left out stands below."""
+    columns = head.count("|") + 1
+    lines = [f"| {rows[0]['race']}: {head} |", f"|---{'|---:' * (columns - 1)}|"]
+    lines += [f"| {' | '.join(cells(row))} |" for row in rows if "left_out" not in row]
+    left_out = [f"- {row['left_out']}" for row in rows if "left_out" in row]
+    return "\n".join([*lines, "", *left_out, ""] if left_out else [*lines, ""])
+
+
+def _spread(ratios: dict[str, float]) -> str:
+    return f"{ratios['median']:.2f} ({ratios['low']:.2f} to {ratios['high']:.2f})"
+
+
+def same_step_table(rows: list[dict[str, Any]]) -> str:
+    """Costs of a step: microseconds, and what they are spent on."""
+    c = next((row["us_per_step"]["least"] for row in rows if row.get("contestant") == "C"), np.nan)
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        us, operations = row["us_per_step"], per_step(row, "operations")
+        counts = [f"{per_step(row, name):.2f}" for name in ("residuals", "factorisations")]
+        speed = 1e3 * us["least"] / operations
+        return [
+            f"`{row['contestant']}`", f"{us['median']:.2f} ({us['least']:.2f})",
+            _spread(row["ratio"]), f"{us['least'] / c:.1f}", f"{operations:.0f}", f"{speed:.2f}",
+            *counts, f"{row['agreement'][_ERROR]:.1e}",
+        ]  # fmt: skip
+
+    head = "method | µs/step (least) | time/ours (quartiles) | least/C | operations/step "
+    head += f"| ns/operation | residuals/step | factorisations/step | {_ERROR}"
+    return _table(head, rows, cells)
+
+
+def same_error_table(rows: list[dict[str, Any]]) -> str:
+    """Time and operations that an error in a costs."""
+    ours = rows[0]["work"]["operations"]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        ms, operations = row["milliseconds"], row["work"]["operations"]
+        return [
+            f"`{row['contestant']}`", row["about"], str(row["steps"]), f"{ms['least']:.1f}",
+            _spread(row["ratio"]), f"{operations / 1e6:.1f}", f"{operations / ours:.2f}",
+            f"{row['agreement'][_ERROR]:.1e}",
+        ]  # fmt: skip
+
+    head = "method | at | steps | ms, least | time/ours (quartiles) | million operations "
+    return _table(head + f"| operations/ours | {_ERROR}", rows, cells)
+
+
+def ida_table(rows: list[dict[str, Any]]) -> str:
+    """Counts and times of backward differences, and the parts of IDA's time."""
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        ms, work, parts = row["milliseconds"]["least"], row["work"], row.get("parts_ms", {})
+        named = [work[k] for k in ("residuals", "jacobians", "factorisations")]
+        counts = ["-" if n is None else str(n) for n in named]
+        return [
+            f"`{row['contestant']}`", str(row["steps"]), *counts, f"{ms:.2f}",
+            f"{1e3 * ms / work['residuals']:.2f}", _spread(row["ratio"]),
+            ", ".join(f"{name} {part:.2f}" for name, part in parts.items()) or "-",
+            f"{row['agreement'][_ERROR]:.1e}",
+        ]  # fmt: skip
+
+    head = "method | steps | residuals | Jacobians | factorisations | ms, least | µs/residual "
+    return _table(head + f"| time/native (quartiles) | parts in ms | {_ERROR}", rows, cells)
+
+
+def main() -> None:
+    """Measure, print the tables, write the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=7, help="samples of every contestant")
+    parser.add_argument("--out", type=Path, default=Path("stepbench-families.json"))
+    given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+
+    def keep(more: list[dict[str, Any]], table: Callable[[list[dict[str, Any]]], str]) -> None:
+        rows.extend(more)
+        print(table(more), flush=True)
+        record = {"machine": msgspec.to_builtins(environment()), "rows": rows}
+        given.out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+    keep(same_step(MEMBERS, STEPS, given.rounds), same_step_table)
+    for scene in (SCENE, CarAxis()):
+        for rtol in RTOLS:
+            keep(beside_ida(scene, rtol, given.rounds), ida_table)
+    for h in SIZES:
+        keep(same_error(RACERS, h, max(3, given.rounds // 2)), same_error_table)
+    print(f"Written to {given.out}.")
+
+
+if __name__ == "__main__":
+    one_thread()
+    main()

@@ -1,0 +1,47 @@
+"""The benchmarks of families of methods make their tables; times are not checked."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from integrators import Steps
+from problems.reference import Reference
+
+
+@pytest.fixture(autouse=True)
+def scripts(monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(Path(__file__).parent / "benchmarks"), *sys.path])
+
+
+@pytest.mark.long
+def test_tables_of_families():
+    import families
+
+    rows = families.same_step([families.OURS, "kr_alpha"], steps=5000, rounds=1)
+    lines = families.same_step_table(rows).splitlines()
+    cells = [cell.strip() for cell in lines[2].split("|")[1:-1]]
+    assert cells[0] == f"`{families.OURS}`"
+    operations, residuals = (float(cells[k]) for k in (4, 6))
+    assert operations > 100 * residuals > 100
+    assert lines[-1].startswith("- kr_alpha was left out: constraints")
+
+    rows = families.beside_ida(families.SCENE, 1e-3, rounds=1)
+    ida = next(row for row in rows if row["contestant"] == "ida")
+    assert sum(ida["parts_ms"].values()) == pytest.approx(ida["milliseconds"]["least"])
+    assert ida["parts_ms"]["calls through Python"] > 0
+    assert "the library" in families.ida_table(rows)
+
+
+@pytest.mark.long
+def test_a_method_meets_the_error_of_another():
+    import opponents
+
+    reference = Reference(opponents.SCENE, opponents.T_END)
+    wanted = opponents.stepbench(opponents.OURS, Steps(2e-3), reference).error
+    found = opponents.equally_accurate("park[newton=modified]", wanted, reference)
+    assert wanted / 2 <= found.error <= 2 * wanted
+    with pytest.raises(opponents.NotHere, match="The nearest is"):
+        opponents.equally_accurate("semi_implicit_euler", 1e-9, reference)
