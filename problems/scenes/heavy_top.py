@@ -65,8 +65,8 @@ class HeavyTop(MechatronicSystem):
             [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
         )
 
-    def momentum(self, p: jax.Array, rate: jax.Array) -> jax.Array:
-        """Angular momentum J B(p) p' in the body's axes, kg m^2/s, shape ``(3,)``."""
+    def about_the_centre(self, p: jax.Array, rate: jax.Array) -> jax.Array:
+        """Angular momentum J B(p) p' about the centre of mass, in the body's axes, kg m^2/s."""
         return jnp.stack([self.j, self.j_axis, self.j]) * (self.turning(p) @ rate)
 
     def mass(self, q: jax.Array) -> jax.Array:
@@ -74,12 +74,12 @@ class HeavyTop(MechatronicSystem):
 
     def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
         p = q[3:]
-        return jnp.concatenate([self.m * a[:3], self.momentum(p, a[3:]) @ self.turning(p)])
+        return jnp.concatenate([self.m * a[:3], self.about_the_centre(p, a[3:]) @ self.turning(p)])
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         # Of T = (B(p) p')^T J B(p) p'/2: T_p - d/dt T_p' + B^T J B p'' = -2 B(p')^T J B(p) p'.
         p, rate = q[3:], v[3:]
-        gyroscopic = -2 * self.momentum(p, rate) @ self.turning(rate)
+        gyroscopic = -2 * self.about_the_centre(p, rate) @ self.turning(rate)
         return jnp.concatenate([jnp.stack([0.0, 0.0, -self.m * self.g]), gyroscopic])
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
