@@ -44,6 +44,7 @@ class Advice:
         return [
             " ".join(f"{escape_markdown(plain(s))} [↓](#{self.anchor})" for s in own)
             for own in self.paragraphs
+            if own
         ]
 
 
@@ -89,7 +90,8 @@ def _section(
     made = [_on_group(kind, group, scenes, stored, found, words) for group in kind.groups]
     if not kind.groups and _ENERGY in found:
         drifts = energy_drifts(found[_ENERGY].on(scenes))
-        made = [Advice(kind.key, [on_energy(drifts, words)], energy_table(_ENERGY, drifts, words))]
+        said, table = [on_energy(_ENERGY, drifts, words)], energy_table(_ENERGY, drifts, words)
+        made = [Advice(f"{kind.key}-energy", said, table)] if drifts else []
     return Section(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
 
 
@@ -109,4 +111,4 @@ def _on_group(
         return None
     said = [*on_costs(own, words), on_silent_errors(group, runs, words)]
     table = multiples_table(own, runs, words)
-    return Advice(f"{kind.key}-{group}", [paragraph for paragraph in said if paragraph], table)
+    return Advice(f"{kind.key}-{group}", said, table)

@@ -9,8 +9,9 @@ from bench.results.records import counted
 from reports.formatting import number
 from reports.questions.answers import Answer
 from reports.questions.phrases import Part, Sentence, listed, plain
+from reports.questions.question import Question
 from reports.questions.sentences import sentences
-from reports.questions.words import Words, scene_ref
+from reports.questions.words import Words, accuracy, scene_ref
 from reports.series import Series, error_of, step_or_tolerance
 
 #: Of fewer scenes nothing general is said.
@@ -69,8 +70,13 @@ def on_silent_errors(
     ]
 
 
-def on_energy(drifts: Mapping[str, Mapping[str, float]], words: Words) -> list[Sentence]:
-    """Who changes the energy least; ``drifts`` are changes by scene and label."""
+def on_energy(
+    question: Question, drifts: Mapping[str, Mapping[str, float]], words: Words
+) -> list[Sentence]:
+    """Who changes the energy least among the cheapest runs that answer the question.
+
+    ``drifts`` are the changes by scene and label.
+    """
     where: dict[tuple[str, ...], list[Sentence]] = {}
     for scene, own in drifts.items():
         if len(own) > 1:
@@ -81,4 +87,7 @@ def on_energy(drifts: Mapping[str, Mapping[str, float]], words: Words) -> list[S
     parts: list[Part] = []
     for first, own in sorted(where.items(), key=lambda pair: -len(pair[1])):
         parts += ["; " if parts else "", *words.methods(first), " on ", *listed(own, len(own))]
-    return [["The energy changes least with ", *parts, "."]] if parts else []
+    if not parts:
+        return []
+    runs = ["Among the cheapest runs that reach ", *accuracy(question)]
+    return [[*runs, ", the energy changes least with ", *parts, "."]]
