@@ -86,6 +86,8 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     )
     formulation = "index3"
     order = 2
+    #: Steps far below those that q needs would leave rounding of positions, eps/h^2, in a and lam.
+    tested: ClassVar[str] = "q"
 
     alpha: float = option(
         -0.2,
