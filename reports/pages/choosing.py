@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.quantities import NORM, NORM_NAMES
-from reports.pages.templating import escape_markdown, markdown
+from bench.results.records import Environment, counted
+from reports.pages.templating import code, escape_markdown, markdown
 from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import Answer, answers
 from reports.questions.kinds import KINDS, Kind, scenes_of
@@ -26,6 +28,8 @@ from reports.text.table import Table
 
 #: The cost in question: it does not depend on the machine.
 _COST = "operations"
+#: The option of a command that says where its results are.
+_FOLDER = re.compile(r" --out[ =]\S+")
 #: The accuracy of the runs whose energy is compared.
 _ENERGY = Question("q", 1e-2, _COST)
 
@@ -57,6 +61,15 @@ class Section:
     advice: list[Advice]
 
 
+def _measured_with(environment: Environment) -> str:
+    """Date, versions and machine of an invocation, and its command; not the folder it wrote to."""
+    command = _FOLDER.sub("", environment.command)
+    version = environment.versions.get("stepbench", "of unknown version")
+    machine = f"{environment.cpu}, {counted(environment.cores, 'core')}"
+    text = f"{environment.date[:10]}, stepbench {version}, {machine}: "
+    return escape_markdown(text) + " " + code(command)
+
+
 def choosing_in_markdown(folder: Path) -> str:
     """Return the guide in Markdown; every sentence follows from the records of the run folder.
 
@@ -69,6 +82,7 @@ def choosing_in_markdown(folder: Path) -> str:
     return markdown(
         "choosing.md.j2",
         stored=stored,
+        environments=dict.fromkeys(map(_measured_with, stored.environments)),
         sections=sections(stored),
         norm=NORM_NAMES[NORM],
         note=MULTIPLES_NOTE,
