@@ -49,13 +49,14 @@ def test_each_kind_has_its_scenes():
         "loop": scene("loop", "stiff controller states", nq=1, nx=2, ny=1),
         "rod": scene("rod", nq=2, nl=1),
         "top": scene("top", "singular mass", nq=3, nl=1),
+        "twice": scene("twice", "redundant", nq=2, nl=2),
         "long": scene("long", nq=80, nl=40),
     }
     assert {kind.key: scenes_of(kind, scenes) for kind in KINDS} == {
         "smooth": ["free"],
         "stiff": ["stiff", "loop"],
         "constrained": ["rod", "top", "long"],
-        "singular": ["top"],
+        "singular": ["top", "twice"],
         "controlled": ["loop"],
         "large": ["long"],
         "conservative": ["stiff"],

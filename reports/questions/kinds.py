@@ -39,7 +39,12 @@ def _free(scene: SceneRecord) -> bool:
 KINDS = (
     Kind("smooth", "Smooth, no constraints", ("a",), lambda s: _free(s) and not _stiff(s)),
     Kind("stiff", "Stiff, no constraints", ("a",), lambda s: _free(s) and _stiff(s)),
-    Kind("constrained", "Mechanisms with constraints", ("a", "lam"), lambda s: not _free(s)),
+    Kind(
+        "constrained",
+        "Mechanisms with constraints",
+        ("a", "lam"),
+        lambda s: not _free(s) and "redundant" not in s.tags,
+    ),
     Kind(
         "singular",
         "Redundant constraints, singular mass matrix",
