@@ -9,6 +9,7 @@ import pytest
 from planted import STEPS, edited, everything, plant, planted
 
 from bench.results.records import Rows, SceneRecord, endings
+from problems.scenes.pendulum import Pendulum
 from reports.pages.choosing import choosing_in_markdown, sections
 from reports.questions.advice import on_energy, on_scenes, on_silent_errors
 from reports.questions.kinds import KINDS, scenes_of
@@ -61,6 +62,11 @@ def test_each_kind_has_its_scenes():
         "large": ["long"],
         "conservative": ["stiff"],
     }
+
+
+def test_a_constraint_stated_twice_is_redundant():
+    assert "redundant" in Pendulum(copies=2).tags
+    assert "redundant" not in Pendulum().tags
 
 
 @pytest.mark.parametrize("target", [1e-2, 1e-4])
