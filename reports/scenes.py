@@ -6,9 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.records import Environment, Plan, Record
+from bench.results.records import Environment, Plan, Record, SceneRecord
 from bench.results.store import Store
 from reports.series import Series, series_of
+from reports.text.measurement import state_sentence
 
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]
@@ -34,12 +35,21 @@ def scene_titles(keys: Sequence[Key]) -> dict[Key, str]:
 
 @dataclass(frozen=True)
 class StoredRuns:
-    """The runs of a store: ``series`` and ``tags`` by the titles of the scenes."""
+    """The runs of a store: ``series`` and ``scenes`` by the titles of the scenes.
+
+    ``state`` counts runs planned, measured and ended.
+    """
 
     title: str
     series: dict[str, list[Series]]
-    tags: dict[str, list[str]]
+    scenes: dict[str, SceneRecord]
     environments: list[Environment]
+    state: str
+
+    @property
+    def tags(self) -> dict[str, list[str]]:
+        """The tags of the scenes that the store describes."""
+        return {title: scene.tags for title, scene in self.scenes.items()}
 
 
 def stored_runs(folder: Path) -> StoredRuns:
@@ -60,6 +70,7 @@ def stored_runs(folder: Path) -> StoredRuns:
             title: series_of(r for r in records if (r.problem, r.t_end) == key)
             for key, title in titles.items()
         },
-        {title: described[key].tags for key, title in titles.items() if key in described},
+        {title: described[key] for key, title in titles.items() if key in described},
         list(environments.values()),
+        state_sentence(plan, records),
     )

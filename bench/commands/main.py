@@ -56,6 +56,7 @@ for command in (
         results.open_,
         results.figure,
         results.card,
+        results.choose,
     ),
     *(stability.stability, orders_table.orders_table, drift.drift, atlas.atlas, outcome_map.map_),
 ):

@@ -1,4 +1,4 @@
-"""The commands for stored results: `export`, `compare`, `merge`, `open`, `figure` and `card`."""
+"""The commands for stored results: `export`, `compare`, `merge`, `open`, pictures and a guide."""
 
 from __future__ import annotations
 
@@ -251,3 +251,25 @@ def card(
     )
     options.tell_set_aside_of(folder)
     click.echo(f"Card: {written}")
+
+
+@click.command()
+@click.argument("folder", type=PathName("folder"), default=options.RESULTS)
+@options.with_file("File in Markdown; the screen if not given.")
+def choose(folder: Path, out: Path | None) -> None:
+    """Write which integrators the results in FOLDER speak for, by kind of system.
+
+    Each sentence is counted in the runs, and leads to the table of its numbers.
+
+    \b
+    Examples:
+      stepbench choose stepbench-families
+      stepbench choose stepbench-families -o docs/choosing.md
+    """
+    text = view("choosing_in_markdown")(folder)
+    options.tell_set_aside_of(folder)
+    if out:
+        out.write_text(text, encoding="utf-8")
+        click.echo(f"Guide: {out}")
+    else:
+        click.echo(text, nl=False)

@@ -65,7 +65,10 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
     these terms do not decrease, and rises where they do.
 
     With index 3 an error of q of one step's tolerance is one of v of 1/h that size, which does not
-    fall with the steps: v is not tested then.
+    fall with the steps: v is not tested then. A spring so stiff that no step resolves it does the
+    same to v, which is tested there, and orders three to five let its vibration grow where omega h
+    is a few: steps stay near 1/omega, as IDA's do. On a bar of 18124 rad/s both take some 34 000
+    steps for a second at rtol=1e-5, and lose a, which nothing tests.
     """
 
     name: ClassVar[str] = "bdf_adaptive"

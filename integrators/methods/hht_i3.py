@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Negrut et al.: safety, limits of the ratio of steps, and the ratio after Newton's method failed.
 _SAFETY, _SHARPEST, _GROWTH, _AFTER_FAILURE = 0.9, 0.1, 5.0, 0.25
+#: Rounding of positions may be this part of a.
+_ROUNDING = 0.1
 #: Chrono: a step is quick below this number of iterations; so many quick ones double the step.
 _QUICK, _QUICK_STEPS = 3, 5
 
@@ -70,7 +72,8 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         (beta - 1/(6 (1 + alpha))) h^2 (a+ - a)
 
     in the root of mean squares relative to max(1, |q| so far), is below ``--rtol``; the next one
-    has 0.9 h err^(-1/3). The local error alone is held: errors go with rtol^(2/3).
+    has 0.9 h err^(-1/3). The local error alone is held: errors go with rtol^(2/3). A step so small
+    that a, in its unit at least 1, would be rounding of q, eps q/h^2, is not accepted.
     ``control=chrono`` has no error control: a step is halved if Newton's method fails, and doubled
     after five steps of less than three iterations, up to ``--step``, with which it begins. With the
     default ``newton_tol`` hardly a step takes less than three.
@@ -86,6 +89,8 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     )
     formulation = "index3"
     order = 2
+    #: Steps far below those that q needs would leave rounding of positions, eps/h^2, in a and lam.
+    tested: ClassVar[str] = "q"
 
     alpha: float = option(
         -0.2,
@@ -192,9 +197,13 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         alpha = self.alpha
         of_q = ((1 - alpha) ** 2 / 4 - 1 / (6 * (1 + alpha))) * h**2 * (after.a - before.a)
         error = jnp.sqrt(jnp.mean((of_q / after.weights) ** 2)) / tried.rtol
-        accepted = tried.solved & (error <= 1.0)
+        # The test of q is blind to a of so small a step, with which anything passes.
+        rounding = np.finfo(float).eps * jnp.max(after.weights) / h**2
+        solved = tried.solved & (
+            rounding < _ROUNDING * jnp.maximum(1.0, jnp.max(jnp.abs(before.a)))
+        )
         ratio = jnp.clip(_SAFETY * (error + 1e-12) ** (-1 / 3), _SHARPEST, _GROWTH)
-        return Choice(accepted, jnp.where(tried.solved, ratio, _AFTER_FAILURE))
+        return Choice(solved & (error <= 1.0), jnp.where(solved, ratio, _AFTER_FAILURE))
 
 
 def _constant_mass(scene: MechatronicSystem) -> bool:

@@ -209,7 +209,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
 
     def first_step(start: Start, span: Span) -> Time:
-        """Step at which the next term of the Taylor series of q or v reaches the tolerance.
+        """Step at which the next term of the Taylor series of a tested group is the tolerance.
 
         Of methods above order two a later term counts; all have the same scale of time.
         """
@@ -222,8 +222,12 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
 
         norm = jnp.linalg.norm
         speed = jnp.maximum(norm(z.v), _FIRST_PART * length * norm(z.a))
-        h = jnp.minimum(limit(start.jerk / 12, norm(z.q), 3), limit(start.jerk, speed, 2))
-        h = jnp.minimum(h, limit(start.xddot, norm(z.x), 2))
+        limits = {
+            "q": limit(start.jerk / 12, norm(z.q), 3),
+            "v": limit(start.jerk, speed, 2),
+            "x": limit(start.xddot, norm(z.x), 2),
+        }
+        h = jnp.min(jnp.stack([limits[group] for group in program.functions.tested]))
         return jnp.minimum(h, _FIRST_PART * length)
 
     def fitted(h: Time, left: Scalar) -> Time:

@@ -8,7 +8,7 @@ knows its time loop.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from problems.formulations import Start
 from problems.system import MechatronicSystem
@@ -75,6 +75,8 @@ class StepFunctions(ABC):
     # ---- error control; only methods that choose their steps have it -------------------------
     #: Order p of the method; the step controller uses it.
     order: int
+    #: Groups whose errors are tested; the first step follows them alone.
+    tested: ClassVar[str] = "qvx"
 
     @property
     def order_of_estimate(self) -> int:

@@ -32,6 +32,8 @@ class StiffBar(MechatronicSystem):
     difficulties = (
         "an axial frequency of 18124 rad/s beside a period of 2.5 s",
         "the trapezoidal rule gains energy until Newton's method fails",
+        "accelerations are not controlled by tolerances of q and v: they err by half or more until "
+        "the vibration is resolved",
     )
     coordinates = ("x [m]", "y [m]")
     source = "Kuhl & Crisfield (1999), Int. J. Numer. Meth. Engng 45, 569-599"

@@ -38,6 +38,7 @@ RIGHT = {
     "open": ["{store}"],
     "figure": ["{store}", "convergence"],
     "card": ["{store}"],
+    "choose": ["{store}"],
     "stability": ["newmark"],
     "drift": ["pendulum", "newmark"],
     "atlas": ["undamped_index3"],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers import long
@@ -10,6 +12,8 @@ from proofs import SWING, TWO_RODS, orders, radii
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import HHT
 from integrators.methods.hht_i3 import HHTI3
+from integrators.native.step_records import Attempt
+from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrankMinimal
@@ -88,3 +92,23 @@ def test_chronos_rule_does_not_know_of_errors():
     assert np.diff(run.t) == pytest.approx(np.full(10, 0.1))
     with pytest.raises(SpecError, match="no pattern"):
         HHTI3(control="chrono").prepare(Pendulum(), 1.35, Steps(0.1, (0.3, 0.7)))
+
+
+def test_no_step_is_so_small_that_a_is_rounding_of_positions():
+    # The controller's state is 0 at the start: a step that follows it has 2e-8 s at most.
+    scene = DoublePendulumControlled()
+    run = HHTI3().prepare(scene, 0.01, Tolerances(1e-8)).measure()
+    assert run.status == "ok"
+    assert np.finfo(float).eps / np.diff(run.t).min() ** 2 < 1e-6
+    assert abs(run.a[1:] - run.a[0]).max() < 1.0
+
+
+def test_a_step_in_which_rounding_of_q_makes_a_is_not_accepted():
+    def chosen(h, a):
+        before, after = (SimpleNamespace(a=np.array([x]), weights=np.ones(1)) for x in (1.0, a))
+        return HHTI3().choose(Attempt(before, after, h, True, 1e-6))
+
+    assert chosen(1e-6, 2.0).accepted
+    tiny = chosen(1e-10, 1e5)
+    assert not tiny.accepted
+    assert tiny.ratio < 1

@@ -18,13 +18,14 @@
   // Scenes in the order of the groups they belong to: the first filter that has them.
   const grouped = (chosen) => {
     const filters = data.filters.filter((f) => f.id !== "all");
-    if (stepbench.question.scenes !== "all") return [[stepbench.question.scenes, chosen]];
+    const asked = filters.find((f) => f.id === stepbench.question.scenes);
+    if (asked) return [[asked.name, chosen]];
     const left = new Set(chosen), groups = [];
     for (const filter of filters) {
       const own = filter.scenes.filter((k) => left.has(k));
       if (own.length < 2) continue;
       own.forEach((k) => left.delete(k));
-      groups.push([filter.id, own]);
+      groups.push([filter.name, own]);
     }
     if (left.size) groups.push([groups.length ? "others" : "all scenes", [...left]]);
     return groups;

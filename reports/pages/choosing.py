@@ -1,0 +1,128 @@
+"""The guide "Choosing an integrator": advice for each kind of system, from a store alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.records import Environment, counted
+from reports.pages.templating import code, escape_markdown, markdown
+from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.answers import Answer, answers
+from reports.questions.kinds import KINDS, Kind, scenes_of
+from reports.questions.phrases import Sentence, plain
+from reports.questions.question import Question
+from reports.questions.words import Words, words_of
+from reports.ranking import TARGETS
+from reports.scenes import StoredRuns, stored_runs
+from reports.text.choosing_tables import (
+    MULTIPLES_NOTE,
+    energy_drifts,
+    energy_table,
+    multiples_table,
+)
+from reports.text.table import Table
+
+#: The cost in question: it does not depend on the machine.
+_COST = "operations"
+#: The option of a command that says where its results are.
+_FOLDER = re.compile(r" --out[ =]\S+")
+#: The accuracy of the runs whose energy is compared.
+_ENERGY = Question("q", 1e-2, _COST)
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Sentences in paragraphs, and the table of the numbers that they follow from."""
+
+    anchor: str
+    paragraphs: list[list[Sentence]]
+    table: Table
+
+    @property
+    def texts(self) -> list[str]:
+        """The paragraphs in Markdown; each sentence leads to the table."""
+        return [
+            " ".join(f"{escape_markdown(plain(s))} [↓](#{self.anchor})" for s in own)
+            for own in self.paragraphs
+            if own
+        ]
+
+
+@dataclass(frozen=True)
+class Section:
+    """The advice for one kind of system."""
+
+    kind: Kind
+    scenes: str
+    advice: list[Advice]
+
+
+def _measured_with(environment: Environment) -> str:
+    """Date, versions and machine of an invocation, and its command; not the folder it wrote to."""
+    command = _FOLDER.sub("", environment.command)
+    version = environment.versions.get("stepbench", "of unknown version")
+    machine = f"{environment.cpu}, {counted(environment.cores, 'core')}"
+    text = f"{environment.date[:10]}, stepbench {version}, {machine}: "
+    return escape_markdown(text) + " " + code(command)
+
+
+def choosing_in_markdown(folder: Path) -> str:
+    """Return the guide in Markdown; every sentence follows from the records of the run folder.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    """
+    stored = stored_runs(folder)
+    return markdown(
+        "choosing.md.j2",
+        stored=stored,
+        environments=dict.fromkeys(map(_measured_with, stored.environments)),
+        sections=sections(stored),
+        norm=NORM_NAMES[NORM],
+        note=MULTIPLES_NOTE,
+    )
+
+
+def sections(stored: StoredRuns) -> list[Section]:
+    """Return the advice for every kind of system, from the runs of a store."""
+    words = words_of(stored.series, stored.tags)
+    groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
+    found = answers(stored.series, [*groups, _ENERGY.group], TARGETS)
+    return [_section(kind, stored, found, words) for kind in KINDS]
+
+
+def _section(
+    kind: Kind, stored: StoredRuns, found: Mapping[Question, Answer], words: Words
+) -> Section:
+    scenes = [k for k in scenes_of(kind, stored.scenes) if stored.series.get(k)]
+    made = [_on_group(kind, group, scenes, stored, found, words) for group in kind.groups]
+    if not kind.groups and _ENERGY in found:
+        drifts = energy_drifts(found[_ENERGY].on(scenes))
+        said, table = [on_energy(_ENERGY, drifts, words)], energy_table(_ENERGY, drifts, words)
+        made = [Advice(f"{kind.key}-energy", said, table)] if drifts else []
+    return Section(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
+
+
+def _on_group(
+    kind: Kind,
+    group: str,
+    scenes: Sequence[str],
+    stored: StoredRuns,
+    found: Mapping[Question, Answer],
+    words: Words,
+) -> Advice | None:
+    asked = [Question(group, target, _COST) for target in TARGETS]
+    own = [found[question].on(scenes) for question in asked if question in found]
+    having = {name for answer in own for name in (*answer.scenes, *answer.unjudged)}
+    runs = {name: stored.series[name] for name in scenes if name in having}
+    if not runs:
+        return None
+    said = [*on_costs(own, words), on_silent_errors(group, runs, words)]
+    table = multiples_table(own, runs, words)
+    return Advice(f"{kind.key}-{group}", said, table)

@@ -1,0 +1,188 @@
+"""The guide to choosing an integrator: counted again from planted records, and true in words."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from planted import STEPS, edited, everything, plant, planted
+
+from bench.results.records import Rows, SceneRecord, endings
+from problems.scenes.pendulum import Pendulum
+from reports.pages.choosing import choosing_in_markdown, sections
+from reports.questions.advice import on_energy, on_scenes, on_silent_errors
+from reports.questions.kinds import KINDS, scenes_of
+from reports.questions.phrases import plain
+from reports.questions.question import Question
+from reports.questions.words import words_of
+from reports.scenes import stored_runs
+from reports.series import cost_of, series_of
+
+PAGE = Path(__file__).parents[1] / "docs" / "choosing.md"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Path:
+    return plant(tmp_path_factory.mktemp("guide") / "store", everything())
+
+
+def advice(folder: Path, anchor: str):
+    found = {a.anchor: a for s in sections(stored_runs(folder)) for a in s.advice}
+    return found[anchor]
+
+
+def said(folder: Path, anchor: str) -> list[str]:
+    return [plain(s) for paragraph in advice(folder, anchor).paragraphs for s in paragraph]
+
+
+def scene(name: str, *tags: str, **sizes: int) -> SceneRecord:
+    made = {"title": "", "description": "", "source": "", "parameters": [], "components": {}}
+    made |= {"t0": 0.0, "reference_method": "", "reference_error": {}}
+    made |= {"reference": Rows(t=[], values={}), "tags": list(tags), "sizes": sizes}
+    return SceneRecord(problem=name, t_end=1.0, **made)
+
+
+def test_each_kind_has_its_scenes():
+    scenes = {
+        "free": scene("free", "smooth", nq=1),
+        "stiff": scene("stiff", "stiff", "conservative", nq=1),
+        "loop": scene("loop", "stiff controller states", nq=1, nx=2, ny=1),
+        "rod": scene("rod", nq=2, nl=1),
+        "top": scene("top", "singular mass", nq=3, nl=1),
+        "twice": scene("twice", "redundant", nq=2, nl=2),
+        "long": scene("long", nq=80, nl=40),
+    }
+    assert {kind.key: scenes_of(kind, scenes) for kind in KINDS} == {
+        "smooth": ["free"],
+        "stiff": ["stiff", "loop"],
+        "constrained": ["rod", "top", "long"],
+        "singular": ["top", "twice"],
+        "controlled": ["loop"],
+        "large": ["long"],
+        "conservative": ["stiff"],
+    }
+
+
+def test_a_constraint_stated_twice_is_redundant():
+    assert "redundant" in Pendulum(copies=2).tags
+    assert "redundant" not in Pendulum().tags
+
+
+@pytest.mark.parametrize("target", [1e-2, 1e-4])
+def test_the_table_has_the_least_cost_and_its_multiples(store, target):
+    table = advice(store, "constrained-a").table
+    place = [1e-2, 1e-4, 1e-6].index(target)
+    least: dict[str, float] = {}
+    for r in everything():
+        if r.problem == "pendulum" and r.status == "ok" and r.errors["a"]["max"] <= target:
+            least[r.integrator] = min(cost_of(r, "operations"), least.get(r.integrator, 1e99))
+    names = words_of(stored_runs(store).series, {}).names
+    rows = {row[0]: row[1] for row in table.rows}
+    assert rows["least"].split(" · ")[place] == f"{min(least.values()):.0f}"
+    assert least
+    for label, cost in least.items():
+        shown = float(rows[names[label]].split(" · ")[place])
+        assert shown == pytest.approx(cost / min(least.values()), rel=0.05)
+    assert rows["fragile"] == "newton_failed"
+    failed = {row[0]: row[-1] for row in table.rows}
+    assert failed["fragile"] == "2 of 2: newton_failed"
+    assert failed["adaptive"] == "0 of 6"
+
+
+def test_other_numbers_give_other_sentences(store):
+    lead = "To 1e-2 in acceleration (largest over time) on pendulum, {} the fewest operations"
+
+    def dearer(r):
+        if r.integrator.startswith("good"):
+            r.operations = {part: 100 * cost for part, cost in r.operations.items()}
+
+    assert said(store, "constrained-a")[0].startswith(lead.format("good 0.8 and ringing 1 tie for"))
+    changed = said(edited(store, "dearer", dearer), "constrained-a")
+    assert changed[0].startswith(lead.format("ringing 1 takes"))
+
+
+def test_nothing_is_recommended_where_nobody_reaches_it(store):
+    def worse(r):
+        for norms in r.errors.values():
+            norms["max"] = 0.5
+
+    folder = edited(store, "worse", worse)
+    texts = said(folder, "constrained-a")
+    assert any("Nobody reaches 1e-2 in acceleration" in text for text in texts)
+    assert not any("fewest" in text for text in texts)
+    assert any("without a warning" in text and "0.5" in text for text in texts)
+    table = advice(folder, "constrained-a").table
+    assert {row[1] for row in table.rows[1:]} == {"far", "newton_failed"}
+
+
+def test_silent_errors_are_those_of_every_run_that_ended():
+    def runs(name, *errors):
+        return [
+            planted("s", name, {}, h=h, errors={"a": {"max": e}})
+            for h, e in zip(STEPS, errors, strict=False)
+        ]
+
+    failed = planted("s", "open", {}, h=0.1, status="diverged")
+    series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
+    words = words_of({"s": series}, {})
+    (sentence,) = on_silent_errors("a", {"s": series}, words)
+    assert plain(sentence).endswith("in brackets: wrong (s: 0.2 at h=0.05).")
+    assert on_silent_errors("lam", {"s": series}, words) == []
+
+
+def test_energies_that_change_by_rounding_tie():
+    series = series_of([planted("s", name, {}, h=0.1) for name in ("one", "two", "three")])
+    words = words_of({"s": series}, {})
+    drifts = {"s": {"one": 1e-15, "two": 3e-14, "three": 1e-3}, "t": {"one": 2e-3, "three": 1e-3}}
+    question = Question("q", 1e-2, "operations")
+    (sentence,) = on_energy(question, drifts, words)
+    assert plain(sentence) == (
+        "Among the cheapest runs that reach 1e-2 in position (largest over time), the energy "
+        "changes least with one and two on s (below 1e-12); three on t (0.001)."
+    )
+    assert on_energy(question, {"s": {"one": 1e-3}}, words) == []
+
+
+def test_few_scenes_are_called_few():
+    assert plain(on_scenes([])) == "The run has no scene of this kind."
+    assert plain(on_scenes(["s"])).endswith("Of 1 scene alone nothing general follows.")
+    assert "nothing" not in plain(on_scenes(["s", "t", "u"]))
+
+
+def each_sentence_leads_to_a_table(text: str) -> int:
+    named = re.findall(r'<a id="([\w-]+)">', text)
+    anchors = set(named)
+    assert len(anchors) == len(named)
+    lines = [line for line in text.splitlines() if "[↓]" in line]
+    for line in lines:
+        assert line.startswith("- ")
+        assert line.endswith(")")
+        assert set(re.findall(r"\[↓\]\(#([\w-]+)\)", line)) <= anchors
+    assert {kind.key for kind in KINDS} <= anchors
+    return len(lines)
+
+
+def test_the_page_names_its_run_and_every_sentence_leads_to_a_table(store):
+    text = choosing_in_markdown(store)
+    for words in ("2025-03-01", "Model 1, 8 cores", "`stepbench run planted`"):
+        assert words in text
+    assert f"planned runs measured: {endings(everything())}." in text
+    assert each_sentence_leads_to_a_table(text) > 5
+
+
+def test_the_page_of_the_documents_is_one():
+    text = PAGE.read_text(encoding="utf-8")
+    assert each_sentence_leads_to_a_table(text) > 15
+    assert re.search(r"\d+ planned runs measured: \d+ ok", text)
+    assert re.search(r"\d{4}-\d\d-\d\d, stepbench \d\S+, .+ cores: `stepbench run families", text)
+    assert text.count("stepbench choose") >= 1
+
+
+def test_the_command_writes_the_guide(store, stepbench, tmp_path):
+    shown = stepbench("choose", store)
+    assert shown.exit_code == 0
+    assert shown.stdout == choosing_in_markdown(store)
+    written = stepbench("choose", store, "-o", tmp_path / "guide.md")
+    assert "Guide:" in written.stdout
+    assert (tmp_path / "guide.md").read_text(encoding="utf-8") == shown.stdout
