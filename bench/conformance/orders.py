@@ -139,8 +139,8 @@ def _shown(levels: Levels, floor: float, claimed: int) -> bool:
     if _at_round_off(levels, floor):
         return True
     order = _fit(levels, floor, claimed).order
-    small = claimed <= _LOW and levels[-1][1] < _SMALL
-    return small and order is not None and abs(order - claimed) <= _SPREAD
+    small = levels[-1][1] < _SMALL
+    return small and order is not None and abs(order - claimed) <= _allowed(claimed)
 
 
 def _allowed(claimed: int) -> float:

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
+#: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old
+#: tangent leaves behind has no direction of its own, as rounding has, and adds up along the motion.
+_ROUNDED = 0.1
 #: The stages' polynomial gives the next guess if it would have left at most this part of the last
 #: change; see `integrators.native.guesses`.
 _SMOOTH = 0.1
@@ -221,11 +224,19 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         ahead = r.weights(1 + h / state.h * r.c) @ state.stages
         guess = jnp.where(state.smooth, ahead, held)
         # Positions and velocities round, and the scaled rows turn this into errors of b.
-        of_q = _EPS * largest(now.q, 1.0) / h**2 * abs(np.linalg.inv(of_b)).sum(axis=1).max()
-        of_v = _EPS * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
-        error = of_q if self.formulation == "index3" else of_v
-        error = error if scene.sizes.nl else 0.0
-        rounding = (error, error * formulations.largest_inertia(scene, now.q), of_q, 0.0, 0.0)
+        of_q = (
+            _ROUNDED
+            * _EPS
+            * largest(now.q, 1.0)
+            / h**2
+            * abs(np.linalg.inv(of_b)).sum(axis=1).max()
+        )
+        of_v = _ROUNDED * _EPS * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
+        of_a = of_q if self.formulation == "index3" else of_v
+        of_a = of_a if scene.sizes.nl else 0.0
+        # In the stabilised form positions round b, too, and mu takes this out of a.
+        error = of_q if n_mu else of_a
+        rounding = (error, of_a * formulations.largest_inertia(scene, now.q), of_q, 0.0, 0.0)
         u = work.solve(
             residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
             split=StageTangents(r.a, tangents), evaluations=s,

@@ -246,3 +246,11 @@ def test_multipliers_can_be_tested_too(formulation):
     one, two = (m.prepare(Pendulum(), 1.35, Tolerances(1e-6)).measure() for m in (states, every))
     assert two.status == "ok"
     assert two.work.steps >= one.work.steps
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("formulation", ["index3", "index2", "stabilised_index2"])
+def test_modified_newton_keeps_its_tangent_over_steps(formulation):
+    method = RadauIIA(formulation=formulation, steps="constant", newton="modified")
+    work = method.prepare(DoublePendulum(), 0.1, Steps(0.002)).measure().work
+    assert work.factorisations < 0.3 * work.steps
