@@ -16,6 +16,7 @@ from integrators.native.step_work import EquationsFinder
 from problems import MechatronicSystem, State, jax, jnp
 from problems.initial_values import consistent_start
 from problems.reference import Reference
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
