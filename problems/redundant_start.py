@@ -58,7 +58,7 @@ def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
     """The number of constraints that depend on the others at q and t (s)."""
     if not scene.sizes.nl:
         return 0
-    rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, t))(jnp.asarray(q)))
+    rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, jnp.asarray(t)))(jnp.asarray(q)))
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     unit = np.divide(rows, sizes, out=np.zeros_like(rows), where=sizes > 0)
     if not np.isfinite(unit).all():
