@@ -15,6 +15,8 @@ from problems.system import MechatronicSystem, State, Variables
 #: Singular values and residuals below this part of the largest one are zero.
 _ZERO = 1e-10
 _MOST_ITERATIONS = 20
+#: Beyond this condition of the constraints' derivatives, lines of size one, no digit is left.
+_REGULAR = 1e-13
 
 
 def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | None:
@@ -50,6 +52,18 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | Non
     _, xddot = derivatives(p, (u, *known), (rate, *motion))
     z = Variables(*map(jnp.asarray, (state.q, state.v, a, lam, state.x, y, t)))
     return Start(z, xdot, jnp.asarray(rate[:nq]), xddot)
+
+
+def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
+    """The number of constraints that depend on the others at q and t (s)."""
+    if not scene.sizes.nl:
+        return 0
+    rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, jnp.asarray(t)))(jnp.asarray(q)))
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    unit = np.divide(rows, sizes, out=np.zeros_like(rows), where=sizes > 0)
+    if not np.isfinite(unit).all():
+        return 0
+    return scene.sizes.nl - int((np.linalg.svd(unit, compute_uv=False) > _REGULAR).sum())
 
 
 @cache

@@ -15,14 +15,17 @@ from integrators.answers import refusal
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.system import MechatronicSystem
 
-#: A measured order may be smaller than the claimed one by this, or by this part of it ...
+#: A measured order may differ from the claimed one by this, or by this part of it ...
 _SPREAD, _PART = 0.2, 0.06
-#: ... and the claimed one smaller by this than what is measured on every scene.
-_MODEST = 0.5
+#: ... and be larger on every scene by this more.
+_MODEST = 0.3
 #: Errors of higher orders fall to round-off within three halvings, too few for the rule of
 #: `bench.results.orders`: their last steps count alone, if these slopes agree.
 _LOW, _LAST_POINTS, _AGREEMENT = 4, 4, 0.75
-_NORM = "settled"
+#: Errors of higher orders count over the whole run. In a part of it the first two terms of an error
+#: may nearly cancel: v of dopri8 with projection shows 7.5 in the pendulum's last quarter, and in
+#: 40 digits 7.5, 7.8 and more, but 8 only below round-off.
+_NORM, _NORM_OF_HIGH = "settled", "max"
 _FEWEST, _MOST = 8, 4096
 #: Below this an error shows the asymptotic order, and no coarser step has to be asked.
 _SMALL = 1e-4
@@ -42,7 +45,7 @@ Levels = list[tuple[float, float]]
 
 
 def check_order(method: Integrator, trials: list[Trial]) -> str:
-    """The order in every group is at least the claimed one, after the start transient.
+    """The order in every group is at least the claimed one; up to 4 after the start transient.
 
     On some scene the order is not more than half an order larger: a claim is not too modest. A
     single scene may show more than a method has.
@@ -82,7 +85,7 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
             found.append(f"{_words(seen)} on {scene.spec}")
     for (group, claimed), measured in orders.items():
         least, name = min(measured)
-        if least > claimed + _MODEST:
+        if least > claimed + _allowed(claimed) + _MODEST:
             faults.append(f"claims only order {claimed} in {group}, is {least:.2f} ({name})")
     if faults:
         raise Failed(f"It {'; '.join(faults)}; correct `orders` or the method.")
@@ -113,9 +116,10 @@ def _refine(
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
         if not trouble:  # coarse steps may be too coarse
             errors, own, *_ = relative_errors(run, known)
-            for group in claims:
-                error = errors[group][_NORM]
-                floors[group] = max(floors[group], own[group][_NORM])
+            for group, claimed in claims.items():
+                norm = _NORM if claimed <= _LOW else _NORM_OF_HIGH
+                error = errors[group][norm]
+                floors[group] = max(floors[group], own[group][norm])
                 levels[group].append((length / steps, math.inf if error is None else error))
             if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
                 return levels, floors
@@ -135,8 +139,8 @@ def _shown(levels: Levels, floor: float, claimed: int) -> bool:
     if _at_round_off(levels, floor):
         return True
     order = _fit(levels, floor, claimed).order
-    small = claimed <= _LOW and levels[-1][1] < _SMALL
-    return small and order is not None and abs(order - claimed) <= _SPREAD
+    small = levels[-1][1] < _SMALL
+    return small and order is not None and abs(order - claimed) <= _allowed(claimed)
 
 
 def _allowed(claimed: int) -> float:

@@ -52,6 +52,9 @@ class Oscillator(LinearSystem):
     def force(self, q: Any, v: Any, t: Any) -> Any:
         return -q - 2 * self.zeta * v
 
+    def energy(self, q: Any, v: Any) -> Any:
+        return (q @ q + v @ v) / 2  # conserved without damping
+
 
 @dataclass(frozen=True)
 class Relaxation(LinearSystem):

@@ -74,6 +74,10 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         high=1e10,
     )
 
+    @property
+    def takes_redundant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.values == "own"
+
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         # A controller sees a before its projection, where it is of first order.
         controlled = scene.has("state_rate") or scene.has("output")

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
+#: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old
+#: tangent leaves behind points the same way in every step and adds up, which rounding does not.
+_ROUNDED = 0.1
 #: The stages' polynomial gives the next guess if it would have left at most this part of the last
 #: change; see `integrators.native.guesses`.
 _SMOOTH = 0.1
@@ -221,8 +224,9 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         ahead = r.weights(1 + h / state.h * r.c) @ state.stages
         guess = jnp.where(state.smooth, ahead, held)
         # Positions and velocities round, and the scaled rows turn this into errors of b.
-        of_q = _EPS * largest(now.q, 1.0) / h**2 * abs(np.linalg.inv(of_b)).sum(axis=1).max()
-        of_v = _EPS * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
+        eps = _ROUNDED * _EPS
+        of_q = eps * largest(now.q, 1.0) / h**2 * abs(np.linalg.inv(of_b)).sum(axis=1).max()
+        of_v = eps * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
         # b follows positions but in index 2; what they round cancels in a of the stabilised form.
         first = of_v if self.formulation == "index2" else of_q
         of_a = of_q if self.formulation == "index3" else of_v

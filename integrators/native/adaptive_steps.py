@@ -139,11 +139,12 @@ class AdaptiveRun(PreparedRun):
                 parts.append(spread)
                 break
         ending, t, *counts = end
-        status, message = Ending(int(ending)).outcome(
-            float(t), float(self._span.t_end), int(self._span.max_steps)
-        )
         rows = in_order(np.concatenate([*parts, last[None]]))
         values = with_start(self._start, rows[:, 1:], self._noted)
+        ended = self._program.cause(Ending(int(ending)), self._scene, values)
+        status, message = ended.outcome(
+            float(t), float(self._span.t_end), int(self._span.max_steps)
+        )
         work = Work(*map(int, counts))
         return Trajectory(**values, status=status, message=message, work=work)
 

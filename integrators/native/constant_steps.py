@@ -110,9 +110,10 @@ class ConstantStepsRun(PreparedRun):
                 break
         ending, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
-        status, message = Ending(int(ending)).outcome(float(t), self._t_end)
         rows = np.concatenate(parts)
         values = with_start(self._start, rows[:, 1:], self._noted)
+        ended = self._program.cause(Ending(int(ending)), self._scene, values)
+        status, message = ended.outcome(float(t), self._t_end)
         numbers: Any = rows[:, 0].astype(int) - 1  # all at once
         _, sizes = step_times(self._clock, numbers)
         values["notes"].setdefault("h", np.append(np.nan, sizes))

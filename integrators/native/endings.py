@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from problems.redundant_start import missing_rank
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray
 
 
 class Ending(IntEnum):
@@ -18,6 +26,13 @@ class Ending(IntEnum):
     NEWTON_KEPT_FAILING = 5
     NOT_FINITE = 6
     UNBOUNDED = 7
+    #: Found after the run: a step failed where constraints depend on each other.
+    SINGULAR = 8
+
+    def with_cause(self, scene: MechatronicSystem, q: Float[ndarray, " nq"], t: float) -> Ending:
+        """`SINGULAR` in the place of a failed step from coordinates q at t (s) with dependent
+        constraints; no smaller step helps there."""
+        return Ending.SINGULAR if self in _FAILED_STEPS and missing_rank(scene, q, t) else self
 
     def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
         """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.
@@ -33,6 +48,12 @@ class Ending(IntEnum):
         return status, text.format(t=t, t_end=t_end, max_steps=max_steps)
 
 
+_FAILED_STEPS = (
+    Ending.NEWTON_FAILED,
+    Ending.DIVERGED,
+    Ending.NEWTON_KEPT_FAILING,
+    Ending.NOT_FINITE,
+)
 _ENDED = "Ended at t={t:.6g} s of {t_end:g} s: "
 _OUTCOMES = {
     Ending.OK: ("ok", ""),
@@ -69,5 +90,10 @@ _OUTCOMES = {
         "diverged",
         _ENDED + "the solution grew beyond all bounds; use a smaller rtol or check the scene's "
         "forces.",
+    ),
+    Ending.SINGULAR: (
+        "newton_failed",
+        "The tangent is singular at t={t:.6g} s: constraints depend on each other (redundant, or "
+        "at a singular position); use ali3p, or drop dependent constraints from the scene.",
     ),
 }

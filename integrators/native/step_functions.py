@@ -34,6 +34,9 @@ class StepFunctions(ABC):
     ``jax.numpy``; sizes are those of ``scene.sizes``.
     """
 
+    #: True if redundant constraints are no obstacle to a step.
+    takes_redundant: bool = False
+
     @abstractmethod
     def with_numbers(self, numbers: Any) -> Self:
         """A copy that holds these numbers, a pytree of floats, which may be traced."""

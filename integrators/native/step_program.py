@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.native import klu
+from integrators.native.endings import Ending
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Attempt, Choice, Errors, Reading, StepReport
@@ -97,6 +98,12 @@ class StepProgram:
     def read(self, scene: MechatronicSystem, state: Any) -> Reading:
         """The variables of a state."""
         return self.functions.read(scene, self._of_method(state))
+
+    def cause(self, ending: Ending, scene: MechatronicSystem, rows: dict[str, Any]) -> Ending:
+        """The true name of an ending, from the rows before it."""
+        if self.functions.takes_redundant:
+            return ending
+        return ending.with_cause(scene, rows["q"][-1], float(rows["t"][-1]))
 
     def estimate(self, numbers: Numbers, before: Any, after: Any, h: Time) -> Errors:
         """Estimated errors of the step from one state to the next."""

@@ -16,6 +16,7 @@ from integrators.native.step_work import EquationsFinder
 from problems import MechatronicSystem, State, jax, jnp
 from problems.initial_values import consistent_start
 from problems.reference import Reference
+from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
@@ -256,3 +257,11 @@ def test_the_stabilised_form_keeps_its_tangents_at_small_steps():
     assert run.status == "ok"
     assert run.work.factorisations < 0.2 * run.work.steps
     assert run.work.residuals < 15 * run.work.steps
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("formulation", ["index3", "index2", "stabilised_index2"])
+def test_modified_newton_keeps_its_tangent_over_steps(formulation):
+    method = RadauIIA(formulation=formulation, steps="constant", newton="modified")
+    work = method.prepare(DoublePendulum(), 0.1, Steps(0.002)).measure().work
+    assert work.factorisations < 0.3 * work.steps
