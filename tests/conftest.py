@@ -100,3 +100,21 @@ def stepbench():
         return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
     return call
+
+
+@pytest.fixture
+def without_processes(monkeypatch):
+    """Do jobs of commands in this process; for commands that are refused before they compute."""
+    from bench.guard import process
+    from bench.running import worker
+    from problems.plain_text import said
+    from problems.spec import SpecError
+
+    def ask_here(about, prepare, arguments, limits, job, *given):
+        try:
+            return job(prepare(lambda phase, words: None, *arguments), *given)
+        except SpecError as error:
+            raise SpecError(f"{said(error)}.") from None
+
+    monkeypatch.setattr(process, "ask_once", ask_here)
+    monkeypatch.setattr(worker, "one_thread", lambda: None)

@@ -301,6 +301,7 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
         (["pendulum", "newmark[beta=0]", "--ensemble", "3", "--vary", "g:1..2"], "does not take"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("without_processes")
 def test_it_refuses_in_one_sentence(stepbench, arguments, words):
     result = stepbench("solve", *arguments)
     assert result.exit_code != 0
