@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import subprocess
-import sys
 
 import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
@@ -52,14 +50,11 @@ def folder(tmp_path_factory):
     return path
 
 
-def invoke(folder) -> str:
-    command = [sys.executable, "-m", "bench", "run", str(folder / "profile.toml")]
-    command += ["--out", str(folder / "out"), "--jobs", "1"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stderr
-
-
-def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(folder):
-    assert "damping" in invoke(folder)
+def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(stepbench, folder):
+    command = "run", folder / "profile.toml", "--out", folder / "out", "--jobs", 1
+    result = stepbench(*command)
+    assert result.exit_code == 0, result.output
+    assert "damping" in result.stderr
     with Store(folder / "out") as store:
         known, scenes, records = store.damping(), store.scenes(), store.records()
     newmark = known["newmark[beta=0.25,gamma=0.5]"]
@@ -79,7 +74,7 @@ def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(fold
     assert damped.radius[0] == pytest.approx(math.exp(-damped.ratio[0] * angle), rel=1e-12)
     assert 1e-7 < damped.ratio[0] < 1e-4
     assert len(known) == 2  # not ida, which chooses its steps
-    assert "damping" not in invoke(folder)
+    assert "damping" not in stepbench(*command).stderr
     with Store(folder / "out") as store:
         assert store.damping() == known
 
