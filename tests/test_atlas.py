@@ -31,7 +31,7 @@ NAMES = list(built_in_experiments())
 LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_acceleration"}
 LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
 LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
-LONG |= {"no_error_control", "variable_steps"}
+LONG |= {"no_error_control", "variable_steps", "undamped_index3"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure

@@ -8,6 +8,7 @@ import shutil
 import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
 
+from bench.commands.suite import run_suite
 from bench.guard.limits import Limits
 from bench.results.records import Damping, Rows, SceneRecord
 from bench.results.store import Store
@@ -50,11 +51,11 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(stepbench, folder):
-    command = "run", folder / "profile.toml", "--out", folder / "out", "--jobs", 1
-    result = stepbench(*command)
-    assert result.exit_code == 0, result.output
-    assert "damping" in result.stderr
+def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(folder, capsys):
+    registry = Inventory()
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    run_suite(suite, registry, folder / "out", jobs=1)
+    assert "damping" in capsys.readouterr().err
     with Store(folder / "out") as store:
         known, scenes, records = store.damping(), store.scenes(), store.records()
     newmark = known["newmark[beta=0.25,gamma=0.5]"]
@@ -74,7 +75,8 @@ def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(step
     assert damped.radius[0] == pytest.approx(math.exp(-damped.ratio[0] * angle), rel=1e-12)
     assert 1e-7 < damped.ratio[0] < 1e-4
     assert len(known) == 2  # not ida, which chooses its steps
-    assert "damping" not in stepbench(*command).stderr
+    run_suite(suite, registry, folder / "out", jobs=1)
+    assert "damping" not in capsys.readouterr().err
     with Store(folder / "out") as store:
         assert store.damping() == known
 

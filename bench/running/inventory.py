@@ -80,9 +80,7 @@ class Inventory:
         self._printed = printed
         self.files = plugin_files(paths)
         packages = {
-            package_of(entry)
-            for kind in KINDS
-            for entry in entry_points(group=f"stepbench.{kind}")
+            package_of(entry) for kind in KINDS for entry in entry_points(group=f"stepbench.{kind}")
         }
         self._sources = Sources(frozenset(self.files), frozenset(packages - {PROJECT}))
         self._own = Registry(packages=())
