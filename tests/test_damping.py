@@ -84,6 +84,8 @@ def test_a_run_analyses_its_methods_once_at_the_frequencies_of_their_scenes(fold
 def test_the_page_shows_what_the_run_found(folder):
     with Store(folder / "out") as store:
         found = store.damping()["generalized_alpha[rho_inf=0.5]"]
+    for write in (write_html_report, write_markdown_report):
+        write(folder / "out")
     page = Document(whole_report(folder / "out"))
     rows = page.rows("Damping and period error of the method itself")
     (cell,) = [r["gα 0.5"] for r in rows if "duffing" in r["scene"]]
