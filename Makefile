@@ -2,9 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 # Hundreds of processes load the same modules: they are compiled once, also where the user's
-# environment says otherwise.
+# environment says otherwise; those of libraries were, when they were installed.
 export PYTHONDONTWRITEBYTECODE :=
-export PYTHONPYCACHEPREFIX := $(CURDIR)/.cache/pycache
+export PYTHONPYCACHEPREFIX :=
 
 TESTS := $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 

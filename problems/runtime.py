@@ -45,6 +45,8 @@ _SETTINGS = {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     "XLA_FLAGS": " ".join(_FLAGS),
+    # Places in the source of each operation, for dumps of programs, take a tenth of compiling.
+    "JAX_TRACEBACK_IN_LOCATIONS_LIMIT": "0",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.

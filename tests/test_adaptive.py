@@ -18,7 +18,7 @@ from integrators.methods.generalized_alpha_adaptive import (
     GeneralizedAlphaAdaptive,
 )
 from integrators.native.constant_steps import ROW_SLOTS
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.reference import Reference
@@ -76,10 +76,11 @@ def local_errors(method, scene, ratios, h):
     program, numbers = method.program(scene)
     start = consistent_start(scene)
     p, rate = scene.parameters(), compiled(scene).ode
+    step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])
     t, state, pairs = scene.interval[0], program.begin(scene, numbers, start, jnp.asarray(h)), []
     for ratio in ratios:
         h *= ratio
-        new, _ = program.step(scene, numbers, state, t + h, jnp.asarray(h))
+        new = step(state, t + h, h)
         estimated = program.estimate(numbers, state, new, h)
         old, now = program.read(scene, state), program.read(scene, new)
         s0 = np.concatenate([old.q, old.v, old.x])

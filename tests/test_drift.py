@@ -119,6 +119,7 @@ def test_a_run_that_fails_is_told_beside_the_others(stepbench, tmp_path):
         (["nomark"], "newmark"),
     ],
 )
+@pytest.mark.usefixtures("without_processes")
 def test_wrong_input_is_refused_in_a_sentence(stepbench, more, words):
     result = stepbench("drift", "oscillator", *more)
     assert result.exit_code != 0

@@ -85,6 +85,7 @@ def test_an_animation_has_all_it_needs_in_one_file(stepbench, tmp_path):
         (["pendulum", "-o", "no/such/folder/x.svg"], "there is no folder"),
     ],
 )
+@pytest.mark.usefixtures("without_processes")
 def test_show_refuses_in_one_sentence(stepbench, arguments, words):
     result = stepbench("show", *arguments)
     assert result.exit_code != 0

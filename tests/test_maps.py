@@ -272,6 +272,7 @@ def test_ticks_stand_at_the_middle_of_their_point(side, places):
          "rtol=-1 is not allowed"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("without_processes")
 def test_it_refuses_in_one_sentence(stepbench, arguments, words):
     result = stepbench("map", *arguments)
     assert result.exit_code != 0

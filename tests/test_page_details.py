@@ -108,3 +108,14 @@ def test_a_part_of_the_atlas_without_a_sweep_shows_its_numbers():
     assert "'type': 'log'" in str(chart)
     assert "'type': 'log'" not in str(chart_of(0.0, 1.0))
     assert chart_of(None) is None
+
+
+def test_a_page_holds_nothing_of_the_page_before(tmp_path):
+    # Templates are compiled once, though each page has addresses and first terms of its own.
+    plant(tmp_path, everything())
+    reports = []
+    for _ in range(2):
+        write_html_report(tmp_path)
+        reports.append({page.name: page.read_bytes() for page in tmp_path.rglob("*.html")})
+    assert len(reports[0]) > 10
+    assert reports[0] == reports[1]

@@ -135,6 +135,7 @@ def test_other_systems_have_radii(stepbench, system):
         ([], "Missing argument"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("without_processes")
 def test_it_refuses_in_one_sentence(stepbench, arguments, words):
     result = stepbench("stability", *arguments)
     assert result.exit_code != 0

@@ -80,7 +80,7 @@ def test_workers_that_are_expected_load_while_it_is_decided_what_they_do():
     ("integrator", "first", "others"),
     [
         ("generalized_alpha[rho_inf=0.5]", Steps(0.05), [Steps(0.1), Steps(0.2, (0.3, 0.7))]),
-        ("kvaerno5", Tolerances(1e-3), [Tolerances(1e-5)]),
+        *long(("kvaerno5", Tolerances(1e-3), [Tolerances(1e-5)])),
         ("ida", Tolerances(1e-3), [Tolerances(1e-5)]),
     ],
 )

@@ -105,7 +105,7 @@ class Registry:
         self._without = without or {}
         for kind in KINDS:
             for entry in sorted(entry_points(group=f"stepbench.{kind}"), key=lambda e: e.name):
-                package = entry.dist.name if entry.dist else entry.value
+                package = package_of(entry)
                 own = package == PROJECT
                 if own or packages is None or package in packages:
                     if not own:
@@ -183,7 +183,7 @@ class Registry:
                 self._add(kind, _broken(file, reason))
 
     def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
-        origin = _package(entry.dist) if entry.dist else entry.value
+        origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value
         if reason := self._without.get(package):
             return Plugin(entry.name, origin, None, reason, package=package)
         plugin = checked_plugin(kind, entry.name, origin, entry.load)
@@ -262,9 +262,14 @@ def _kind_of(cls: Any, module: str) -> str | None:
     return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
 
+def package_of(entry: Any) -> str:
+    """Return the name of the package that an entry point belongs to."""
+    return _name_and_version(entry.dist)[0] if entry.dist else entry.value
+
+
 @cache  # a package reads its metadata anew each time, and has many entry points
-def _package(dist: Any) -> str:
-    return f"{dist.name} {dist.version}"
+def _name_and_version(dist: Any) -> tuple[str, str]:
+    return dist.name, dist.version
 
 
 def checked_plugin(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:

@@ -21,7 +21,14 @@ from bench.guard.serve import Notify
 from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
 from bench.plugins.reasons import PluginError
-from bench.plugins.registry import KINDS, PROJECT, Registry, plugin_files, taken_name
+from bench.plugins.registry import (
+    KINDS,
+    PROJECT,
+    Registry,
+    package_of,
+    plugin_files,
+    taken_name,
+)
 from bench.results.records import INTERRUPTED
 from problems import spec
 from problems.spec import SpecError
@@ -73,9 +80,7 @@ class Inventory:
         self._printed = printed
         self.files = plugin_files(paths)
         packages = {
-            entry.dist.name if entry.dist else entry.value
-            for kind in KINDS
-            for entry in entry_points(group=f"stepbench.{kind}")
+            package_of(entry) for kind in KINDS for entry in entry_points(group=f"stepbench.{kind}")
         }
         self._sources = Sources(frozenset(self.files), frozenset(packages - {PROJECT}))
         self._own = Registry(packages=())

@@ -8,8 +8,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 from types import MappingProxyType
+from typing import Any
 
 import jinja2
+from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from problems.plain_text import clean
@@ -87,7 +89,7 @@ def html(
         "address": address or "#{}".format,
     }
     environment.filters |= {
-        "prose": _prose(address) if address else _doi,
+        "prose": _when_rendered(_prose(address) if address else _doi),
         "doi": _doi,
         "file_name": file_name,
         "whole": whole,
@@ -162,16 +164,39 @@ def markdown(name: str, names: Mapping[str, str] = MappingProxyType({}), **value
     environment.filters |= {
         "md": escape_markdown,
         "code": code,
-        "name": lambda key: _named(key, names),
-        "table": lambda table: markdown_table(table, names),
+        "name": _when_rendered(lambda key: _named(key, names)),
+        "table": _when_rendered(lambda table: markdown_table(table, names)),
     }
     text = clean(environment.get_template(name).render(**values))
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
+def _when_rendered(one: Callable[[Any], object]) -> Callable[[object, Any], object]:
+    """A filter that differs between pages: a template is not compiled with its results."""
+    return jinja2.pass_context(lambda _, value: one(value))
+
+
+class _CompiledOnce(jinja2.BytecodeCache):
+    """Templates that this process has compiled: each page has an environment of its own."""
+
+    def __init__(self) -> None:
+        self._code: dict[tuple[str, str], Any] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        bucket.code = self._code.get((bucket.key, bucket.checksum))
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self._code[bucket.key, bucket.checksum] = bucket.code
+
+
+#: Compiled templates, with and without automatic escapes.
+_COMPILED = {True: _CompiledOnce(), False: _CompiledOnce()}
+
+
 def _environment(autoescape: bool) -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports.pages"),
+        bytecode_cache=_COMPILED[autoescape],
         autoescape=autoescape,
         trim_blocks=True,
         lstrip_blocks=True,

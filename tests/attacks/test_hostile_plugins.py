@@ -83,7 +83,7 @@ def command(folder: Path, *arguments: object, mark: str) -> tuple[int, str]:
     return done.returncode, output
 
 
-def run(folder: Path, names: Sequence[str], samples: int) -> Run:
+def run(folder: Path, names: Sequence[str], samples: int, jobs: int) -> Run:
     """Run hostile plugins beside the controls."""
     plugins, out, mark = folder / "plugins", folder / "out", secrets.token_hex(8)
     plugins.mkdir()
@@ -98,7 +98,7 @@ def run(folder: Path, names: Sequence[str], samples: int) -> Run:
         if problems and integrators
     ]
     (folder / "profile.toml").write_text("".join([HEAD.format(samples), CONTROLS, *studies]))
-    options = ("--out", out, "--jobs", 8, "--plugins", plugins)
+    options = ("--out", out, "--jobs", jobs, "--plugins", plugins)
     code, output = command(folder, "run", "profile.toml", *options, mark=mark)
     given_up = time.monotonic() + 2.0
     while (left := processes(mark)) and time.monotonic() < given_up:
@@ -134,7 +134,8 @@ def runs(tmp_path_factory):
     def of(group: str) -> Run:
         if group not in made:
             names = [n for n, p in ALL.items() if p.group == group] if group else hostile.QUICK
-            made[group] = run(tmp_path_factory.mktemp("run"), names, 2 if group else 0)
+            samples, jobs = (2, 8) if group else (0, 2)
+            made[group] = run(tmp_path_factory.mktemp("run"), names, samples, jobs)
         return made[group]
 
     return of

@@ -53,7 +53,7 @@ def test_it_has_the_spectrum_of_the_trapezoidal_rule():
     assert radii(ALI3P()) == pytest.approx([1.0] * 4, abs=1e-12)
 
 
-@pytest.mark.parametrize("scene", [Doubled(), Restated()], ids=["doubled", "restated"])
+@pytest.mark.parametrize("scene", [Doubled(), *long(Restated())], ids=["doubled", "restated"])
 @pytest.mark.parametrize("newton", ["full", *long("modified")])
 def test_redundant_constraints_leave_the_motion_as_it_is(scene, newton):
     one, two = (run(ALI3P(newton=newton), s) for s in (Pendulum(), scene))
