@@ -14,9 +14,9 @@ import numpy as np
 from integrators.contract import Integrator, Steps, Tolerances
 from integrators.kept_rows import spread_rows
 from integrators.native import adaptive_steps, constant_steps
-from integrators.native.adaptive_steps import Span
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel
+from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import StepReport
 from problems.system import MechatronicSystem

@@ -87,7 +87,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
 
     @property
     def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The order whose tolerance local errors have; see `integrators.native.adaptive_steps`."""
+        """The order whose tolerance local errors have; see `integrators.native.step_control`."""
         return min(4, self.max_order)
 
     @property

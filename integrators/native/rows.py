@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -12,15 +12,49 @@ from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 #: A run whose q or v has grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
+#: Rows of one run among many, besides the first: they are spread over the run.
+_SPREAD_SLOTS = 400
 
 
 def flat(reading: Reading) -> Float[Array, " n"]:
     """All numbers of a reading in one array."""
     return jnp.concatenate([jnp.atleast_1d(part) for part in jax.tree.leaves(reading)])
+
+
+class SpreadRows(NamedTuple):
+    """Rows of a run with an unknown number of steps: wanted ones in order, others spread over it.
+
+    When the spread is full, every other row of it is dropped and the stride doubles.
+    """
+
+    early: Float[Array, "e n"]
+    spread: Float[Array, "s n"]
+    stride: Int[Array, ""]
+
+    @classmethod
+    def empty(cls, slots: int, width: int, spread: bool) -> Self:
+        """Room for ``slots`` rows in order, and for a spread if wanted."""
+        room = _SPREAD_SLOTS if spread else 0
+        return cls(jnp.zeros((slots, width)), jnp.zeros((room, width)), jnp.asarray(1))
+
+    def with_row(self, n: Array, row: Array, wanted: Array) -> Self:
+        """Store the row of the n-th step; rows in order begin with ``wanted``, 0 keeps none."""
+        place = n - wanted
+        at = jnp.where((wanted > 0) & (place >= 0), place, len(self.early))
+        early = self.early.at[at].set(row, mode="drop")
+        slot, hit = n // self.stride - 1, (wanted > 0) & (n % self.stride == 0)
+        spread = self.spread.at[jnp.where(hit, slot, _SPREAD_SLOTS)].set(row, mode="drop")
+        full = hit & (slot == _SPREAD_SLOTS - 1)
+
+        def thin(spread: Array) -> Array:
+            return jnp.zeros_like(spread).at[: _SPREAD_SLOTS // 2].set(spread[1::2])
+
+        spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
+        return self._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * self.stride)
 
 
 def with_start(start: Start, rows: np.ndarray, noted: tuple[str, ...]) -> dict[str, Any]:
