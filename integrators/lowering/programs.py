@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from integrators.lowering.elimination import solve
 from integrators.lowering.graph import Graph, NotLowered
 from integrators.lowering.primitives import RULES
 from problems.runtime import jax
@@ -31,6 +32,8 @@ _CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
+#: Unknowns of a linear system within a program that is written out.
+_MOST_UNKNOWNS = 40
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
 
@@ -42,13 +45,13 @@ class Program(NamedTuple):
     results: Int[np.ndarray, "..."]
 
 
-def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
-    """Follow a traceable function of vectors and scalars whose result is one array.
+def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
+    """Follow a traceable function of one vector whose result is one array.
 
     Parameters
     ----------
     lengths
-        Lengths of its arguments, which are vectors; None for a scalar.
+        Lengths of the arguments that stand side by side in the vector; None for a scalar.
 
     Raises
     ------
@@ -56,13 +59,11 @@ def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Pr
         If it has an operation without a rule, an index that depends on an argument, a loop, or too
         many operations.
     """
-    shapes = [jax.ShapeDtypeStruct(() if n is None else (n,), float) for n in lengths]
-    program = jax.make_jaxpr(function)(*shapes)
-    graph, arguments = Graph(), []
-    for k, n in enumerate(lengths):
-        nodes = np.array([graph.input(k, entry) for entry in range(1 if n is None else n)], int)
-        arguments.append(nodes.reshape(() if n is None else (n,)))
-    (results,) = _Follower(graph).called(program, arguments)
+    sizes = [1 if n is None else n for n in lengths]
+    traced = jax.make_jaxpr(program)(jax.ShapeDtypeStruct((sum(sizes),), float))
+    graph = Graph()
+    nodes = [graph.input(k, entry) for k, n in enumerate(sizes) for entry in range(n)]
+    (results,) = _Follower(graph).called(traced, [np.array(nodes)])
     return Program(graph, results)
 
 
@@ -94,6 +95,8 @@ class _Follower:
         name, params = equation.primitive.name, equation.params
         if name in _CALLS:
             return self.called(params[_CALLS[name]], given)
+        if name == "custom_linear_solve":
+            return self._solved(params, given)
         shapes = [var.aval.shape for var in equation.outvars]
         self._entries += sum(int(np.prod(shape)) for shape in shapes)
         if self._entries > _MOST_ENTRIES:
@@ -112,6 +115,26 @@ class _Follower:
             return [self._unknown(name, var.aval) for var in equation.outvars]
         results = results if isinstance(results, list) else [results]
         return [np.asarray(r, int).reshape(s) for r, s in zip(results, shapes, strict=True)]
+
+    def _solved(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
+        """The solution of a linear system; its matrix are products with unit vectors."""
+        graph, lengths = self._graph, params["const_lengths"]
+        right, consts = given[sum(lengths) :], given[: lengths.matvec]
+        sizes = [part.size for part in right]
+        if sum(sizes) > _MOST_UNKNOWNS:
+            raise NotLowered(f"it solves a system of more than {_MOST_UNKNOWNS} unknowns")
+
+        def parts(column: np.ndarray) -> list[np.ndarray]:
+            pieces = np.split(column, np.cumsum(sizes)[:-1])
+            return [piece.reshape(part.shape) for piece, part in zip(pieces, right, strict=True)]
+
+        def joined(pieces: list[np.ndarray]) -> np.ndarray:
+            return np.concatenate([piece.ravel() for piece in pieces])
+
+        units = np.where(np.eye(sum(sizes), dtype=bool), graph.one, graph.zero)
+        program = params["jaxprs"].matvec
+        columns = [joined(self.called(program, [*consts, *parts(unit)])) for unit in units]
+        return parts(np.array(solve(graph, np.array(columns).T.tolist(), joined(right).tolist())))
 
     def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
         """The results of an operation on constants, which JAX computes; None if others take part."""
