@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import io
-import warnings
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.adapters import dae
-from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, advice, all_finite
+from integrators.adapters.callbacks import EarlyEnd, advice
+from integrators.adapters.ida_native import Compiled, NativeIDA, check, compiled_equations
+from integrators.adapters.ida_python import PythonIDA, python_ida
 from integrators.adapters.trajectories import early_end_message
-from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from integrators.kept_rows import kept_rows
+from integrators.lowering.graph import NotLowered
 from integrators.operations import bill, dense, sparse
 from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout
+from problems.runtime import slower
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: IDA's own limit of steps is never reached: calls are limited here.
@@ -76,39 +77,20 @@ class IDA(Integrator):
     )
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
+    suppress_algebraic: bool = option(
+        False, "leave lam, y and mu out of the error test by IDA's own switch"
+    )
+    callbacks: str = option(
+        "compiled",
+        "compiled: IDA calls equations in C, where there is a C compiler; python: it calls "
+        "compiled functions through Python",
+        choices=("compiled", "python"),
+    )
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
         return _IDARun(self, scene, t_end, resolution)
-
-
-class IDAEquations:
-    """Residual and Jacobian as IDA calls them, counted; one object for each run.
-
-    IDA checks the signatures. The last argument is an array that the method fills.
-    """
-
-    def __init__(
-        self, residual: Callable[..., Any], jacobian: Callable[..., Any], max_calls: int
-    ) -> None:
-        self._residual, self._jacobian, self._max_calls = residual, jacobian, max_calls
-        self.residuals = self.jacobians = 0
-
-    def residual(self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray) -> None:
-        if self.residuals == self._max_calls:
-            raise EarlyEnd("budget_exceeded", f"{self._max_calls} residual calls were used up")
-        self.residuals += 1
-        res[:] = self._residual(t, w, wdot)
-        # After a NaN IDA would repeat the step without end.
-        if not all_finite(res):
-            raise EarlyEnd("diverged", NOT_FINITE)
-
-    def jacobian(
-        self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
-    ) -> None:
-        jac.T[:] = self._jacobian(t, w, wdot, cj)  # a vector of entries is its own transpose
-        self.jacobians += 1
 
 
 class _IDARun(PreparedRun):
@@ -129,7 +111,7 @@ class _IDARun(PreparedRun):
             "atol": atol,
         }
         key = scene.template(), form
-        p = np.array(list(scene.parameters().values()))
+        p = self._p = np.array(list(scene.parameters().values()))
         if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
             from scipy.sparse import csc_matrix
 
@@ -144,58 +126,65 @@ class _IDARun(PreparedRun):
         self.functions = self._residual.bind(p), self._jacobian.bind(p)
         self.functions[0](*self.start)  # compiles
         self.functions[1](*self.start, 1.0)
+        #: Residual and Jacobian in C, if IDA calls those.
+        self.native = self._native(key)
 
-    @contextlib.contextmanager
-    def _solver(self) -> Iterator[tuple[Any, IDAEquations]]:
-        """A new solver at the start: a used one keeps counters and history."""
-        from sksundae import ida
+    def _native(self, key: tuple[MechatronicSystem, str]) -> Compiled | None:
+        """The equations in C, compared with those of JAX; None if they are called through Python.
 
-        equations = IDAEquations(*self.functions, self._method.max_calls)
-        # SUNDIALS writes its warnings to standard output; the status says the same.
-        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
-            with warnings.catch_warnings():
-                # IDA warns that the sparse Jacobian comes from our function, as intended.
-                warnings.simplefilter("ignore")
-                solver = ida.IDA(equations.residual, jacfn=equations.jacobian, **self.options)
-            solver.init_step(*self.start)
+        Raises
+        ------
+        SpecError
+            If an option needs them and they cannot be had.
+        """
+        method, scene = self._method, self._scene
+        reason: Any = "callbacks=python was asked for"
+        if method.callbacks == "compiled":
+            reason = found = compiled_equations(*key, "sparsity" in self.options)
             try:
-                yield solver, equations
-            finally:
-                if "sparsity" in self.options and not equations.jacobians:
-                    # SuperLU_MT's memory cannot be freed before its first factorisation: the
-                    # process would crash (scikit-sundae 1.2.0).
-                    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+                if isinstance(found, Compiled):
+                    check(found, self.functions, self._p, self.start)
+                    return found
+            except NotLowered as difference:
+                reason = difference
+            slower(f"IDA calls {scene.name} through Python, which takes longer: {reason}.")
+        if method.suppress_algebraic:
+            raise SpecError(f"suppress_algebraic needs compiled equations, but {reason}.")
+        return None
+
+    def _solver(self) -> contextlib.AbstractContextManager[NativeIDA | PythonIDA]:
+        """A new solver at the start of the run."""
+        last = self._t_end, self.options, self._method.max_calls
+        if self.native is None:
+            return python_ida(self.functions, self.start, *last)
+        id_ = np.zeros(self.layout.size)
+        for part in (self.layout.q, self.layout.v, self.layout.x):
+            id_[part] = 1.0
+        suppress = self._method.suppress_algebraic
+        ida = NativeIDA(self.native, self._p, self.start, *last, id_, suppress)
+        return contextlib.closing(ida)
 
     def execute(self) -> Any:
-        with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as (solver, _):
-            # IDA stops exactly at the end: nothing is interpolated.
-            return solver.step(self._t_end, "normal", self._t_end)
+        with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as solver:
+            return solver.whole()
 
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
         t, w = [self.start[0]], [self.start[1]]
         flag, early_end = 0, None
-        with self._solver() as (solver, equations):
+        with self._solver() as solver:
             try:
                 while t[-1] < self._t_end and flag >= 0:
-                    step = solver.step(self._t_end, "onestep", self._t_end)
-                    flag = step.status
+                    flag, time, unknowns = solver.step()
                     if flag >= 0:
-                        t.append(float(step.t))
-                        w.append(step.y)
+                        t.append(time)
+                        w.append(unknowns)
             except EarlyEnd as end:
                 early_end = end.with_traceback(None)  # whose frames would keep the solver alive
-            except RuntimeError as error:
-                early_end = EarlyEnd("crashed", f"IDA gave up: {error}")
+            work = solver.work(len(t) - 1)
         if flag < 0:
             unknown = "crashed", f"IDA returned the flag {flag}"
             early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))
-        work = Work(
-            steps=len(t) - 1,
-            residuals=equations.residuals,
-            jacobians=equations.jacobians,
-            factorisations=equations.jacobians,  # IDA factorises each Jacobian once
-        )
         keep = kept_rows(len(t) - 1)
         trajectory = dae.trajectory_from_vectors(
             self._scene, self.layout, np.array(t)[keep], np.array(w)[keep]

@@ -23,7 +23,8 @@ import numpy as np
 from integrators import Tolerances
 from integrators.adapters import dae, ode
 from integrators.adapters.callbacks import CountedEquations
-from integrators.adapters.ida import IDA, IDAEquations
+from integrators.adapters.ida import IDA
+from integrators.adapters.ida_python import IDAEquations
 from integrators.adapters.scipy_ode import Radau
 from problems.runtime import jax, one_thread
 from problems.scenes.chain import Chain
