@@ -212,8 +212,7 @@ class NativeIDA:
         it.SUNContext_Create(0, byref(self._context))
         it.SUNContext_ClearErrHandlers(self._context)  # flags say the same as its messages
         self._vectors = [
-            it.vector(values, self._context)
-            for values in (w, wdot, options["atol"], differential)
+            it.vector(values, self._context) for values in (w, wdot, options["atol"], differential)
         ]
         (self._w, self.w), (self._wdot, _), (atol, _), (kinds, _) = self._vectors
         self._matrix, self._solver = self._linear_algebra(n)

@@ -239,7 +239,9 @@ class Graph:
             return a if b == self.one else b
         if minus_a is None and minus_b is None:
             return None
-        product = self.apply(operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b))))
+        product = self.apply(
+            operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b)))
+        )
         return self.apply("neg", product) if None in (minus_a, minus_b) else product
 
     def _negated(self, node: int) -> int | None:
