@@ -51,13 +51,13 @@ class IDA(Integrator):
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x: BDF's derivative of v is not used.
 
-    Residual calls are counted in the wrapper; a run that uses up ``max_calls`` of them ends
+    IDA calls residual and Jacobian in C, which are made of the scene's traced equations, or through
+    Python. Residual calls are counted there; a run that uses up ``max_calls`` of them ends
     with status budget_exceeded, and a residual that is not finite ends it as diverged.
     """
 
     family: ClassVar[str] = "ida"
     controls = "tolerance"
-    calls: ClassVar[str] = "a C library calls compiled equations through Python, one by one"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(
@@ -86,6 +86,12 @@ class IDA(Integrator):
         "compiled functions through Python",
         choices=("compiled", "python"),
     )
+
+    @property
+    def calls(self) -> str:
+        if self.callbacks == "compiled":
+            return "a C library calls equations in C, one by one"
+        return "a C library calls compiled equations through Python, one by one"
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

@@ -7,9 +7,8 @@ that is not finite.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from ctypes import byref, c_double, c_int64, c_long, c_void_p
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.adapters import dae
-from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, PackedFunction
-from integrators.adapters.sundials import Library, library
+from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd
+from integrators.adapters.sundials import library
 from integrators.contract import Work
 from integrators.lowering.c_source import HEADER, c_function
 from integrators.lowering.graph import NotLowered

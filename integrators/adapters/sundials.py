@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import POINTER, byref, c_char, c_double, c_int, c_long, c_void_p
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -71,15 +72,13 @@ class Library:
     """
 
     def __init__(self) -> None:
-        from sksundae import _cy_common, _cy_ida
-
-        kinds = dict(_cy_common.config)
+        kinds = dict(import_module("sksundae._cy_common").config)
         if kinds.get("SUNDIALS_FLOAT_TYPE") != "double":
             raise NotLowered("SUNDIALS does not compute with 64-bit floats")
         if kinds.get("SUNDIALS_INT_TYPE") not in _INDICES:
             raise NotLowered("the index type of SUNDIALS is not known")
         index, self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
-        self._library = ctypes.CDLL(_cy_ida.__file__)
+        self._library = ctypes.CDLL(import_module("sksundae._cy_ida").__file__)
         major = self._major()
         if major != _MAJOR:
             raise NotLowered(f"SUNDIALS {major} is not the release {_MAJOR} that is known")

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: Nodes that a graph may have, constants included; compilers take minutes for more.
-MOST_NODES = 200_000
+#: Nodes that a graph may have, constants and operations that nobody needs included.
+_MOST_NODES = 300_000
 
 
 class NotLowered(Exception):
@@ -160,26 +160,28 @@ class Graph:
         return total
 
     def needed(self, results: Iterable[int]) -> list[int]:
-        """The nodes that the results need, in their order; without constants.
+        """The operations that the results need; each stands shortly before its first use.
 
         Raises
         ------
         NotLowered
             If one of them has no form in C.
         """
-        seen: set[int] = set()
-        waiting = [int(node) for node in results]
+        order: dict[int, None] = {}
+        waiting = [(int(node), False) for node in reversed(list(results))]
         while waiting:
-            node = waiting.pop()
+            node, ready = waiting.pop()
             operator, given = self.nodes[node]
-            if node in seen or operator == "constant":
+            if operator in ("constant", "input") or node in order:
                 continue
             if operator == "unknown":
                 raise NotLowered(f"it has the operation {given!r}")
-            seen.add(node)
-            if operator != "input":
-                waiting.extend(given)
-        return sorted(seen)
+            if ready:
+                order[node] = None
+            else:
+                waiting.append((node, True))
+                waiting.extend((x, False) for x in reversed(given))
+        return list(order)
 
     def kind(self, node: int) -> str:
         """The kind of a value: "f" for a float, "b" for true or false, "i" for a whole number."""
@@ -189,8 +191,8 @@ class Graph:
         known = self._known.get(key)
         if known is None:
             known = self._known[key] = len(self.nodes)
-            if known == MOST_NODES:
-                raise NotLowered(f"it has more than {MOST_NODES} operations on numbers")
+            if known == _MOST_NODES:
+                raise NotLowered(f"it has more than {_MOST_NODES} operations on numbers")
             self.nodes.append((operator, content))
             self._kinds.append(kind)
         return known
@@ -246,7 +248,6 @@ class Graph:
 
     def _negated(self, node: int) -> int | None:
         """-x if x is a node with a minus sign, else None."""
-        operator, given = self.nodes[node] if node >= 0 else ("", ())
-        if operator == "neg":
-            return given[0]
-        return None
+        if node < 0 or self.nodes[node][0] != "neg":
+            return None
+        return self.nodes[node][1][0]

@@ -34,7 +34,8 @@ def _rule(*names: str) -> Callable[[Callable], Callable]:
 def entrywise(graph: Graph, operator: str, *given: np.ndarray) -> np.ndarray:
     """Apply an operator to arrays of nodes of equal shapes, or scalars."""
     arrays = np.broadcast_arrays(*given)
-    nodes = [graph.apply(operator, *row) for row in zip(*(a.ravel().tolist() for a in arrays))]
+    rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
+    nodes = [graph.apply(operator, *row) for row in rows]
     return np.array(nodes, int).reshape(arrays[0].shape)
 
 

@@ -42,7 +42,7 @@ class Program(NamedTuple):
     """A graph, and the nodes of the entries of its only result."""
 
     graph: Graph
-    results: Int[np.ndarray, "..."]
+    results: Int[np.ndarray, ...]
 
 
 def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
@@ -137,7 +137,7 @@ class _Follower:
         return parts(np.array(solve(graph, np.array(columns).T.tolist(), joined(right).tolist())))
 
     def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
-        """The results of an operation on constants, which JAX computes; None if others take part."""
+        """The results of an operation on constants, computed by JAX; None if others take part."""
         graph, values = self._graph, []
         for nodes, var in zip(given, equation.invars, strict=True):
             if not all(graph.is_constant(node) for node in nodes.flat):
