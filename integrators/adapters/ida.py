@@ -10,7 +10,8 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import EarlyEnd, advice
-from integrators.adapters.ida_native import Compiled, NativeIDA, check, compiled_equations
+from integrators.adapters.ida_equations import Compiled, check, compiled_equations
+from integrators.adapters.ida_native import NativeIDA
 from integrators.adapters.ida_python import PythonIDA, python_ida
 from integrators.adapters.trajectories import early_end_message
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
