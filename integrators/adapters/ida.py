@@ -79,7 +79,9 @@ class IDA(Integrator):
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
     suppress_algebraic: bool = option(
-        False, "leave lam, y and mu out of the error test by IDA's own switch"
+        False,
+        "leave lam, y and mu out of the error test by IDA's own switch, so that Newton's method "
+        "still solves for them to the tolerance; needs callbacks=compiled",
     )
     callbacks: str = option(
         "compiled",
@@ -109,7 +111,8 @@ class _IDARun(PreparedRun):
         self.layout = dae_layout(sizes, form)
         #: Arguments of the residual at the start: t0, w, wdot.
         self.start = scene.interval[0], *dae.start_vectors(scene, self.layout)
-        tested = method.multipliers_in_error_test
+        # With IDA's own switch, tolerances are for Newton's method alone.
+        tested = method.multipliers_in_error_test or method.suppress_algebraic
         atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
         self.options = {
             "max_order": method.max_order,
@@ -218,6 +221,7 @@ class _IDARun(PreparedRun):
         if self._scene.has("constraint"):
             if self._method.formulation in ("index3", "index2"):
                 return "use formulation=stabilised_index2"
-            if self._method.multipliers_in_error_test:
-                return "use multipliers_in_error_test=false"
+            for name in ("multipliers_in_error_test", "suppress_algebraic"):
+                if getattr(self._method, name):
+                    return f"use {name}=false"
         return advice(status)
