@@ -1,7 +1,8 @@
 """IDA with equations in C against IDA that calls them through Python: the same solver and settings.
 
 ``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round;
-ratios are taken within a round. Times are not checked; that each run ends well is.
+ratios are taken within a round. Times are not checked. A run that fails is left out, with its
+message.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.slider_crank import SliderCrank
 
+_SCENES = ((SliderCrank(), 5.0), (CarAxis(), 3.0))
 #: Scene, end of the interval and rtol of the races of IDA in C and through Python.
-_CASES = ((SliderCrank(), 5.0, 1e-6), (CarAxis(), 3.0, 1e-6), (SliderCrank(), 5.0, 1e-8))
+_CASES = tuple((scene, end, rtol) for scene, end in _SCENES for rtol in (1e-6, 1e-8))
 _CONTESTANTS = {
     "through Python": IDA(callbacks="python", max_calls=500_000),
     "in C": IDA(max_calls=500_000),
@@ -53,7 +55,14 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
     """One scene: IDA through Python and in C, in turn."""
     scene, t_end, rtol = _CASES[case]
     reference = Reference(scene, t_end)
-    runs = {n: m.prepare(scene, t_end, Tolerances(rtol)) for n, m in _CONTESTANTS.items()}
+    runs, ends = {}, {}
+    for name, method in _CONTESTANTS.items():
+        run = method.prepare(scene, t_end, Tolerances(rtol))
+        end = run.measure()
+        if end.status == "ok":
+            runs[name], ends[name] = run, end
+        else:
+            print(f"{scene.spec}, rtol={rtol:g}, {name}: {end.message}")
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(rounds):
         for name, run in runs.items():
@@ -61,10 +70,8 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
             run.execute()
             seconds[name].append(time.perf_counter() - began)
     rows = []
-    for name, run in runs.items():
-        end, own = run.measure(), np.array(seconds[name])
-        if end.status != "ok":
-            raise SystemExit(f"{scene.spec}, {name}: {end.message}")
+    for name in runs:
+        end, own = ends[name], np.array(seconds[name])
         exact, work = reference(end.t)["q"], end.work
         ratios = np.quantile(own / np.array(seconds["in C"]), [0.5, 0.25, 0.75])
         rows.append(
@@ -72,10 +79,11 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
                 "case": f"{scene.spec}, rtol={rtol:g}",
                 "contestant": name,
                 "ms": 1e3 * float(np.median(own)),
+                "least_ms": 1e3 * float(own.min()),
                 "ratio": ratios.tolist(),
                 "steps": work.steps,
                 "residuals": work.residuals,
-                "us_per_residual": 1e6 * float(np.median(own)) / work.residuals,
+                "us_per_residual": 1e6 * float(own.min()) / work.residuals,
                 "error": float(np.abs(end.q - exact).max() / np.abs(exact).max()),
             }
         )
@@ -88,15 +96,15 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows of the races in Markdown."""
     lines = [
-        "| IDA (GGL) on | equations | ms | time/in C (quartiles) | steps | residuals "
-        "| µs per residual | of it arithmetic | largest error in q |",
+        "| IDA (GGL) on | equations | ms: median (least) | time/in C (quartiles) | steps "
+        "| residuals | least µs per residual | of it arithmetic | largest error in q |",
         "|---|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
         middle, low, high = row["ratio"]
         alone = f"{row['residual_alone_us']:.2f}" if "residual_alone_us" in row else ""
         lines.append(
-            f"| {row['case']} | {row['contestant']} | {row['ms']:.1f} "
+            f"| {row['case']} | {row['contestant']} | {row['ms']:.1f} ({row['least_ms']:.1f}) "
             f"| {middle:.2f} ({low:.2f} to {high:.2f}) | {row['steps']} | {row['residuals']} "
             f"| {row['us_per_residual']:.2f} | {alone} | {row['error']:.1e} |"
         )
