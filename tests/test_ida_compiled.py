@@ -165,6 +165,11 @@ def test_an_unknown_release_or_a_missing_function_is_left_alone(forgotten, monke
         sundials.library()
 
 
+def test_a_jax_with_other_programs_leads_to_python(forgotten, monkeypatch):
+    monkeypatch.delattr("jax.extend.core.Literal")
+    falls_back(forgotten, "programs of this JAX are not as known")
+
+
 def test_a_scene_with_a_loop_is_called_through_python(forgotten):
     falls_back(forgotten, "it has the operation 'while'", Searching())
 
