@@ -147,6 +147,15 @@ def test_a_linear_system_is_solved_with_pivots():
     assert in_c(solution, 20)(u) == pytest.approx(right, rel=1e-11)
 
 
+def test_systems_with_one_matrix_are_solved_one_by_one():
+    def solutions(u):
+        return jnp.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+
+    u = np.random.default_rng(4).normal(size=69)
+    right = np.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+    assert in_c(solutions, 69)(u) == pytest.approx(right, rel=1e-11)
+
+
 def test_programs_in_pieces_compute_the_same(monkeypatch):
     u = np.random.default_rng(3).normal(size=12)
     whole = in_c(many, 12)(u)

@@ -2,11 +2,49 @@
 
 from __future__ import annotations
 
-from integrators.lowering.graph import Graph
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from integrators.lowering.graph import Graph, NotLowered
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
+
+#: Unknowns of a system that is written out, and of all systems with one matrix.
+_MOST_UNKNOWNS, _MOST_IN_ALL = 40, 400
 
 
-def solve(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[int]:
-    """Solve A x = b for nodes; the pivot of a column is its largest entry, as in LAPACK.
+def solve(
+    graph: Graph, matrix: Int[np.ndarray, "n n"], right: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " n"]:
+    """Solve A x = b for nodes, each independent part by itself.
+
+    Raises
+    ------
+    NotLowered
+        If a part has too many unknowns.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    count, part = connected_components(matrix != graph.zero, directed=False)
+    x = np.empty(len(right), int)
+    for number in range(count):
+        of = np.flatnonzero(part == number)
+        if len(of) > _MOST_UNKNOWNS:
+            raise NotLowered(f"it solves a system of more than {_MOST_UNKNOWNS} unknowns")
+        x[of] = _eliminated(graph, matrix[np.ix_(of, of)].tolist(), right[of].tolist())
+    return x
+
+
+def refuse_many(unknowns: int) -> None:
+    """Refuse systems whose matrix alone would take minutes."""
+    if unknowns > _MOST_IN_ALL:
+        raise NotLowered(f"it solves systems of more than {_MOST_IN_ALL} unknowns in all")
+
+
+def _eliminated(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[int]:
+    """Solve A x = b; the pivot of a column is its largest entry, as in LAPACK.
 
     The rows that compete for a place change places where a comparison says so. Entries that are
     known to be zero take part in nothing.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.elimination import solve
+from integrators.lowering.elimination import refuse_many, solve
 from integrators.lowering.graph import Graph, NotLowered
 from integrators.lowering.primitives import RULES
 from problems.runtime import jax
@@ -32,8 +32,6 @@ _CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
-#: Unknowns of a linear system within a program that is written out.
-_MOST_UNKNOWNS = 40
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
 
@@ -126,8 +124,7 @@ class _Follower:
         graph, lengths = self._graph, params["const_lengths"]
         right, consts = given[sum(lengths) :], given[: lengths.matvec]
         sizes = [part.size for part in right]
-        if sum(sizes) > _MOST_UNKNOWNS:
-            raise NotLowered(f"it solves a system of more than {_MOST_UNKNOWNS} unknowns")
+        refuse_many(sum(sizes))
 
         def parts(column: np.ndarray) -> list[np.ndarray]:
             pieces = np.split(column, np.cumsum(sizes)[:-1])
@@ -139,7 +136,7 @@ class _Follower:
         units = np.where(np.eye(sum(sizes), dtype=bool), graph.one, graph.zero)
         program = params["jaxprs"].matvec
         columns = [joined(self.called(program, [*consts, *parts(unit)])) for unit in units]
-        return parts(np.array(solve(graph, np.array(columns).T.tolist(), joined(right).tolist())))
+        return parts(solve(graph, np.array(columns).T, joined(right)))
 
     def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
         """The results of an operation on constants, computed by JAX; None if others take part."""
