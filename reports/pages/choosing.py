@@ -56,7 +56,8 @@ class Advice:
     @property
     def heading(self) -> str:
         """The heading of the table."""
-        return f"{self.kind.name}: {GROUP_NAMES.get(self.about, self.about)}"
+        words = GROUP_NAMES[self.about].rpartition(" ")[0] if self.kind.groups else self.about
+        return f"{self.kind.name}: {words}"
 
     @property
     def texts(self) -> list[str]:
