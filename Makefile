@@ -42,6 +42,7 @@ bench: .venv/installed  ## our time loop against C, exudyn and other solvers; mi
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/sizes_ida.py
 	$(BIN)/python tests/benchmarks/callbacks.py
+	$(BIN)/python tests/benchmarks/ida_in_c.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 clean:

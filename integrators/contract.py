@@ -310,8 +310,8 @@ class Integrator(ABC):
     family: ClassVar[str] = ""
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
-    calls: ClassVar[str] = ""
     # Without annotations: a subclass may replace these by a constant, an option or a property.
+    calls = ""
     controls = "step"
     formulation = _stated_by_subclass()
 

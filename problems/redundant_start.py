@@ -17,6 +17,8 @@ _ZERO = 1e-10
 _MOST_ITERATIONS = 20
 #: Beyond this condition of the constraints' derivatives, lines of size one, no digit is left.
 _REGULAR = 1e-13
+#: Most coordinates of a scene whose constraints are examined by a full matrix.
+_MOST_COORDINATES = 1000
 
 
 def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | None:
@@ -55,8 +57,11 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | Non
 
 
 def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
-    """The number of constraints that depend on the others at q and t (s)."""
-    if not scene.sizes.nl:
+    """The number of constraints that depend on the others at q and t (s).
+
+    Scenes of more than 1000 coordinates are not examined: it would take minutes, and it is 0.
+    """
+    if not scene.sizes.nl or scene.sizes.nq > _MOST_COORDINATES:
         return 0
     rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, jnp.asarray(t)))(jnp.asarray(q)))
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)

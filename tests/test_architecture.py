@@ -21,7 +21,7 @@ LAYERS = [
     {"integrators.multistep", "integrators.kept_rows"},
     {"integrators.contract"},
     {"integrators.operations"},
-    {"integrators.native"},
+    {"integrators.native", "integrators.lowering"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need
     {"bench"},

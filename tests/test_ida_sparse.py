@@ -125,7 +125,7 @@ def test_sparse_and_dense_runs_are_the_same(scene, formulation):
 @pytest.mark.parametrize("factor", [0.0, -1.0], ids=["missing", "sign"])
 def test_a_wrong_entry_costs_calls_that_the_dense_run_does_not_make(factor):
     scene, dense = Chain(links=5), finished(Chain(links=5), 0.1, linear_solver="dense")
-    planted = prepared(scene, 0.1, linear_solver="sparse")
+    planted = prepared(scene, 0.1, linear_solver="sparse", callbacks="python")
     residual, jacobian = planted.functions
     wrong = np.ones(len(planted.options["sparsity"].data))
     wrong[7] = factor

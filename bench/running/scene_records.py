@@ -15,6 +15,7 @@ from bench.running import measure
 from bench.running.errors import relative_reference_error
 from problems import answers
 from problems.formulations import ode_rate
+from problems.redundant_start import missing_rank
 from problems.reference import Reference
 from problems.runtime import jax, jnp
 from problems.system import GROUPS, MechatronicSystem
@@ -75,6 +76,8 @@ def scene_record(
     if scene.has("energy"):
         part("energy", lambda: first_energy(scene), None)
     tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
+    if part("rank of the constraints", lambda: missing_rank(scene, *_start(scene)), 0):
+        tags = dict.fromkeys((*tags, "redundant"))
     hard = part(
         "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
     )
@@ -105,6 +108,10 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
         "reference_error": relative_reference_error(reference),
         "reference": measure.rows_of({"t": t} | reference(t)),
     }
+
+
+def _start(scene: MechatronicSystem) -> tuple[np.ndarray, float]:
+    return np.asarray(scene.initial_state().q), scene.interval[0]
 
 
 def first_energy(scene: MechatronicSystem) -> float:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import io
-import warnings
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.adapters import dae
-from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd, advice, all_finite
+from integrators.adapters.callbacks import EarlyEnd, advice
+from integrators.adapters.ida_equations import Compiled, check, compiled_equations
+from integrators.adapters.ida_native import NativeIDA
+from integrators.adapters.ida_python import PythonIDA, python_ida
 from integrators.adapters.trajectories import early_end_message
-from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from integrators.kept_rows import kept_rows
+from integrators.lowering.graph import NotLowered
 from integrators.operations import bill, dense, sparse
 from problems import sparsity
 from problems.formulations import FORMULATIONS, dae_layout
+from problems.runtime import slower
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: IDA's own limit of steps is never reached: calls are limited here.
@@ -50,13 +52,13 @@ class IDA(Integrator):
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x: BDF's derivative of v is not used.
 
-    Residual calls are counted in the wrapper; a run that uses up ``max_calls`` of them ends
+    IDA calls residual and Jacobian in C, which are made of the scene's traced equations, or through
+    Python. Residual calls are counted there; a run that uses up ``max_calls`` of them ends
     with status budget_exceeded, and a residual that is not finite ends it as diverged.
     """
 
     family: ClassVar[str] = "ida"
     controls = "tolerance"
-    calls: ClassVar[str] = "a C library calls compiled equations through Python, one by one"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(
@@ -76,39 +78,28 @@ class IDA(Integrator):
     )
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
+    suppress_algebraic: bool = option(
+        False,
+        "leave lam, y and mu out of the error test by IDA's own switch, so that Newton's method "
+        "still solves for them to the tolerance; needs callbacks=compiled",
+    )
+    callbacks: str = option(
+        "compiled",
+        "compiled: IDA calls equations in C, where there is a C compiler; python: it calls "
+        "compiled functions through Python",
+        choices=("compiled", "python"),
+    )
+
+    @property
+    def calls(self) -> str:
+        if self.callbacks == "compiled":
+            return "a C library calls equations in C, one by one"
+        return "a C library calls compiled equations through Python, one by one"
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
         return _IDARun(self, scene, t_end, resolution)
-
-
-class IDAEquations:
-    """Residual and Jacobian as IDA calls them, counted; one object for each run.
-
-    IDA checks the signatures. The last argument is an array that the method fills.
-    """
-
-    def __init__(
-        self, residual: Callable[..., Any], jacobian: Callable[..., Any], max_calls: int
-    ) -> None:
-        self._residual, self._jacobian, self._max_calls = residual, jacobian, max_calls
-        self.residuals = self.jacobians = 0
-
-    def residual(self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray) -> None:
-        if self.residuals == self._max_calls:
-            raise EarlyEnd("budget_exceeded", f"{self._max_calls} residual calls were used up")
-        self.residuals += 1
-        res[:] = self._residual(t, w, wdot)
-        # After a NaN IDA would repeat the step without end.
-        if not all_finite(res):
-            raise EarlyEnd("diverged", NOT_FINITE)
-
-    def jacobian(
-        self, t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
-    ) -> None:
-        jac.T[:] = self._jacobian(t, w, wdot, cj)  # a vector of entries is its own transpose
-        self.jacobians += 1
 
 
 class _IDARun(PreparedRun):
@@ -120,7 +111,8 @@ class _IDARun(PreparedRun):
         self.layout = dae_layout(sizes, form)
         #: Arguments of the residual at the start: t0, w, wdot.
         self.start = scene.interval[0], *dae.start_vectors(scene, self.layout)
-        tested = method.multipliers_in_error_test
+        # With IDA's own switch, tolerances are for Newton's method alone.
+        tested = method.multipliers_in_error_test or method.suppress_algebraic
         atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
         self.options = {
             "max_order": method.max_order,
@@ -129,7 +121,7 @@ class _IDARun(PreparedRun):
             "atol": atol,
         }
         key = scene.template(), form
-        p = np.array(list(scene.parameters().values()))
+        p = self._p = np.array(list(scene.parameters().values()))
         if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
             from scipy.sparse import csc_matrix
 
@@ -144,58 +136,65 @@ class _IDARun(PreparedRun):
         self.functions = self._residual.bind(p), self._jacobian.bind(p)
         self.functions[0](*self.start)  # compiles
         self.functions[1](*self.start, 1.0)
+        #: Residual and Jacobian in C, if IDA calls those.
+        self.native = self._native(key)
 
-    @contextlib.contextmanager
-    def _solver(self) -> Iterator[tuple[Any, IDAEquations]]:
-        """A new solver at the start: a used one keeps counters and history."""
-        from sksundae import ida
+    def _native(self, key: tuple[MechatronicSystem, str]) -> Compiled | None:
+        """The equations in C, compared with those of JAX; None if they are called through Python.
 
-        equations = IDAEquations(*self.functions, self._method.max_calls)
-        # SUNDIALS writes its warnings to standard output; the status says the same.
-        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
-            with warnings.catch_warnings():
-                # IDA warns that the sparse Jacobian comes from our function, as intended.
-                warnings.simplefilter("ignore")
-                solver = ida.IDA(equations.residual, jacfn=equations.jacobian, **self.options)
-            solver.init_step(*self.start)
+        Raises
+        ------
+        SpecError
+            If an option needs them and they cannot be had.
+        """
+        method, scene = self._method, self._scene
+        reason: Any = "callbacks=python was asked for"
+        if method.callbacks == "compiled":
+            reason = found = compiled_equations(*key, "sparsity" in self.options)
             try:
-                yield solver, equations
-            finally:
-                if "sparsity" in self.options and not equations.jacobians:
-                    # SuperLU_MT's memory cannot be freed before its first factorisation: the
-                    # process would crash (scikit-sundae 1.2.0).
-                    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+                if isinstance(found, Compiled):
+                    check(found, self.functions, self._p, self.start)
+                    return found
+            except NotLowered as difference:
+                reason = difference
+            slower(f"IDA calls {scene.name} through Python, which takes longer: {reason}.")
+        if method.suppress_algebraic:
+            raise SpecError(f"suppress_algebraic needs compiled equations, but {reason}.")
+        return None
+
+    def _solver(self) -> contextlib.AbstractContextManager[NativeIDA | PythonIDA]:
+        """A new solver at the start of the run."""
+        last = self._t_end, self.options, self._method.max_calls
+        if self.native is None:
+            return python_ida(self.functions, self.start, *last)
+        id_ = np.zeros(self.layout.size)
+        for part in (self.layout.q, self.layout.v, self.layout.x):
+            id_[part] = 1.0
+        suppress = self._method.suppress_algebraic
+        ida = NativeIDA(self.native, self._p, self.start, *last, id_, suppress)
+        return contextlib.closing(ida)
 
     def execute(self) -> Any:
-        with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as (solver, _):
-            # IDA stops exactly at the end: nothing is interpolated.
-            return solver.step(self._t_end, "normal", self._t_end)
+        with contextlib.suppress(EarlyEnd, RuntimeError), self._solver() as solver:
+            return solver.whole()
 
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
         t, w = [self.start[0]], [self.start[1]]
         flag, early_end = 0, None
-        with self._solver() as (solver, equations):
+        with self._solver() as solver:
             try:
                 while t[-1] < self._t_end and flag >= 0:
-                    step = solver.step(self._t_end, "onestep", self._t_end)
-                    flag = step.status
+                    flag, time, unknowns = solver.step()
                     if flag >= 0:
-                        t.append(float(step.t))
-                        w.append(step.y)
+                        t.append(time)
+                        w.append(unknowns)
             except EarlyEnd as end:
                 early_end = end.with_traceback(None)  # whose frames would keep the solver alive
-            except RuntimeError as error:
-                early_end = EarlyEnd("crashed", f"IDA gave up: {error}")
+            work = solver.work(len(t) - 1)
         if flag < 0:
             unknown = "crashed", f"IDA returned the flag {flag}"
             early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))
-        work = Work(
-            steps=len(t) - 1,
-            residuals=equations.residuals,
-            jacobians=equations.jacobians,
-            factorisations=equations.jacobians,  # IDA factorises each Jacobian once
-        )
         keep = kept_rows(len(t) - 1)
         trajectory = dae.trajectory_from_vectors(
             self._scene, self.layout, np.array(t)[keep], np.array(w)[keep]
@@ -222,6 +221,7 @@ class _IDARun(PreparedRun):
         if self._scene.has("constraint"):
             if self._method.formulation in ("index3", "index2"):
                 return "use formulation=stabilised_index2"
-            if self._method.multipliers_in_error_test:
-                return "use multipliers_in_error_test=false"
+            for name in ("multipliers_in_error_test", "suppress_algebraic"):
+                if getattr(self._method, name):
+                    return f"use {name}=false"
         return advice(status)

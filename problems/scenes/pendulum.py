@@ -22,6 +22,7 @@ class Pendulum(MechatronicSystem):
 
     interval = (0.35, 1.35)
     nominal_step = 0.02
+    tags = ("constrained", "index 3", "closed form", "conservative", "conformance")
     difficulties = (
         "index 3: undamped methods leave a and lam oscillating",
         "the plain start leaves a first-order transient in a and lam",
@@ -44,11 +45,6 @@ class Pendulum(MechatronicSystem):
     radial: float = parameter(
         0.0, "m/s", "velocity along the rod at the start; all but zero contradicts the constraint"
     )
-
-    @property
-    def tags(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        known = ("constrained", "index 3", "closed form", "conservative", "conformance")
-        return known if self.copies == 1 else (*known, "redundant")
 
     def mass(self, q: jax.Array) -> jax.Array:
         return self.m * jnp.eye(2)

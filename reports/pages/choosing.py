@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
 from bench.results.records import Environment, counted
 from reports.pages.templating import code, escape_markdown, markdown
 from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
@@ -34,19 +34,37 @@ _FOLDER = re.compile(r" --out[ =]\S+")
 _ENERGY = Question("q", 1e-2, _COST)
 
 
+def heading_anchor(heading: str) -> str:
+    """Return the address that Markdown's readers give to a heading."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+
+
 @dataclass(frozen=True)
 class Advice:
     """Sentences in paragraphs, and the table of the numbers that they follow from."""
 
-    anchor: str
+    kind: Kind
+    #: The group in question, or "energy".
+    about: str
     paragraphs: list[list[Sentence]]
     table: Table
 
     @property
+    def key(self) -> str:
+        return f"{self.kind.key}-{self.about}"
+
+    @property
+    def heading(self) -> str:
+        """The heading of the table."""
+        words = GROUP_NAMES[self.about].rpartition(" ")[0] if self.kind.groups else self.about
+        return f"{self.kind.name}: {words}"
+
+    @property
     def texts(self) -> list[str]:
         """The paragraphs in Markdown; each sentence leads to the table."""
+        anchor = heading_anchor(self.heading)
         return [
-            " ".join(f"{escape_markdown(plain(s))} [↓](#{self.anchor})" for s in own)
+            " ".join(f"{escape_markdown(plain(s))} [↓](#{anchor})" for s in own)
             for own in self.paragraphs
             if own
         ]
@@ -86,6 +104,7 @@ def choosing_in_markdown(folder: Path) -> str:
         sections=sections(stored),
         norm=NORM_NAMES[NORM],
         note=MULTIPLES_NOTE,
+        anchor=heading_anchor,
     )
 
 
@@ -105,7 +124,7 @@ def _section(
     if not kind.groups and _ENERGY in found:
         drifts = energy_drifts(found[_ENERGY].on(scenes))
         said, table = [on_energy(_ENERGY, drifts, words)], energy_table(_ENERGY, drifts, words)
-        made = [Advice(f"{kind.key}-energy", said, table)] if drifts else []
+        made = [Advice(kind, "energy", said, table)] if drifts else []
     return Section(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
 
 
@@ -125,4 +144,4 @@ def _on_group(
         return None
     said = [*on_costs(own, words), on_silent_errors(group, runs, words)]
     table = multiples_table(own, runs, words)
-    return Advice(f"{kind.key}-{group}", said, table)
+    return Advice(kind, group, said, table)

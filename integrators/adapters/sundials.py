@@ -1,0 +1,130 @@
+"""The SUNDIALS libraries inside scikit-sundae, called from this process without Python between.
+
+scikit-sundae's own module is linked to them, so that their functions are found through it, whatever
+their files are called. Version, types and every function that is used are checked first.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, byref, c_char, c_double, c_int, c_long, c_void_p
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from integrators.lowering.graph import NotLowered
+
+#: The major release whose interface is written down here.
+_MAJOR = 7
+#: SUNDIALS' names of its index type.
+_INDICES = {"int": (ctypes.c_int32, "int32_t"), "long int": (ctypes.c_int64, "int64_t")}
+_FLOATS = POINTER(c_double)
+_INDEX = "index"  # stands for the index type, which is known when the library is loaded
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    # Result, arguments. Vectors, matrices and solvers are addresses.
+    "SUNContext_Create": (c_int, c_int, POINTER(c_void_p)),
+    "SUNContext_ClearErrHandlers": (c_int, c_void_p),
+    "SUNContext_Free": (c_int, POINTER(c_void_p)),
+    "N_VNew_Serial": (c_void_p, _INDEX, c_void_p),
+    "N_VGetArrayPointer": (_FLOATS, c_void_p),
+    "N_VDestroy": (None, c_void_p),
+    "SUNDenseMatrix": (c_void_p, _INDEX, _INDEX, c_void_p),
+    "SUNDenseMatrix_Data": (_FLOATS, c_void_p),
+    "SUNSparseMatrix": (c_void_p, _INDEX, _INDEX, _INDEX, c_int, c_void_p),
+    "SUNSparseMatrix_Data": (_FLOATS, c_void_p),
+    "SUNSparseMatrix_IndexValues": (c_void_p, c_void_p),
+    "SUNSparseMatrix_IndexPointers": (c_void_p, c_void_p),
+    "SUNMatDestroy": (None, c_void_p),
+    "SUNLinSol_Dense": (c_void_p, c_void_p, c_void_p, c_void_p),
+    "SUNLinSol_SuperLUMT": (c_void_p, c_void_p, c_void_p, c_int, c_void_p),
+    "SUNLinSolFree": (c_int, c_void_p),
+    "IDACreate": (c_void_p, c_void_p),
+    "IDAInit": (c_int, c_void_p, c_void_p, c_double, c_void_p, c_void_p),
+    "IDASVtolerances": (c_int, c_void_p, c_double, c_void_p),
+    "IDASetUserData": (c_int, c_void_p, c_void_p),
+    "IDASetLinearSolver": (c_int, c_void_p, c_void_p, c_void_p),
+    "IDASetJacFn": (c_int, c_void_p, c_void_p),
+    "IDASetId": (c_int, c_void_p, c_void_p),
+    "IDASetSuppressAlg": (c_int, c_void_p, c_int),
+    "IDASetMaxOrd": (c_int, c_void_p, c_int),
+    "IDASetMaxNumSteps": (c_int, c_void_p, c_long),
+    "IDASetStopTime": (c_int, c_void_p, c_double),
+    "IDASolve": (c_int, c_void_p, c_double, _FLOATS, c_void_p, c_void_p, c_int),
+    "IDAGetNumResEvals": (c_int, c_void_p, POINTER(c_long)),
+    "IDAGetNumJacEvals": (c_int, c_void_p, POINTER(c_long)),
+    "IDAGetNumLinSolvSetups": (c_int, c_void_p, POINTER(c_long)),
+    "IDAGetNumErrTestFails": (c_int, c_void_p, POINTER(c_long)),
+    "IDAGetNumStepSolveFails": (c_int, c_void_p, POINTER(c_long)),
+    "IDAGetNumNonlinSolvIters": (c_int, c_void_p, POINTER(c_long)),
+    "IDAFree": (None, POINTER(c_void_p)),
+}
+
+
+class Library:
+    """Functions of SUNDIALS by their own names, and the name of the index type in C.
+
+    Raises
+    ------
+    NotLowered
+        If the libraries are not those that are known here.
+    """
+
+    def __init__(self) -> None:
+        kinds = dict(import_module("sksundae._cy_common").config)
+        if kinds.get("SUNDIALS_FLOAT_TYPE") != "double":
+            raise NotLowered("SUNDIALS does not compute with 64-bit floats")
+        if kinds.get("SUNDIALS_INT_TYPE") not in _INDICES:
+            raise NotLowered("the index type of SUNDIALS is not known")
+        index, self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
+        self._library = ctypes.CDLL(import_module("sksundae._cy_ida").__file__)
+        major = self._major()
+        if major != _MAJOR:
+            raise NotLowered(f"SUNDIALS {major} is not the release {_MAJOR} that is known")
+        for name, (result, *arguments) in _SIGNATURES.items():
+            function = self._function(name)
+            function.restype = result
+            function.argtypes = [index if kind is _INDEX else kind for kind in arguments]
+            setattr(self, name, function)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"{name} is not among the functions of SUNDIALS that are used here")
+
+    def address(self, name: str) -> int:
+        """The address of a function, for C."""
+        return ctypes.cast(getattr(self, name), c_void_p).value or 0
+
+    def vector(self, values: np.ndarray, context: c_void_p) -> tuple[int, np.ndarray]:
+        """A new vector with these values, and its memory as an array."""
+        new = self.N_VNew_Serial(len(values), context)
+        memory = np.ctypeslib.as_array(self.N_VGetArrayPointer(new), values.shape)
+        memory[:] = values
+        return new, memory
+
+    def _major(self) -> int:
+        numbers, label = [c_int() for _ in range(3)], (c_char * 64)()
+        version = self._function("SUNDIALSGetVersionNumber")
+        version(*(byref(number) for number in numbers), label, 64)
+        return numbers[0].value
+
+    def _function(self, name: str) -> Any:
+        try:
+            return getattr(self._library, name)
+        except AttributeError as error:
+            raise NotLowered(f"SUNDIALS has no function {name}") from error
+
+
+@cache
+def library() -> Library:
+    """The libraries of this process.
+
+    Raises
+    ------
+    NotLowered
+        If they cannot be used.
+    """
+    try:
+        return Library()
+    except (ImportError, OSError, AttributeError) as error:
+        raise NotLowered(f"the libraries of scikit-sundae are not found ({error})") from error

@@ -1,0 +1,253 @@
+"""A graph of scalar operations, each of which stands in it once and is simplified when it comes.
+
+A value is the number of its node. Equal operations on equal values are one node, operations on
+constants are computed at once, and x + 0, 1 x, 0 x, x / 1 and double signs disappear. So a
+derivative along a unit vector has only the operations that matter. 0 x is taken for 0 although x
+may turn infinite.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+#: Nodes that a graph may have, constants and operations that nobody needs included.
+_MOST_NODES = 300_000
+
+
+class NotLowered(Exception):
+    """A program that has no form in C here; the message is a clause that says why."""
+
+
+class Operator(NamedTuple):
+    """An operation on numbers: how C and NumPy write it, and the kind of its result.
+
+    ``kind`` is "f" for a float, "b" for true or false.
+    """
+
+    c: str
+    numpy: Callable[..., Any]
+    kind: str = "f"
+
+
+def _like_c(name: str, numpy: Any = None, arguments: int = 1) -> Operator:
+    places = ", ".join(["{}"] * arguments)
+    return Operator(f"{name}({places})", numpy or getattr(np, name))
+
+
+OPERATORS = {
+    "add": Operator("{} + {}", np.add),
+    "sub": Operator("{} - {}", np.subtract),
+    "mul": Operator("{} * {}", np.multiply),
+    "div": Operator("{} / {}", np.divide),
+    "rem": _like_c("fmod", arguments=2),
+    "neg": Operator("-{}", np.negative),
+    "abs": _like_c("fabs"),
+    # As in JAX, NaN wins.
+    "max": Operator("{0} > {1} || {0} != {0} ? {0} : {1}", np.maximum),
+    "min": Operator("{0} < {1} || {0} != {0} ? {0} : {1}", np.minimum),
+    "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
+    "sqrt": _like_c("sqrt"),
+    "cbrt": _like_c("cbrt"),
+    "pow": _like_c("pow", np.power, 2),
+    "atan2": _like_c("atan2", np.arctan2, 2),
+    "floor": _like_c("floor"),
+    "ceil": _like_c("ceil"),
+    "exp": _like_c("exp"),
+    "exp2": _like_c("exp2"),
+    "expm1": _like_c("expm1"),
+    "log": _like_c("log"),
+    "log1p": _like_c("log1p"),
+    "sin": _like_c("sin"),
+    "cos": _like_c("cos"),
+    "tan": _like_c("tan"),
+    "asin": _like_c("asin", np.arcsin),
+    "acos": _like_c("acos", np.arccos),
+    "atan": _like_c("atan", np.arctan),
+    "sinh": _like_c("sinh"),
+    "cosh": _like_c("cosh"),
+    "tanh": _like_c("tanh"),
+    "asinh": _like_c("asinh", np.arcsinh),
+    "acosh": _like_c("acosh", np.arccosh),
+    "atanh": _like_c("atanh", np.arctanh),
+    "eq": Operator("{} == {}", np.equal, "b"),
+    "ne": Operator("{} != {}", np.not_equal, "b"),
+    "lt": Operator("{} < {}", np.less, "b"),
+    "le": Operator("{} <= {}", np.less_equal, "b"),
+    "gt": Operator("{} > {}", np.greater, "b"),
+    "ge": Operator("{} >= {}", np.greater_equal, "b"),
+    "and": Operator("{} & {}", np.bitwise_and, "b"),
+    "or": Operator("{} | {}", np.bitwise_or, "b"),
+    "xor": Operator("{} ^ {}", np.bitwise_xor, "b"),
+    "not": Operator("!{}", np.invert, "b"),
+    "is_finite": Operator("isfinite({}) != 0", np.isfinite, "b"),
+    #: 1.0 for true, 0.0 for false.
+    "number": Operator("(double){}", float),
+    #: The second value where the first is true, else the third.
+    "choose": Operator("{} ? {} : {}", lambda which, yes, no: yes if which else no),
+}
+_ARITHMETIC = {"neg", "add", "sub", "mul", "div"}
+_COMMUTE = {"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"}
+
+
+class Graph:
+    """Nodes in an order in which each comes after those that it needs.
+
+    Attributes
+    ----------
+    nodes
+        ``(operator, arguments)``; of an input ("input", (argument, entry)), of a constant
+        ("constant", value), of an operation without a form in C ("unknown", its name).
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[str, Any]] = []
+        self._kinds: list[str] = []
+        self._known: dict[Any, int] = {}
+        self.zero, self.one = self.constant(0.0), self.constant(1.0)
+
+    def constant(self, value: Any) -> int:
+        """The node of a float, a whole number, or true or false."""
+        kind = {"b": "b", "i": "i", "u": "i", "f": "f"}.get(np.asarray(value).dtype.kind)
+        if kind is None:
+            raise NotLowered(f"it has a constant of type {np.asarray(value).dtype}")
+        # Of floats the bits count: 0.0 equals -0.0, and NaN nothing.
+        plain = {"b": bool, "i": int, "f": float}[kind](value)
+        key = kind, struct.pack("d", plain) if kind == "f" else plain
+        return self._node(key, "constant", plain, kind)
+
+    def input(self, argument: int, entry: int) -> int:
+        """The node of an entry of an argument of the function."""
+        return self._node(("input", argument, entry), "input", (argument, entry), "f")
+
+    def unknown(self, name: str, kind: str) -> int:
+        """A new node of an operation without a form in C, which no result may need."""
+        return self._node(("unknown", len(self.nodes)), "unknown", name, kind)
+
+    def is_constant(self, node: int) -> bool:
+        """Whether the value is known before the program runs."""
+        return self.nodes[node][0] == "constant"
+
+    def value(self, node: int) -> Any:
+        """The value of a constant.
+
+        Raises
+        ------
+        NotLowered
+            If the node is none: whole numbers and indices must not depend on the arguments.
+        """
+        operator, value = self.nodes[node]
+        if operator != "constant":
+            raise NotLowered("it has an index or a whole number that depends on the state")
+        return value
+
+    def apply(self, operator: str, *given: int) -> int:
+        """The node of an operation on nodes."""
+        key = operator, *(sorted(given) if operator in _COMMUTE else given)
+        known = self._known.get(key)
+        if known is None:
+            known = self._known[key] = self._simplest(operator, given, key)
+        return known
+
+    def sum(self, nodes: Iterable[int]) -> int:
+        """The node of a sum, added up from the left."""
+        total = self.zero
+        for node in nodes:
+            total = self.apply("add", total, node)
+        return total
+
+    def needed(self, results: Iterable[int]) -> list[int]:
+        """The operations that the results need; each stands shortly before its first use.
+
+        Raises
+        ------
+        NotLowered
+            If one of them has no form in C.
+        """
+        order: dict[int, None] = {}
+        waiting = [(int(node), False) for node in reversed(list(results))]
+        while waiting:
+            node, ready = waiting.pop()
+            operator, given = self.nodes[node]
+            if operator in ("constant", "input") or node in order:
+                continue
+            if operator == "unknown":
+                raise NotLowered(f"it has the operation {given!r}")
+            if ready:
+                order[node] = None
+            else:
+                waiting.append((node, True))
+                waiting.extend((x, False) for x in reversed(given))
+        return list(order)
+
+    def kind(self, node: int) -> str:
+        """The kind of a value: "f" for a float, "b" for true or false, "i" for a whole number."""
+        return self._kinds[node]
+
+    def _node(self, key: Any, operator: str, content: Any, kind: str) -> int:
+        known = self._known.get(key)
+        if known is None:
+            known = self._known[key] = len(self.nodes)
+            if known == _MOST_NODES:
+                raise NotLowered(f"it has more than {_MOST_NODES} operations on numbers")
+            self.nodes.append((operator, content))
+            self._kinds.append(kind)
+        return known
+
+    def _simplest(self, operator: str, given: tuple[int, ...], key: Any) -> int:
+        if operator == "choose" and given[1] == given[2]:
+            return given[1]
+        if operator == "choose" and self.is_constant(given[0]):
+            return given[1] if self.value(given[0]) else given[2]
+        if all(self.is_constant(node) for node in given):
+            return self.constant(self._computed(operator, given))
+        simple = self._signed(operator, *given) if operator in _ARITHMETIC else None
+        if simple is not None:
+            return simple
+        kinds = [self._kinds[node] for node in given]
+        if "i" in kinds:
+            return self.unknown("arithmetic of whole numbers", "i")
+        kind = kinds[1] if operator == "choose" else OPERATORS[operator].kind
+        return self._node(key, operator, given, kind)
+
+    def _computed(self, operator: str, given: tuple[int, ...]) -> Any:
+        values = [np.asarray(self.value(node)) for node in given]
+        with np.errstate(all="ignore"):
+            result = np.asarray(OPERATORS[operator].numpy(*values))[()]
+        # JAX cuts off quotients of whole numbers.
+        return int(result) if operator == "div" and values[0].dtype.kind == "i" else result
+
+    def _signed(self, operator: str, a: int, b: int = -1) -> int | None:
+        """A simpler node for -a, a + b, a - b, a b or a / b, or None."""
+        minus_a, minus_b = self._negated(a), self._negated(b)
+        if operator == "neg":
+            return minus_a
+        if operator == "add":
+            if self.zero in (a, b):
+                return b if a == self.zero else a
+            if minus_b is not None:
+                return self.apply("sub", a, minus_b)
+            return None if minus_a is None else self.apply("sub", b, minus_a)
+        if operator == "sub":
+            if self.zero in (a, b):
+                return a if b == self.zero else self.apply("neg", b)
+            return None if minus_b is None else self.apply("add", a, minus_b)
+        if a == self.zero or (operator == "mul" and b == self.zero):
+            return self.zero
+        if b == self.one or (operator == "mul" and a == self.one):
+            return a if b == self.one else b
+        if minus_a is None and minus_b is None:
+            return None
+        product = self.apply(
+            operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b)))
+        )
+        return self.apply("neg", product) if None in (minus_a, minus_b) else product
+
+    def _negated(self, node: int) -> int | None:
+        """-x if x is a node with a minus sign, else None."""
+        if node < 0 or self.nodes[node][0] != "neg":
+            return None
+        return self.nodes[node][1][0]

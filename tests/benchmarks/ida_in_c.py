@@ -1,0 +1,128 @@
+"""IDA with equations in C against IDA that calls them through Python: the same solver and settings.
+
+``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round;
+ratios are taken within a round. Times are not checked. A run that fails is left out, with its
+message.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from callbacks import least
+
+from integrators import Tolerances
+from integrators.adapters.ida import IDA
+from integrators.lowering.native import load
+from problems.reference import Reference
+from problems.runtime import one_thread
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.slider_crank import SliderCrank
+
+_SCENES = ((SliderCrank(), 5.0), (CarAxis(), 3.0))
+#: Scene, end of the interval and rtol of the races of IDA in C and through Python.
+_CASES = tuple((scene, end, rtol) for scene, end in _SCENES for rtol in (1e-6, 1e-8))
+_CONTESTANTS = {
+    "through Python": IDA(callbacks="python", max_calls=500_000),
+    "in C": IDA(max_calls=500_000),
+    "in C, `suppress_algebraic`": IDA(suppress_algebraic=True, max_calls=500_000),
+}
+_REPEAT = """
+void repeat(long n, void (*f)(void *, void *, void *, void *, void *), void **a)
+{
+    while (n--)
+        f(a[0], a[1], a[2], a[3], a[4]);
+}
+"""
+
+
+def residual_in_c(run: Any, p: np.ndarray, count: int = 20_000) -> float:
+    """Seconds of a residual in C, called by C."""
+    t0, w, wdot = run.start
+    arrays = [p, np.array([t0]), w, wdot, np.empty(len(w))]
+    places = (ctypes.c_void_p * 5)(*(array.ctypes.data for array in arrays))
+    repeat = load(_REPEAT).repeat
+    return least(lambda: repeat(ctypes.c_long(count), run.native.c.residual, places)) / count
+
+
+def race(case: int, rounds: int) -> list[dict[str, Any]]:
+    """One scene: IDA through Python and in C, in turn."""
+    scene, t_end, rtol = _CASES[case]
+    reference = Reference(scene, t_end)
+    runs, ends = {}, {}
+    for name, method in _CONTESTANTS.items():
+        run = method.prepare(scene, t_end, Tolerances(rtol))
+        end = run.measure()
+        if end.status == "ok":
+            runs[name], ends[name] = run, end
+        else:
+            print(f"{scene.spec}, rtol={rtol:g}, {name}: {end.message}")
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(rounds):
+        for name, run in runs.items():
+            began = time.perf_counter()
+            run.execute()
+            seconds[name].append(time.perf_counter() - began)
+    rows = []
+    for name in runs:
+        end, own = ends[name], np.array(seconds[name])
+        exact, work = reference(end.t)["q"], end.work
+        ratios = np.quantile(own / np.array(seconds["in C"]), [0.5, 0.25, 0.75])
+        rows.append(
+            {
+                "case": f"{scene.spec}, rtol={rtol:g}",
+                "contestant": name,
+                "ms": 1e3 * float(np.median(own)),
+                "least_ms": 1e3 * float(own.min()),
+                "ratio": ratios.tolist(),
+                "steps": work.steps,
+                "residuals": work.residuals,
+                "us_per_residual": 1e6 * float(own.min()) / work.residuals,
+                "error": float(np.abs(end.q - exact).max() / np.abs(exact).max()),
+            }
+        )
+    native = runs["in C"]
+    p = np.array([*scene.parameters().values()])
+    rows[1]["residual_alone_us"] = 1e6 * residual_in_c(native, p)
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows of the races in Markdown."""
+    lines = [
+        "| IDA (GGL) on | equations | ms: median (least) | time/in C (quartiles) | steps "
+        "| residuals | least µs per residual | of it arithmetic | largest error in q |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        middle, low, high = row["ratio"]
+        alone = f"{row['residual_alone_us']:.2f}" if "residual_alone_us" in row else ""
+        lines.append(
+            f"| {row['case']} | {row['contestant']} | {row['ms']:.1f} ({row['least_ms']:.1f}) "
+            f"| {middle:.2f} ({low:.2f} to {high:.2f}) | {row['steps']} | {row['residuals']} "
+            f"| {row['us_per_residual']:.2f} | {alone} | {row['error']:.1e} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure all cases, print the table, write the JSON."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=11, help="samples of each contestant")
+    parser.add_argument("--out", type=Path, default=Path("stepbench-ida-in-c.json"))
+    given = parser.parse_args()
+    rows = [row for case in range(len(_CASES)) for row in race(case, given.rounds)]
+    print(table(rows))
+    given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    print(f"Written to {given.out}.")
+
+
+if __name__ == "__main__":
+    one_thread()
+    main()

@@ -1,0 +1,259 @@
+"""Equations in C are those of JAX to rounding; what has no form in C is refused with a reason."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+from helpers import long
+
+from bench.plugins.registry import Registry
+from integrators.adapters import dae, ida_equations
+from integrators.lowering import c_source, graph, native
+from integrators.lowering.c_source import HEADER, c_function
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.programs import lowered
+from problems import jnp
+from problems.formulations import dae_layout
+from problems.runtime import jax
+
+#: Rounding of sums and elementary functions, relative to the largest entry.
+ROUNDING = 1e-14
+SCENES = Registry([]).problems
+FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
+
+
+def in_c(function, n):
+    """A function of one vector of n entries, lowered and compiled."""
+    program = lowered(function, (n,))
+    library = native.load(HEADER + c_function("function", program, 1))
+
+    def call(u):
+        out, u = np.empty(program.results.size), np.ascontiguousarray(u, float)
+        library.function(ctypes.c_void_p(u.ctypes.data), ctypes.c_void_p(out.ctypes.data))
+        return out.reshape(program.results.shape)
+
+    return call
+
+
+def operations(function, n):
+    program = lowered(function, (n,))
+    return [program.graph.nodes[k][0] for k in program.graph.needed(program.results.flat)]
+
+
+# ---- equations of scenes ---------------------------------------------------------------
+def differences(scene, formulation, sparse=False):
+    """Largest differences of residual and Jacobian at random states, relative to the largest."""
+    of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
+    compiled = ida_equations.compiled_equations(*of, sparse)
+    assert not isinstance(compiled, NotLowered), compiled
+    jacobian = dae.sparse_jacobian(*of).values if sparse else dae.packed_jacobian(*of)
+    n, rng, worst = dae_layout(scene.sizes, formulation).size, np.random.default_rng(7), []
+    at, wdot_at = dae.start_vectors(scene, dae_layout(scene.sizes, formulation))
+    for size in (0.01, 0.1, 1.0, 1.0, 10.0):
+        w, wdot = (u + size * rng.normal(size=n) * (1 + abs(u)) for u in (at, wdot_at))
+        state = float(rng.uniform(0, 2)), w, wdot
+        for name, packed, last in (
+            ("residual", dae.packed_residual(*of), ()),
+            ("jacobian", jacobian, (10 ** rng.uniform(-2, 6),)),
+        ):
+            right = np.asarray(packed.bind(p)(*state, *last)).ravel()
+            found = np.full(right.size, 7.0)
+            ida_equations.evaluate(compiled, name, p, *state, *last, out=found)
+            known = np.isfinite(right)
+            assert (np.isfinite(found) == known).all()
+            gap = np.abs(found - right)[known].max(initial=0.0)
+            worst.append(gap / (np.abs(right)[known].max(initial=0.0) or 1.0))
+    return worst
+
+
+@pytest.mark.parametrize(
+    ("name", "formulation"),
+    [
+        ("slider_crank", "stabilised_index2"),
+        ("quarter_car", "index1"),
+        ("friction", "index1"),
+        *long(*((name, form) for name in sorted(SCENES) for form in FORMULATIONS)),
+    ],
+)
+def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
+    assert max(differences(Registry([]).problem(name), formulation)) < ROUNDING
+
+
+def test_entries_of_a_sparse_jacobian_are_those_of_jax():
+    pytest.importorskip("asdex")
+    scene = Registry([]).problem("chain[links=3]")
+    assert max(differences(scene, "stabilised_index2", sparse=True)) < ROUNDING
+
+
+@pytest.mark.parametrize(("name", "other"), [("add", "sub"), ("sin", "cos"), ("mul", "add")])
+def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
+    spoiled = graph.OPERATORS[name]._replace(c=graph.OPERATORS[other].c)
+    monkeypatch.setitem(graph.OPERATORS, name, spoiled)
+    ida_equations.compiled_equations.cache_clear()
+    try:
+        assert max(differences(Registry([]).problem("slider_crank"), "index1")) > 1e-6
+    finally:
+        ida_equations.compiled_equations.cache_clear()
+
+
+# ---- primitives ------------------------------------------------------------------------
+def many(u):
+    """Every kind of operation that has a rule."""
+    a, b, c = u[:3], u[3:6], u[6:].reshape(2, 3)
+    near = jnp.clip(a, -0.9, 0.9)
+    parts = [
+        a + b, a - b, a * b, a / b, -a, a**2, a**-3, jnp.abs(a) ** b, jnp.sign(a), jnp.abs(a),
+        jnp.maximum(a, b), jnp.minimum(a, 0.1), jnp.where(a > b, a, 2 * b), jnp.sqrt(jnp.abs(a)),
+        jax.lax.rsqrt(jnp.abs(b)), jnp.cbrt(a), jnp.exp(a), jnp.exp2(a), jnp.expm1(a),
+        jnp.log(jnp.abs(a)), jnp.log1p(jnp.abs(a)), jnp.sin(a), jnp.cos(a), jnp.tan(a),
+        jnp.arcsin(near), jnp.arccos(near), jnp.arctan(a), jnp.arctan2(a, b), jnp.sinh(a),
+        jnp.cosh(a), jnp.tanh(a), jnp.arcsinh(a), jnp.arccosh(1 + a**2), jnp.arctanh(near),
+        jax.nn.sigmoid(a), jnp.floor(a), jnp.ceil(b), jnp.fmod(a, b), jnp.square(a),
+        jnp.where((a > 0) & ~(b > 0) | (a == b) ^ (a <= b), a, b), (a >= b) * a, (a != b) + 1.0,
+        jnp.cumsum(a), jnp.cumsum(c, axis=1)[:, ::-1].ravel(), jnp.cumprod(a), jnp.sum(c, axis=0),
+        jnp.prod(c, axis=1), jnp.max(c, axis=0), jnp.min(c, axis=1), jnp.mean(c)[None],
+        jnp.linalg.norm(a)[None], c @ a, c.T @ c[:, 0], jnp.einsum("ij,kj->ik", c, c).ravel(),
+        jnp.cross(a, b), jnp.outer(a, b).ravel(), jnp.tile(a, 2), jnp.roll(a, 1), a[::-1],
+        jnp.stack([a, b], axis=1).ravel(), jnp.pad(a, (1, 2)), jnp.diff(a), c.T.ravel(),
+        a[jnp.array([2, 0, 0])], c[:, jnp.array([1, -1])].ravel(), jnp.zeros(4).at[1:].set(a),
+        a.at[jnp.array([0, 0, 2])].add(b), c.at[1, 2].set(a[0]).ravel(), jnp.diag(a).ravel(),
+        jnp.repeat(a, 2), jnp.concatenate(jnp.split(b, 3)), jnp.hypot(a, b), jnp.triu(c).ravel(),
+        jax.lax.dynamic_slice(a, (2,), (2,)), jnp.isfinite(a / (a - a)) + 0.0,
+        jnp.where(jnp.any(a > 2) | jnp.all(b > -9), a, b), jax.jit(jnp.sinc)(a),
+        jax.grad(lambda a: jnp.sum(jnp.linalg.norm(a) * jnp.maximum(a, 0)))(a),
+        jax.jacfwd(lambda a: jnp.tanh(c @ a))(a).ravel(),
+    ]  # fmt: skip
+    return jnp.concatenate(parts)
+
+
+def test_every_operation_is_the_one_of_jax():
+    function, traced = in_c(many, 12), jax.jit(many)
+    for seed in range(20):
+        u = np.random.default_rng(seed).normal(size=12) * (1 + seed % 3)
+        right, found = np.asarray(traced(u)), function(u)
+        assert found == pytest.approx(right, rel=4e-14, abs=4e-14, nan_ok=True), seed
+
+
+def test_a_linear_system_is_solved_with_pivots():
+    def solution(u):
+        return jnp.linalg.solve(u[:16].reshape(4, 4) * (1 - jnp.eye(4)), u[16:])
+
+    u = np.random.default_rng(2).normal(size=20)
+    u[1] = 1e-14  # a first pivot that would lose all digits
+    matrix = u[:16].reshape(4, 4) * (1 - np.eye(4))
+    right = np.linalg.solve(matrix, u[16:])
+    assert in_c(solution, 20)(u) == pytest.approx(right, rel=1e-11)
+
+
+def test_systems_with_one_matrix_are_solved_one_by_one():
+    def solutions(u):
+        return jnp.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+
+    u = np.random.default_rng(4).normal(size=69)
+    right = np.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+    assert in_c(solutions, 69)(u) == pytest.approx(right, rel=1e-11)
+
+
+def test_programs_in_pieces_compute_the_same(monkeypatch):
+    u = np.random.default_rng(3).normal(size=12)
+    whole = in_c(many, 12)(u)
+    monkeypatch.setattr(c_source, "_PIECE", 7)
+    assert in_c(many, 12)(u).tobytes() == whole.tobytes()
+
+
+# ---- simplification --------------------------------------------------------------------
+def test_only_operations_that_matter_remain():
+    assert operations(lambda u: 0 * u[0] + 1 * u[1] - (-u[2]) + 0, 3) == ["add"]
+    assert operations(lambda u: jnp.sin(u[0]) * u[1] + u[1] * jnp.sin(u[0]), 2) == [
+        "sin",
+        "mul",
+        "add",
+    ]
+    assert operations(lambda u: jnp.array([2.0, 3.0])[1] * jnp.cos(0.0) * jnp.ones(1), 2) == []
+    # d/du of u0 sin(u1) along both: two entries, of which cos and sin and one product remain.
+    assert sorted(operations(jax.jacfwd(lambda u: u[0] * jnp.sin(u[1])), 2)) == [
+        "cos",
+        "mul",
+        "sin",
+    ]
+
+
+# ---- refusals --------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, lambda x: 2 * x, u), "'while'"),
+        (lambda u: u[jnp.argmax(u)], "'argmax'|'dynamic_slice'|'gather'"),
+        (lambda u: jnp.sort(u), "'sort'"),
+        (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
+        (lambda u: u.astype(jnp.float32) * 2, "64-bit"),
+        (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
+        (lambda u: jnp.sin(jnp.arange(12_000) + u[0]), "operations"),
+    ],
+)
+def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):
+    def lower():
+        return c_function("f", lowered(function, (3,)), 1)
+
+    if reason is None:
+        assert lower()
+    else:
+        with pytest.raises(NotLowered, match=reason):
+            lower()
+
+
+def test_operations_that_no_result_needs_do_no_harm():
+    def function(u):
+        order = jnp.argsort(u)
+        return jnp.where(False, u[order], u + 1)
+
+    assert in_c(function, 3)(np.arange(3.0)).tolist() == [1.0, 2.0, 3.0]
+
+
+# ---- the compiler ----------------------------------------------------------------------
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    monkeypatch.setattr(native, "_CACHE", tmp_path / "native")
+    native.load.cache_clear()
+    return tmp_path / "native"
+
+
+SOURCE = "double twice(double x) { return 2 * x; }\n"
+
+
+def twice():
+    function = native.load(SOURCE).twice
+    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+    return function(1.5)
+
+
+def test_a_library_is_compiled_once_and_kept(empty_cache, monkeypatch):
+    assert twice() == 3.0
+    (kept,) = empty_cache.iterdir()
+    native.load.cache_clear()
+    monkeypatch.setattr(native, "_compile", None)
+    assert twice() == 3.0
+    assert list(empty_cache.iterdir()) == [kept]
+
+
+def test_a_kept_file_that_is_no_library_is_made_anew(empty_cache):
+    twice()
+    (kept,) = empty_cache.iterdir()
+    kept.unlink()  # written over, a library in use would end the process
+    kept.write_text("no library")
+    native.load.cache_clear()
+    assert twice() == 3.0
+
+
+def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):
+    with pytest.raises(NotLowered, match="cc failed"):
+        native.load("double f(double x) { return y; }\n")
+    empty_cache.rmdir()
+    empty_cache.write_text("a file in the way")
+    with pytest.raises(NotLowered, match="cannot be kept"):
+        native.load(SOURCE)
+    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
+    with pytest.raises(NotLowered, match="no C compiler"):
+        native.load(SOURCE)
