@@ -38,18 +38,19 @@ class Planted(Integrator):
 
     def prepare(self, scene, t_end, resolution):
         order, t0 = self.true[SCENES.index(scene)], scene.interval[0]
+        late, early = self.late, self.early
         steps = resolution.count(t0, t_end)
 
         class Run(PreparedRun):
-            def measure(run):
+            def measure(self):
                 t = np.linspace(t0, t_end, steps + 1)
                 values = reference(scene, t_end)(t)
                 h, settled = (t_end - t0) / steps, t >= t_end - (t_end - t0) / 4
-                next_term = h * np.where(settled, -self.late, self.early)
+                next_term = h * np.where(settled, -late, early)
                 values["q"] = values["q"] + (h**order * (1 + next_term))[:, None]
                 return Trajectory(t, **{group: values[group] for group in GROUPS})
 
-            def execute(run): ...
+            def execute(self): ...
 
         return Run()
 
