@@ -152,11 +152,12 @@ class Reference:
         """The integration, and the one that tells its error."""
         tight, check = self._integrate(_RTOL, 1.0), self._integrate(4 * _RTOL, 0.5)
         ours, nq = tight(tight.ts), self.scene.sizes.nq
-        sizes = np.abs(ours).max(axis=1)
+        sizes, apart = (np.abs(rows).max(axis=1) for rows in (ours, ours - check(tight.ts)))
         for group in (slice(nq), slice(nq, 2 * nq), slice(2 * nq, None)):
             largest = sizes[group].max(initial=0.0) or 1.0
             sizes[group] = np.maximum(sizes[group], _SMALL_PART * largest)
-        if np.all(np.abs(ours - check(tight.ts)).max(axis=1) <= _AGREEMENT * sizes):
+        # Controllers may forget their errors, and need not be known as well as the motion.
+        if np.all(apart[: 2 * nq] <= _AGREEMENT * sizes[: 2 * nq]):
             return tight, check
         return self._integrate(_RTOL, 1.0, sizes), self._integrate(4 * _RTOL, 0.5, sizes)
 
