@@ -65,7 +65,8 @@ _OUTCOMES = {
     Ending.DIVERGED: (
         "diverged",
         "The solution grew beyond all bounds or was no longer finite in the step to t={t:.6g} s; "
-        "take a smaller step or a method that damps more, or check the scene's forces there.",
+        "take a smaller step, a method that damps more or, after an explicit one, an implicit one; "
+        "or check the scene's forces there.",
     ),
     Ending.BUDGET_EXCEEDED: (
         "budget_exceeded",
