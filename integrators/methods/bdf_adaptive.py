@@ -71,8 +71,8 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
     fall with the steps; x, whose rate may hold a, has the same. Only q is tested then. A spring so
     stiff that no step resolves it does the same to v, which is tested there, and orders three to
     five let its vibration grow where omega h is a few: steps stay near 1/omega, as IDA's do. On a
-    bar of 18124 rad/s both take some 34 000 steps for a second at rtol=1e-5, and lose a, which
-    nothing tests.
+    bar of 18124 rad/s both take some 34 000 steps for a second at rtol=1e-5, and no digit of a,
+    which is not tested, is right (relative, largest over time: 0.8 and 4.2).
     """
 
     name: ClassVar[str] = "bdf_adaptive"

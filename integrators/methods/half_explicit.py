@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.own_values import FreeSteps, OwnValues, projected
-from integrators.native.step_method import NewtonSettings, StepMethod
+from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Errors, Reading
 from problems import formulations
 from problems.formulations import Start
@@ -94,11 +94,7 @@ class HalfExplicit(OwnValues, StepMethod):
     family: ClassVar[str] = "half-explicit"
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    linear_solver: str = option(
-        "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
-        choices=("auto", "dense", "sparse"),
-    )
+    linear_solver: str = option("auto", LINEAR_SOLVERS, choices=("auto", "dense", "sparse"))
 
     @property
     def newton_settings(self) -> NewtonSettings:

@@ -71,7 +71,8 @@ class DriftHandling(Integrator):
     With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
     the motion drifts off the constraints. Baumgarte's d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi
     = 0 lets the drift decay; rates beyond the inverse step make the equations stiff. The
-    projection moves q and v after each step, by the least changes in the norm of M.
+    projection moves q and v after each step, by the least changes in the norm of M. A method on
+    index 2 holds d/dt Phi = 0 in its place, and Phi drifts.
     """
 
     constraints: str = option(
