@@ -1,0 +1,73 @@
+"""What adapters of simulation engines have in common; they need the extra ``peers``."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from typing import ClassVar
+
+import numpy as np
+
+from integrators.contract import Integrator, PreparedRun, Steps, Trajectory
+from integrators.native.endings import Ending
+from problems.initial_values import consistent_start
+from problems.scenes.pendulum import Pendulum
+from problems.spec import SpecError, validate
+from problems.system import MechatronicSystem
+
+#: A solution that goes beyond blows up; engines go on with it.
+_BEYOND = 1e12
+
+
+@dataclass(frozen=True)
+class Engine(Integrator):
+    """Base of engines: each states a scene as a model of its own and takes its own steps.
+
+    A model is made from the parameters of the scene; the engine never calls our equations. At
+    `prepare` its accelerations at the start are compared with ours.
+    """
+
+    #: Name of the package.
+    package: ClassVar[str]
+
+    @abstractmethod
+    def scenes(self) -> Collection[type[MechatronicSystem]]:
+        """The scenes that have a model."""
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if find_spec(self.package) is None:
+            return f'{self.name} needs the package {self.package}: pip install "stepbench[peers]".'
+        if type(scene) not in self.scenes():
+            known = ", ".join(sorted(one.name for one in self.scenes()))
+            return f"{self.package} takes scenes that have a model there: {known}."
+        if isinstance(scene, Pendulum) and scene.copies > 1:
+            return f"The model in {self.package} has the rod once; take copies=1."
+        return super().supports(scene)
+
+
+class EngineRun(PreparedRun):
+    """A run of an engine at equal steps, from the consistent start of the scene."""
+
+    def __init__(
+        self, method: Engine, scene: MechatronicSystem, t_end: float, resolution: Steps
+    ) -> None:
+        validate(method)
+        if len(resolution.pattern) > 1:
+            raise SpecError(f"{method.spec} takes equal steps and no pattern of them.")
+        t0 = scene.interval[0]
+        self.scene, self.start = scene, consistent_start(scene).z
+        self.steps = resolution.count(t0, t_end)
+        #: Times of the ends of the steps, the start first.
+        self.t = np.linspace(t0, float(t_end), self.steps + 1)
+
+    def cut(self, columns: list[np.ndarray]) -> int:
+        """The number of rows until the first one that is not finite, or beyond all bounds."""
+        sane = np.all([np.all(np.abs(c) < _BEYOND, axis=1) for c in columns], axis=0)
+        return len(sane) if sane.all() else int(np.argmin(sane))
+
+    def ended(self, trajectory: Trajectory, ending: Ending, failed: float) -> Trajectory:
+        """A trajectory with the outcome of a run whose last step should have come to ``failed``."""
+        status, message = ending.outcome(failed, float(self.t[-1]))
+        return replace(trajectory, status=status, message=message)
