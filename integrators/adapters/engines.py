@@ -67,7 +67,7 @@ class EngineRun(PreparedRun):
         sane = np.all([np.all(np.abs(c) < _BEYOND, axis=1) for c in columns], axis=0)
         return len(sane) if sane.all() else int(np.argmin(sane))
 
-    def ended(self, trajectory: Trajectory, ending: Ending, failed: float) -> Trajectory:
-        """A trajectory with the outcome of a run whose last step should have come to ``failed``."""
-        status, message = ending.outcome(failed, float(self.t[-1]))
+    def ended(self, trajectory: Trajectory, ending: Ending, step: int) -> Trajectory:
+        """A trajectory with the outcome of a run that went wrong in a step."""
+        status, message = ending.outcome(float(self.t[step]), float(self.t[-1]))
         return replace(trajectory, status=status, message=message)

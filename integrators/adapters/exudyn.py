@@ -50,6 +50,7 @@ class Exudyn(Engine):
         "full: a new Jacobian in every iteration; modified: one when needed",
         choices=("full", "modified"),
     )
+    linear_solver: str = option("dense", "exudyn's own factorisation", choices=("dense", "sparse"))
     newton_tol: float = option(
         1e-8, "tolerance of the residual, relative to that of the predictor", low=1e-15, high=1e-2
     )
@@ -81,6 +82,8 @@ class _ExudynRun(EngineRun):
         self._settings = settings = self._exudyn.SimulationSettings()
         settings.solution.file.write = False
         settings.parallel.numberOfThreads = 1
+        if method.linear_solver == "sparse":
+            settings.linearSolver.solverType = self._exudyn.LinearSolverType.EigenSparse
         time = settings.timeIntegration
         time.verboseMode = 0
         time.startTime, time.endTime, time.numberOfSteps = self.t[0], self.t[-1], self.steps
@@ -153,9 +156,10 @@ class _ExudynRun(EngineRun):
             jacobians=solver.it.newtonJacobiCount,
         )
         lam = self._multipliers(q, v, forces)
+        a[0], lam[0] = self.start.a, self.start.lam  # exudyn's have the noise of its increments
         run = Trajectory(self.t[at], q, v, a, lam, empty, empty, empty, work=work)
         if good < len(rows):
-            return self.ended(run, Ending.DIVERGED, self.t[rows[good][0]])
+            return self.ended(run, Ending.DIVERGED, rows[good][0])
         if count <= self.steps:
-            return self.ended(run, Ending.NEWTON_FAILED, self.t[count])
+            return self.ended(run, Ending.NEWTON_FAILED, count)
         return run

@@ -26,7 +26,6 @@ from opponents import (
     NotHere,
     c_program,
     equally_accurate,
-    exudyn,
     stepbench,
 )
 
@@ -91,8 +90,8 @@ def same_equations(rounds: int) -> list[dict[str, Any]]:
         lambda: stepbench(OURS, steps),
         lambda: stepbench(spec, steps),
         c_program,
-        lambda: exudyn("full"),
-        lambda: exudyn("modified"),
+        lambda: stepbench("exudyn[rho_inf=0.8,newton=full]", steps),
+        lambda: stepbench("exudyn[rho_inf=0.8]", steps),
     )
     title = f"the same {STEPS} steps"
     rows = race(title, "difference of q at the end", contestants, rounds)
