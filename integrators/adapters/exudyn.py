@@ -79,6 +79,8 @@ class _ExudynRun(EngineRun):
         self._exudyn, _ = engine()
         model = exudyn_model(scene, np.asarray(self.start.q), np.asarray(self.start.v))
         self._system, self._multipliers = model.system, model.multipliers
+        kind = self._exudyn.ConfigurationType.Reference
+        self._reference = model.system.systemData.GetODE2Coordinates(kind)
         self._settings = settings = self._exudyn.SimulationSettings()
         settings.solution.file.write = False
         settings.parallel.numberOfThreads = 1
@@ -104,7 +106,7 @@ class _ExudynRun(EngineRun):
         """
         increment = self._settings.timeIntegration.newton.numericalDifferentiation
         usual, found = increment.relativeEpsilon, []
-        for size in (4e-4, 2e-4, 1e-4):
+        for size in (0.032, 0.016, 0.008):
             increment.relativeEpsilon = size
             solver = self._exudyn.MainSolverImplicitSecondOrder()
             solver.InitializeSolver(self._system, self._settings)
@@ -120,7 +122,8 @@ class _ExudynRun(EngineRun):
         """q, v, a and algebraic coordinates ``(1, n)`` of exudyn's current state."""
         data = self._system.systemData
         return (
-            data.GetODE2CoordinatesTotal(),
+            # exudyn's own GetODE2CoordinatesTotal frees memory that is not its own (1.13.6).
+            data.GetODE2Coordinates() + self._reference,
             data.GetODE2Coordinates_t(),
             data.GetODE2Coordinates_tt(),
             data.GetAECoordinates()[None],

@@ -11,8 +11,9 @@ from problems.system import MechatronicSystem, Variables
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-#: Values of scene and model differ by less, relative to the largest one at the start.
-SAME = 1e-9
+#: Values of scene and model differ by less, relative to the largest one at the start, in systems of
+#: up to so many coordinates; the rounding of larger ones grows at least with their number.
+SAME, SMALL = 1e-9, 100
 
 
 class ModelDiffers(Exception):
@@ -40,16 +41,17 @@ def check_start(
     Raises
     ------
     ModelDiffers
-        If the largest difference is above `SAME` of the largest value.
+        If the largest difference is above `SAME`, or more beyond `SMALL` coordinates, of the largest value.
     """
+    limit = SAME * max(1.0, len(a) / SMALL)
     for name, theirs in (("a", a), ("lam", lam)):
         ours = np.asarray(getattr(start, name))
         if theirs is None or not ours.size:
             continue
         gap, size = np.abs(theirs - ours).max(), np.abs(ours).max()
-        if not gap <= SAME * size:
+        if not gap <= limit * size:
             raise ModelDiffers(
                 f"The model of {scene.spec} in {engine} is another system: at the start its "
                 f"{name} differs by {gap / size if size else gap:.1e} of the largest entry; "
-                f"at most {SAME:.0e} is rounding."
+                f"at most {limit:.0e} is rounding."
             )
