@@ -12,13 +12,10 @@ import numpy as np
 
 from integrators.contract import Integrator, PreparedRun, Steps, Trajectory
 from integrators.native.endings import Ending
+from problems.engines.agreement import why_not
 from problems.initial_values import consistent_start
-from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem
-
-#: A solution that goes beyond blows up; engines go on with it.
-_BEYOND = 1e12
 
 
 @dataclass(frozen=True)
@@ -39,12 +36,7 @@ class Engine(Integrator):
     def supports(self, scene: MechatronicSystem) -> str | None:
         if find_spec(self.package) is None:
             return f'{self.name} needs the package {self.package}: pip install "stepbench[peers]".'
-        if type(scene) not in self.scenes():
-            known = ", ".join(sorted(one.name for one in self.scenes()))
-            return f"{self.package} takes scenes that have a model there: {known}."
-        if isinstance(scene, Pendulum) and scene.copies > 1:
-            return f"The model in {self.package} has the rod once; take copies=1."
-        return super().supports(scene)
+        return why_not(self.package, scene, self.scenes())
 
 
 class EngineRun(PreparedRun):
@@ -61,11 +53,6 @@ class EngineRun(PreparedRun):
         self.steps = resolution.count(t0, t_end)
         #: Times of the ends of the steps, the start first.
         self.t = np.linspace(t0, float(t_end), self.steps + 1)
-
-    def cut(self, columns: list[np.ndarray]) -> int:
-        """The number of rows until the first one that is not finite, or beyond all bounds."""
-        sane = np.all([np.all(np.abs(c) < _BEYOND, axis=1) for c in columns], axis=0)
-        return len(sane) if sane.all() else int(np.argmin(sane))
 
     def ended(self, trajectory: Trajectory, ending: Ending, step: int) -> Trajectory:
         """A trajectory with the outcome of a run that went wrong in a step."""

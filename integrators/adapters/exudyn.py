@@ -96,7 +96,8 @@ class _ExudynRun(EngineRun):
         time.generalizedAlpha.spectralRadius = method.rho_inf
         trapezoidal = method.method == "trapezoidal_index2"
         time.generalizedAlpha.useNewmark = time.generalizedAlpha.useIndex2Constraints = trapezoidal
-        check_start("exudyn", scene, self.start, *self._beginning())
+        a, lam = self._beginning()
+        check_start("exudyn", scene, self.start, a=a, lam=lam)
 
     def _beginning(self) -> tuple[np.ndarray, np.ndarray]:
         """a and lam of exudyn at the start.
@@ -150,19 +151,13 @@ class _ExudynRun(EngineRun):
         finally:
             self._system.SetPostStepUserFunction(0)
         at, q, v, a, forces = (np.array(column) for column in zip(*rows, strict=True))
-        good = self.cut([q, v, a])
-        at, q, v, a, forces = (column[:good] for column in (at, q, v, a, forces[:, 0]))
-        empty = np.zeros((good, 0))
+        empty = np.zeros((len(at), 0))
         work = Work(
             steps=count - 1,
             newton=solver.it.newtonStepsCount,
             jacobians=solver.it.newtonJacobiCount,
         )
-        lam = self._multipliers(q, v, forces)
+        lam = self._multipliers(q, v, forces[:, 0])
         a[0], lam[0] = self.start.a, self.start.lam  # exudyn's have the noise of its increments
         run = Trajectory(self.t[at], q, v, a, lam, empty, empty, empty, work=work)
-        if good < len(rows):
-            return self.ended(run, Ending.DIVERGED, rows[good][0])
-        if count <= self.steps:
-            return self.ended(run, Ending.NEWTON_FAILED, count)
-        return run
+        return run if count > self.steps else self.ended(run, Ending.NEWTON_FAILED, count)
