@@ -131,8 +131,10 @@ class _ExudynRun(EngineRun):
         )
 
     def execute(self) -> Any:
-        solver = self._exudyn.MainSolverImplicitSecondOrder()
+        solver, shown = self._exudyn.MainSolverImplicitSecondOrder(), self._exudyn.config
+        before, shown.printToConsole = shown.printToConsole, False  # the status says the same
         solver.SolveSystem(self._system, self._settings)
+        shown.printToConsole = before
         return solver
 
     def measure(self) -> Trajectory:

@@ -44,7 +44,6 @@ def engine() -> tuple[Any, Any]:
     with contextlib.redirect_stdout(io.StringIO()):  # it tells of the build
         import exudyn
         import exudyn.itemInterface
-    exudyn.config.printToConsole = False
     return exudyn, exudyn.itemInterface
 
 
