@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from helpers import long, slope
 
+from bench.conformance.checker import CHECKS
+from bench.conformance.verdicts import DoesNotApply
 from bench.plugins.registry import Registry
 from integrators import Steps
 from problems.engines import agreement
@@ -218,3 +220,19 @@ def test_a_missing_package_is_said_in_one_sentence(engine, monkeypatch):
     monkeypatch.setattr("integrators.adapters.engines.find_spec", lambda name: None)
     reason = Registry().integrator(engine).supports(Pendulum())
     assert reason == f'{engine} needs the package {engine}: pip install "stepbench[peers]".'
+
+
+# ---- the contract of integrators -------------------------------------------------------
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("check", ["rows", "execute", "work"])
+def test_an_engine_passes_the_checks_of_an_integrator(engine, check):
+    registry = Registry()
+    CHECKS["integrators"][check](registry, registry.integrator(engine))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("check", ["start time", "nan"])
+def test_a_check_on_changed_equations_does_not_apply_to_a_fixed_model(engine, check):
+    registry = Registry()
+    with pytest.raises(DoesNotApply, match="takes scenes that have a model there"):
+        CHECKS["integrators"][check](registry, registry.integrator(engine))
