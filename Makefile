@@ -36,7 +36,7 @@ attack: .venv/installed  ## hostile plugins, signals, inputs, stores and machine
 	$(TESTS) tests/attacks -m "attack or not attack"
 
 bench: .venv/installed  ## our time loop against C, exudyn and other solvers; microseconds per step
-	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[bench]"
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/families.py
 	$(BIN)/python tests/benchmarks/sizes.py

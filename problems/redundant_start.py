@@ -59,7 +59,7 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | Non
 def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
     """The number of constraints that depend on the others at q and t (s).
 
-    Scenes of more than 1000 coordinates are not examined: it would take minutes, and it is 0.
+    Scenes of more than 1000 coordinates are not examined, as it would take minutes: 0 is returned.
     """
     if not scene.sizes.nl or scene.sizes.nq > _MOST_COORDINATES:
         return 0

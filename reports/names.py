@@ -42,6 +42,7 @@ BUILT_IN = _ALPHA_FAMILY | {
     "bdf_adaptive": "BDF 1-5",
     "cr": "CR",
     "energy_momentum": "Energy-momentum",
+    "exudyn": "exudyn",
     "explicit_generalized_alpha": "explicit gα",
     "half_explicit_euler": "Half-explicit Euler",
     "hht_i3": "HHT-I3",
@@ -50,6 +51,7 @@ BUILT_IN = _ALPHA_FAMILY | {
     "kr_alpha": "KR-α",
     "linearly_implicit_euler": "Linearly implicit Euler",
     "lobatto_iiia_iiib": "Lobatto A-B",
+    "mujoco": "MuJoCo",
     "noh_bathe": "Noh-Bathe",
     "park": "Park",
     "phem56": "PHEM56",
@@ -65,7 +67,12 @@ BUILT_IN = _ALPHA_FAMILY | {
     "wilson_theta": "Wilson-θ",
 }
 #: Names of families; others are called as their methods state it.
-_FAMILIES = {"generalized-alpha": "generalized-α", "ida": "IDA", "scipy_dae": "scipy DAE"}
+_FAMILIES = {
+    "generalized-alpha": "generalized-α",
+    "ida": "IDA",
+    "scipy_dae": "scipy DAE",
+    "engine": "engines",
+}
 #: Options whose value says enough.
 _BARE = ("rho_inf", "alpha", "stages", "rho_b")
 #: Values that go without saying, as the method is known by them.
@@ -98,6 +105,9 @@ _VALUES = {
     ("multiplier", "one_sided"): "one-sided λ",
     ("constraints", "baumgarte"): "Baumgarte",
     ("constraints", "projected"): "projected",
+    ("method", "trapezoidal_index2"): "trapezoidal",
+    ("integrator", "euler"): "Euler",
+    ("integrator", "rk4"): "RK4",
 }
 _GREEK = {
     "alpha_m": "αm",

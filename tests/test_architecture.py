@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     {"problems"},
     {"problems.scenes"},
+    {"problems.engines"},
     {"integrators.multistep", "integrators.kept_rows"},
     {"integrators.contract"},
     {"integrators.operations"},

@@ -29,9 +29,9 @@ def test_tables_of_families():
     assert lines[-1].startswith("- kr_alpha was left out: constraints")
 
     rows = families.beside_ida(families.SCENE, 1e-3, rounds=1)
-    ida = next(row for row in rows if row["contestant"] == "ida")
-    assert sum(ida["parts_ms"].values()) == pytest.approx(ida["milliseconds"]["least"])
-    assert ida["parts_ms"]["calls through Python"] > 0
+    ida = next(row for row in rows if "parts_ms" in row)
+    assert ida["contestant"] == "ida[callbacks=python]"
+    assert min(ida["parts_ms"].values()) > 0
     assert "the library" in families.ida_table(rows)
 
 

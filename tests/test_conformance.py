@@ -68,6 +68,7 @@ def test_what_is_right_passes_every_check(registry, kind, text):
             "On forced_oscillator: t[4] is 0.3, expected a time after t[3], 0.4 s",
         ),
         ("wrong[how=uncounted]", "work", "steps on forced_oscillator: None at h=0.1 s, None at"),
+        ("wrong[how=steps_alone]", "work", "residuals on forced_oscillator: None at h=0.1 s, None"),
         ("wrong[how=always_seven]", "work", "residuals on forced_oscillator: 7 at h=0.1 s, 7 at"),
         ("wrong[how=twice]", "work", "100 steps are counted on forced_oscillator, 50 were asked"),
         ("wrong[how=stateful]", "execute", "measure() before and after execute()"),

@@ -118,7 +118,7 @@ def alike(labels: Iterable[str]) -> list[tuple[LineStyle, LineStyle]]:
     return [(one, two) for one, two in pairs if near(one.color, two.color)]
 
 
-@pytest.mark.parametrize("name", ["quick", "full", "sizes"])
+@pytest.mark.parametrize("name", ["quick", "full", "sizes", "peers"])
 def test_lines_of_a_suite_with_near_colours_differ_in_mark_and_dash(name):
     pairs = alike(suite(name))
     assert pairs

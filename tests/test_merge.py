@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from planted import STEPS, edited, everything, plant, planted
+from small_stores import filled
 
 from bench.results.compare import compare
 from bench.results.merge import merge
@@ -123,6 +124,15 @@ def test_merging_with_oneself_changes_nothing(old, tmp_path):
         assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
         assert one.records() == two.records()
         assert one.environments() == two.environments()
+
+
+def test_long_runs_experiments_and_damping_are_merged(old, tmp_path):
+    merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
+    with Store(tmp_path / "all") as store, Store(tmp_path / "one_of_each") as origin:
+        for kind in ("long_runs", "experiments", "damping"):
+            found = getattr(origin, kind)()
+            assert found
+            assert found.items() <= getattr(store, kind)().items()
 
 
 def test_a_store_without_a_plan_is_merged(tmp_path):

@@ -40,7 +40,7 @@ def test_a_constraint_that_is_stated_twice_is_named(method):
     run = ended(method, Pendulum(copies=2))
     assert run.status == "newton_failed"
     assert run.message.startswith(NAME)
-    assert "ali3p" in run.message
+    assert "ali3p[values=own]" in run.message
 
 
 @pytest.mark.long

@@ -45,6 +45,8 @@ class Run(PreparedRun):
             run.t[[3, 4]] = run.t[[4, 3]]
         if how == "uncounted":
             run.work = Work()
+        if how == "steps_alone":
+            run.work = Work(steps=run.work.steps)
         if how == "always_seven":
             run.work.residuals = 7
         if how == "twice":

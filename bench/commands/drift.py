@@ -58,8 +58,8 @@ def drift(
     the residuals of the constraints and of their rates, and where there is a closed form of a
     motion that conserves energy, the phase: the time by which a run is ahead. Of each the table
     shows the largest absolute value, the slope of a straight line through all rows, and whether the
-    drift is linear, bounded, or none. The folder keeps long runs beside other results; the report
-    of these has a chapter on them.
+    drift is none, linear, bounded, or neither. The folder keeps long runs beside other results; the
+    report of these has a chapter on them.
 
     \b
     Examples:
@@ -78,18 +78,21 @@ def drift(
     if step is not None:
         check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 
+    from bench.results.store import Store
     from bench.running.drift import drift_job
 
     results, faults = [], []
-    for method in methods:
-        sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
-        try:
-            results.append(options.guarded(method.spec, drift_job, sources, budget, task))
-        except SpecError as error:
-            faults.append(str(error))
+    with Store(out, create=True) as store:
+        for method in methods:
+            sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
+            try:
+                results.append(options.guarded(method.spec, drift_job, sources, budget, task))
+                store.save_long_run(results[-1])
+            except SpecError as error:
+                faults.append(str(error))
     if results:
         _show(results, form)
-        _keep(results, out, quiet=bool(form))
+        _write_page(out, quiet=bool(form))
     faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
     if faults:
         raise click.ClickException(" ".join(faults))
@@ -113,13 +116,11 @@ def _show(results: Sequence[LongRun], form: str | None) -> None:
         show(drift_table(results))
 
 
-def _keep(results: Sequence[LongRun], out: Path, quiet: bool) -> None:
-    """Store long runs, and write the page on all that the folder has; say where it is."""
+def _write_page(out: Path, quiet: bool) -> None:
+    """Write the page on all long runs that the folder has; say where it is."""
     from bench.results.store import Store
 
-    with Store(out, create=True) as store:
-        for run in results:
-            store.save_long_run(run)
+    with Store(out) as store:
         page, others = view("drift")(store.long_runs(), out), store.plan()
     click.echo(f"Page: {page}", err=quiet)
     if others:

@@ -149,7 +149,8 @@ def drift_table(results: Sequence[LongRun]) -> Group:
     _add_numbers(table, ("largest", "per s"))
     table.add_column("drift")
     for run in results:
-        name = f"{run.integrator}, {run.steps} steps: {run.status}"
+        steps = "-" if run.steps is None else run.steps
+        name = f"{run.integrator}, {steps} steps: {run.status}"
         for k, (quantity, found) in enumerate(run.measured):
             numbers = _number(found.largest), _number(found.per_s)
             table.add_row(Text("" if k else name), Text(titled(quantity)), *numbers, found.verdict)

@@ -134,6 +134,9 @@ def check_momentum(registry: Registry, scene: MechatronicSystem) -> str:
     """No stated momentum changes along the motion: p_q v + p_v a = 0."""
     if not scene.has("momentum"):
         raise DoesNotApply("It states no momentum.")
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    if not jnp.size(scene.momentum(q, v)):
+        raise Failed("momentum() has no entry; leave it out.")
     return _conserved(scene, "momentum", "N (or N m)")
 
 

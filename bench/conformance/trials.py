@@ -164,6 +164,18 @@ def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSyst
     return trials(registry, method) + [scene for scene in more if refusal(method, scene) is None]
 
 
+def must_take(method: Integrator, scene: MechatronicSystem, what: str) -> None:
+    """Go on with a changed scene only if the method takes it.
+
+    Raises
+    ------
+    DoesNotApply
+        If it does not take this scene ``what``, a clause.
+    """
+    if reason := refusal(method, scene):
+        raise DoesNotApply(f"It does not take a scene {what}: {reason}")
+
+
 def trial_end(scene: MechatronicSystem) -> float:
     """Return the end time of a trial run, in s."""
     t0, t_end = scene.interval

@@ -100,6 +100,13 @@ def _write(sources: Sequence[Source], kept: dict[str, Source], folder: Path) -> 
         for source in sorted(sources, key=_latest):
             for scene in source.scenes.values():
                 store.save_scene(scene)
+            with Store(source.folder) as origin:
+                for run in origin.long_runs().values():
+                    store.save_long_run(run)
+                for found in origin.experiments().values():
+                    store.save_experiment(found)
+                for integrator, damping in origin.damping().items():
+                    store.save_damping(integrator, damping)
         for source in sources:
             own = {}
             for number, environment in source.environments.items():

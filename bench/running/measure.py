@@ -76,6 +76,8 @@ def momentum_change(
     found = compiled(scene).momentum(scene.parameters(), run.q, run.v)
     shape = (len(run.t), *np.shape(found)[1:2])
     momenta = array(found, "momentum() of the rows", shape).reshape(len(run.t), -1)
+    if not momenta.shape[1]:
+        return {}
     sizes = np.abs(momenta).max(axis=0)
     changes = (momenta - momenta[0]) / np.where(sizes > 0, sizes, 1.0)
     return {"momentum": changes[:, np.abs(changes).max(axis=0).argmax()]}

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
+from integrators.native.endings import Ending
 from problems.batched_initial_values import consistent_starts
 from problems.formulations import complete
 from problems.runtime import jax
@@ -120,7 +121,11 @@ class Batch:
             )
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
         self._times = times_of(runs, t_end, every_row)
-        self._kernel = self._times.kernel(kinds[0].pop(), self._template)
+        program = kinds[0].pop()
+        self._kernel = self._times.kernel(program, self._template)
+        q, t = np.asarray(scenes[0].initial_state().q), scenes[0].interval[0]
+        # Why steps fail is told by the constraints at the first start: a map has thousands of them.
+        self._cause = cache(partial(program.cause, scene=scenes[0], rows={"q": [q], "t": [t]}))
         self._states_only, self._every_row = methods[0].states_only, every_row
         self._starts, without = consistent_starts(scenes)
         refused = {
@@ -207,7 +212,8 @@ class Batch:
         refused = self._refused.get(int(self._of_pair[member]))
         if refused:
             return refused
-        status, message = self._times.outcome(member, end)
+        ending = self._cause(Ending(int(end[0])))
+        status, message = self._times.outcome(member, ending, float(end[1]))
         if status == "ok" and not finite:
             return "diverged", "It ended with values that are not finite."
         return status, message

@@ -74,8 +74,8 @@ class Times(Protocol):
         """Rows and endings from the result of a kernel."""
         ...
 
-    def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
-        """Status and message of a run."""
+    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
+        """Status and message of a run that ended at t (s)."""
         ...
 
 
@@ -116,8 +116,8 @@ class ConstantSteps:
             table[:, :, 1], table[:, :, 2:], self._row_counts[of], end[:, :2], end[:, 2:]
         )
 
-    def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
-        return Ending(int(ending[0])).outcome(float(ending[1]), self._t_end)
+    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
+        return ending.outcome(t, self._t_end)
 
 
 class ChosenSteps:
@@ -166,11 +166,9 @@ class ChosenSteps:
             place[: len(rows)] = rows
         return BatchRows(table[:, :, 1], table[:, :, 2:], complete, end[:, :2], end[:, 2:])
 
-    def outcome(self, place: int, ending: np.ndarray) -> tuple[str, str]:
+    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
         span = self.numbers[self._of[place]]
-        return Ending(int(ending[0])).outcome(
-            float(ending[1]), float(span.t_end), int(span.max_steps)
-        )
+        return ending.outcome(t, float(span.t_end), int(span.max_steps))
 
 
 def times_of(runs: Sequence[BatchRun], t_end: float, every_row: bool) -> Times:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from integrators.contract import option
-from integrators.native.own_values import FreeSteps, OwnValues
-from integrators.native.step_method import NewtonSettings, StepMethod
+from integrators.native.own_values import FreeSteps, OwnValues, projected
+from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Errors, Reading
 from problems import formulations
 from problems.formulations import Start
@@ -94,11 +94,7 @@ class HalfExplicit(OwnValues, StepMethod):
     family: ClassVar[str] = "half-explicit"
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    linear_solver: str = option(
-        "auto",
-        "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill",
-        choices=("auto", "dense", "sparse"),
-    )
+    linear_solver: str = option("auto", LINEAR_SOLVERS, choices=("auto", "dense", "sparse"))
 
     @property
     def newton_settings(self) -> NewtonSettings:
@@ -200,6 +196,9 @@ class PHEM56(FreeSteps, HalfExplicit):
     Stage 6 ends the step, and stage 7 gives a and lam there, with which the next step begins. x is
     taken like v. An embedded method of order four estimates the errors of q, v and x; its v is
     projected on the velocity constraint.
+
+    With ``projection=positions`` the end of the step is moved onto the constraints of positions and
+    velocities; the changes are as small as the local error.
     """
 
     name: ClassVar[str] = "phem56"
@@ -209,7 +208,20 @@ class PHEM56(FreeSteps, HalfExplicit):
         "Murua (1997), doi:10.1007/BF02684403; Arnold & Murua (1998), doi:10.1023/A:1019123010801"
     )
 
+    projection: str = option(
+        "none",
+        "none: positions drift off the constraints, slowly; positions: each step ends by moving q "
+        "and v onto them",
+        choices=("none", "positions"),
+    )
+
     order = 5
+
+    @property
+    def newton_settings(self) -> NewtonSettings:
+        # The projection uses one factorisation several times, which kept tangents allow.
+        kept = self.projection == "positions"
+        return NewtonSettings(_TOLERANCE, _MOST, kept, linear_solver=self.linear_solver)
 
     @property
     def order_of_estimate(self) -> int:
@@ -239,6 +251,8 @@ class PHEM56(FreeSteps, HalfExplicit):
             of_v.append(z.a)
             of_x.append(xdot)
         z = z._replace(t=t)
+        if self.projection == "positions" and scene.sizes.nl:
+            z = projected(scene, z, work)
         errors = state.errors
         if self.steps == "adaptive":
             weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]

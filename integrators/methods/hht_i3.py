@@ -72,8 +72,10 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         (beta - 1/(6 (1 + alpha))) h^2 (a+ - a)
 
     in the root of mean squares relative to max(1, |q| so far), is below ``--rtol``; the next one
-    has 0.9 h err^(-1/3). The local error alone is held: errors go with rtol^(2/3). A step so small
-    that a, in its unit at least 1, would be rounding of q, eps q/h^2, is not accepted.
+    has 0.9 h err^(-1/3). The local error alone is held: errors go with rtol^(2/3). A step is
+    refused if the rounding of q makes an acceleration, eps |q|/h^2, of a tenth of max(1, |a|), the
+    1 in the unit of a. The publication stops Newton's iteration by its tolerance, too; here it ends
+    at ``newton_tol``, so that a and lam hold no errors of the iteration.
     ``control=chrono`` has no error control: a step is halved if Newton's method fails, and doubled
     after five steps of less than three iterations, up to ``--step``, with which it begins. With the
     default ``newton_tol`` hardly a step takes less than three.

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.own_values import DriftHandling, FreeSteps, OwnValues
+from integrators.native.own_values import DriftHandling, FreeSteps, OwnValues, projected
 from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Errors, Reading
 from problems import formulations
@@ -82,8 +82,6 @@ _OF_TIME = (
     0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
     2.325825639765069, 0.0, 0.0, 0.0,
 )  # fmt: skip
-#: Iterations of a projection with one matrix.
-_PROJECTIONS = 3
 
 
 class RosenbrockState(NamedTuple):
@@ -183,7 +181,7 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
         work.count(residuals=len(_PLACES))
         end, last = _plus(z, _A[-1], changes)._replace(t=t), changes[-1]
         if self.projects(scene):
-            end = _projected(scene, end, work)
+            end = projected(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still
         shown = self.reported(scene, end, xdot, work)
         return RosenbrockState(shown, end, (last.q, last.v, last.x))
@@ -211,26 +209,3 @@ def _plus(z: Variables, weights: Sequence, changes: list[Variables]) -> Variable
     for weight, change in zip(weights, changes, strict=True):
         z = jax.tree.map(lambda a, b, w=weight: a + w * b, z, change)
     return z
-
-
-def _projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
-    """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
-
-    As `problems.projections.projected_state`, with the matrix at z alone.
-    """
-    nq = scene.sizes.nq
-    cuts, nothing = [nq], jnp.zeros(nq)
-
-    def least_change(u: Array) -> Array:
-        w, mu = jnp.split(u, cuts)
-        force = formulations.constraint_force(scene, z.q, z.t, mu)
-        motion = formulations.inertia(scene, z.q, w) + force
-        return jnp.concatenate([motion, scene.constraint(z.q + w, z.t)])
-
-    solution = work.factorised(least_change, jnp.zeros(nq + scene.sizes.nl))
-    q, v = z.q, z.v
-    for _ in range(_PROJECTIONS):
-        q = q - solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nq]
-        drift = formulations.constraint_velocity(scene, q, v, z.t)
-        v = v - solution(jnp.concatenate([nothing, drift]))[:nq]
-    return z._replace(q=q, v=v)

@@ -122,6 +122,8 @@ class SemiImplicitEuler(SimulatorStepper):
     """Semi-implicit (symplectic) Euler: F is the force at the start of the step.
 
     Velocities first, positions with the new velocities; stable up to omega h = 2, without damping.
+    Controller states are those of the explicit Euler method: a rate r of decay is stable up to
+    r h = 2.
     """
 
     name: ClassVar[str] = "semi_implicit_euler"
@@ -140,7 +142,8 @@ class ImplicitFast(SimulatorStepper):
     """Semi-implicit Euler with implicit damping: F = f + h D a, D the symmetric part of df/dv.
 
     The derivative of gyroscopic and Coriolis forces, which M(q) gives, is left out of D, as in
-    MuJoCo. So dampers of any strength are stable, and springs up to omega h = 2.
+    MuJoCo. So dampers of any strength are stable, springs up to omega h = 2, and controller states
+    up to r h = 2 for a rate r of decay.
     """
 
     name: ClassVar[str] = "implicit_fast"

@@ -65,7 +65,8 @@ _OUTCOMES = {
     Ending.DIVERGED: (
         "diverged",
         "The solution grew beyond all bounds or was no longer finite in the step to t={t:.6g} s; "
-        "take a smaller step or a method that damps more, or check the scene's forces there.",
+        "take a smaller step, a method that damps more or, after an explicit one, an implicit one; "
+        "or check the scene's forces there.",
     ),
     Ending.BUDGET_EXCEEDED: (
         "budget_exceeded",
@@ -94,6 +95,7 @@ _OUTCOMES = {
     Ending.SINGULAR: (
         "newton_failed",
         "The tangent is singular at t={t:.6g} s: constraints depend on each other (redundant, or "
-        "at a singular position); use ali3p, or drop dependent constraints from the scene.",
+        "at a singular position); use ali3p[values=own], or drop dependent constraints from the "
+        "scene.",
     ),
 }

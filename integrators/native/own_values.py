@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Self
 from integrators.contract import Integrator, option
 from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Reading
+from problems import formulations
 from problems.formulations import Baumgarte, complete
+from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
@@ -21,6 +23,9 @@ FORMULATIONS = (
     "constraints that hold: index3, of positions; index2, of velocities; stabilised_index2, both "
     "(Gear, Gupta & Leimkuhler)"
 )
+
+#: Iterations of a projection with one matrix.
+_PROJECTIONS = 3
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,8 @@ class DriftHandling(Integrator):
     With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
     the motion drifts off the constraints. Baumgarte's d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi
     = 0 lets the drift decay; rates beyond the inverse step make the equations stiff. The
-    projection moves q and v after each step, by the least changes in the norm of M.
+    projection moves q and v after each step, by the least changes in the norm of M. A method on
+    index 2 holds d/dt Phi = 0 in its place, and Phi drifts.
     """
 
     constraints: str = option(
@@ -106,3 +112,26 @@ class FreeSteps(ErrorControl):
 
     def at_constant_steps(self) -> Self:
         return replace(self, steps="constant")
+
+
+def projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
+    """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
+
+    As `problems.projections.projected_state`, with the matrix at z alone.
+    """
+    nq = scene.sizes.nq
+    cuts, nothing = [nq], jnp.zeros(nq)
+
+    def least_change(u: Array) -> Array:
+        w, mu = jnp.split(u, cuts)
+        force = formulations.constraint_force(scene, z.q, z.t, mu)
+        motion = formulations.inertia(scene, z.q, w) + force
+        return jnp.concatenate([motion, scene.constraint(z.q + w, z.t)])
+
+    solution = work.factorised(least_change, jnp.zeros(nq + scene.sizes.nl))
+    q, v = z.q, z.v
+    for _ in range(_PROJECTIONS):
+        q = q - solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nq]
+        drift = formulations.constraint_velocity(scene, q, v, z.t)
+        v = v - solution(jnp.concatenate([nothing, drift]))[:nq]
+    return z._replace(q=q, v=v)

@@ -72,6 +72,8 @@ _BUILT_IN = {
     "cr": (238, 12, 3),
     "wilson_theta": (254, 3, 0),
     "ali3p": (34, 4, 3),
+    "exudyn": (128, 8, 1),
+    "mujoco": (68, 11, 5),
 }
 #: What an option adds: to the number of the dash, and of the mark. Others add by their digest.
 _STEPS = {

@@ -67,7 +67,7 @@ MULTIPLES_NOTE = (
     "it. Methods that reach more accuracies on more scenes stand higher. far: every run that "
     "reached the end has a larger error. The name of a status, such as newton_failed: no run "
     f"reached the end. {_UNJUDGED}: the reference is not good enough to judge the accuracy. "
-    f"{NO_VALUE}: not tried, or not supported."
+    f'{NO_VALUE}: not tried, or not supported; in the row "least": no run reaches it.'
 )
 
 
@@ -90,7 +90,7 @@ def _cell(found: Sequence[Answer], scene: str, series: Series | None) -> str:
         else:
             state = answer.scenes[scene].entries[series.label].state
             cells.append(state if isinstance(state, str) else _multiple(state))
-    return cells[0] if len({*cells}) == 1 and cells[0] in "far" else _BETWEEN.join(cells)
+    return cells[0] if len({*cells}) == 1 and cells[0] == "far" else _BETWEEN.join(cells)
 
 
 def _multiple(ratio: float) -> str:
@@ -121,7 +121,7 @@ def energy_table(
         rows,
         code=(),
         note="The largest change over time, relative to the largest kinetic energy. "
-        f"{NO_VALUE}: no run reaches the accuracy.",
+        f"{NO_VALUE}: no run reaches the accuracy, or the integrator was not tried on the scene.",
     )
 
 

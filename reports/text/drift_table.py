@@ -27,7 +27,8 @@ def drift_table(runs: Sequence[LongRun]) -> Table:
     """A row for each integrator and quantity: largest value, trend, and what decides."""
     rows = []
     for run in runs:
-        steps = str(run.steps) if run.status == "ok" else f"{run.steps} ({run.status})"
+        steps = "-" if run.steps is None else str(run.steps)
+        steps = steps if run.status == "ok" else f"{steps} ({run.status})"
         for quantity, drift in run.measured:
             found = (drift.largest, drift.per_s, drift.straight, drift.apart)
             cells = [titled(quantity), steps, *map(number, found), drift.verdict]

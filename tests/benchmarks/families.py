@@ -70,7 +70,9 @@ RACERS = (
 )
 #: Steps of generalized-alpha in the races at equal error, and tolerances beside IDA.
 SIZES, RTOLS = (1e-3, 1e-4), (1e-4, 1e-6, 1e-8)
-_BDF = ("bdf_adaptive[newton=modified]", "bdf_adaptive", "ida")
+#: IDA whose calls of equations are timed one by one.
+_THROUGH_PYTHON = "ida[callbacks=python]"
+_BDF = ("bdf_adaptive[newton=modified]", "bdf_adaptive", "ida", _THROUGH_PYTHON)
 _ERROR = "settled error in a"
 
 
@@ -110,8 +112,8 @@ def beside_ida(scene: MechatronicSystem, rtol: float, rounds: int) -> list[dict[
     makers = [partial(stepbench, one, at, Reference(scene, t_end), scene) for one in _BDF]
     rows = _held(f"{scene.name}, rtol={rtol:g}", makers, rounds)
     for row in rows:
-        if row.get("contestant") == "ida":
-            case, work = Case(scene, IDA(), t_end, rtol), row["work"]
+        if row.get("contestant") == _THROUGH_PYTHON:
+            case, work = Case(scene, IDA(callbacks="python"), t_end, rtol), row["work"]
             calls = np.array([work["residuals"], work["jacobians"]])
             compiled = calls @ [least(call) / LOOP for call in case.in_a_loop()]
             called = calls @ [least(call) for call in case.callbacks()]

@@ -7,10 +7,8 @@ other work is no cost of theirs.
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -151,60 +149,3 @@ def c_program() -> Contestant:
 
     q = np.array(call()[2:9])
     return Contestant("C", f"cc {' '.join(options)}", lambda: call()[0] * 1e-6 * STEPS, STEPS, q)
-
-
-def exudyn(newton: str) -> Contestant:
-    """The mechanism in exudyn: two rigid bodies, a sliding mass, three revolute joints."""
-    if importlib.util.find_spec("exudyn") is None:
-        raise NotHere("exudyn was left out: it is not installed (pip install 'stepbench[bench]').")
-    sys.exudynFast = True  # its build without range checks
-    import exudyn as exu
-    import exudyn.itemInterface
-
-    items, s, (q, v, _) = exu.itemInterface, SCENE, SCENE.initial_state()
-    mbs = exu.SystemContainer().AddSystem()
-
-    def marker(body: int, x: float) -> int:
-        return mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=body, localPosition=[x, 0, 0]))
-
-    def bar(at: slice, m: float, length: float) -> int:
-        node = items.NodeRigidBody2D(
-            referenceCoordinates=list(q[at]), initialVelocities=list(v[at])
-        )
-        inertia = m * length**2 / 12
-        body = mbs.AddObject(
-            items.ObjectRigidBody2D(nodeNumber=mbs.AddNode(node), mass=m, inertia=inertia)
-        )
-        mbs.AddLoad(items.Force(markerNumber=marker(body, 0), loadVector=[0, -m * s.g, 0]))
-        return body
-
-    ground = mbs.AddObject(items.ObjectGround())
-    crank, rod = bar(slice(0, 3), s.m1, s.l1), bar(slice(3, 6), s.m2, s.l2)
-    along = mbs.AddNode(items.Node1D(referenceCoordinates=[q[6]], initialVelocities=[v[6]]))
-    slider = mbs.AddObject(items.Mass1D(nodeNumber=along, mass=s.m3))
-    for one, other in (
-        (marker(ground, 0), marker(crank, -s.l1 / 2)),
-        (marker(crank, s.l1 / 2), marker(rod, -s.l2 / 2)),
-        (marker(rod, s.l2 / 2), marker(slider, 0)),
-    ):
-        mbs.AddObject(items.RevoluteJoint2D(markerNumbers=[one, other]))
-    mbs.Assemble()
-
-    settings = exu.SimulationSettings()
-    settings.solution.file.write = False
-    settings.parallel.numberOfThreads = 1
-    settings.timeIntegration.numberOfSteps = STEPS
-    settings.timeIntegration.endTime = T_END
-    settings.timeIntegration.adaptiveStep = False
-    settings.timeIntegration.generalizedAlpha.spectralRadius = RHO
-    # At its default relative tolerance of 1e-8; 1e-6 is faster, and wrong in the fifth digit.
-    settings.timeIntegration.newton.useModifiedNewton = newton == "modified"
-
-    def execute() -> None:
-        if not mbs.SolveDynamic(settings):
-            raise NotHere("exudyn did not solve the slider crank.")
-
-    execute()
-    data = mbs.systemData
-    end = data.GetODE2Coordinates() + data.GetODE2Coordinates(exu.ConfigurationType.Reference)
-    return Contestant(f"exudyn, {newton} Newton", exu.__version__, timed(execute), STEPS, end)

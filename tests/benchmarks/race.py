@@ -26,7 +26,6 @@ from opponents import (
     NotHere,
     c_program,
     equally_accurate,
-    exudyn,
     stepbench,
 )
 
@@ -34,10 +33,21 @@ from bench.results.environment import environment
 from integrators import Steps
 from problems.reference import Reference
 from problems.runtime import one_thread
+from problems.scenes.chain import Chain
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrank
 
 #: Steps of the races at equal error in a: a coarse and a fine one.
 _SIZES = (1e-3, 1e-4)
 _PEERS = ("ida", "kvaerno5", "radau")
+#: Scenes of the engines, and equal steps on each.
+_ENGINE_SCENES, _ENGINE_STEPS = (Pendulum(), SliderCrank(), Chain(), HeavyTop()), 10_000
+_ENGINES = (
+    *(OURS, f"generalized_alpha[rho_inf={RHO:g}]", "semi_implicit_euler"),
+    *("exudyn", "exudyn[newton=full]", "exudyn[method=trapezoidal_index2]"),
+    *("mujoco[integrator=euler]", "mujoco[integrator=rk4]"),
+)
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-6
 
@@ -91,8 +101,8 @@ def same_equations(rounds: int) -> list[dict[str, Any]]:
         lambda: stepbench(OURS, steps),
         lambda: stepbench(spec, steps),
         c_program,
-        lambda: exudyn("full"),
-        lambda: exudyn("modified"),
+        lambda: stepbench("exudyn[rho_inf=0.8,newton=full]", steps),
+        lambda: stepbench("exudyn[rho_inf=0.8]", steps),
     )
     title = f"the same {STEPS} steps"
     rows = race(title, "difference of q at the end", contestants, rounds)
@@ -109,6 +119,21 @@ def same_error(h: float, rounds: int, reference: Reference) -> list[dict[str, An
     peers = [lambda spec=spec: equally_accurate(spec, ours.error, reference) for spec in _PEERS]
     contestants = [ours, *present(*peers)]
     return race(f"equal error in a, h={h:g} s", "settled error in a", contestants, rounds)
+
+
+def engines(rounds: int) -> list[dict[str, Any]]:
+    """Engines on models of their own, at equal steps; they solve other discrete equations."""
+    rows = []
+    for scene in _ENGINE_SCENES:
+        start, end = scene.interval
+        steps = Steps((end - start) / _ENGINE_STEPS)
+        makers = [
+            lambda spec=spec, steps=steps, scene=scene: stepbench(spec, steps, scene=scene)
+            for spec in _ENGINES
+        ]
+        title = f"{scene.name}, {_ENGINE_STEPS} equal steps"
+        rows += race(title, "difference of q at the end", present(*makers), rounds)
+    return rows
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -141,6 +166,7 @@ def main() -> None:
     reference = Reference(SCENE, T_END)
     for h in _SIZES:
         rows += same_error(h, max(3, given.rounds // 4), reference)
+    rows += engines(max(3, given.rounds // 4))
     print(table(rows))
     record = {"machine": msgspec.to_builtins(machine), "rounds": given.rounds, "rows": rows}
     given.output.write_text(json.dumps(record, indent=1) + "\n")

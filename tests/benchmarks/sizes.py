@@ -9,7 +9,6 @@ asserted about times; that the answers agree is.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import resource
 import subprocess
@@ -33,6 +32,7 @@ _SAME = 1e-7
 def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     """One size: seconds, memory and answers of everybody."""
     from integrators import Steps
+    from integrators.adapters.exudyn import Exudyn
     from integrators.methods.generalized_alpha import GeneralizedAlpha
     from problems.runtime import one_thread
     from problems.scenes.chain import Chain
@@ -47,9 +47,9 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     }
     prepared = (time.perf_counter() - started) / len(runs)
     contestants = {kind: run.execute for kind, run in runs.items()}
-    theirs = None
-    if links <= _MOST_OF_EXUDYN and importlib.util.find_spec("exudyn"):
-        theirs = _exudyn(scene, steps)
+    theirs, exudyn = None, Exudyn(rho_inf=_RHO, linear_solver="sparse")
+    if links <= _MOST_OF_EXUDYN and exudyn.supports(scene) is None:
+        theirs = exudyn.prepare(scene, steps * _H, Steps(_H))
         contestants[_THEIRS] = theirs.execute
     seconds = {name: [] for name in contestants}
     for _ in range(rounds):
@@ -83,7 +83,7 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
             "energy_drift": abs(energy[1] - energy[0]) / kinetic,
         }
     if theirs is not None:
-        ends[_THEIRS] = theirs.end()
+        ends[_THEIRS] = theirs.measure().q[-1]
     for name, q in ends.items():
         gap = np.linalg.norm(q - ends["modified"]) / np.linalg.norm(q)
         if not gap < _SAME:
@@ -91,54 +91,6 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
         ratios = np.array(seconds[name]) / np.array(seconds["modified"])
         row[name] |= {"ratio": float(np.median(ratios)), "agreement": float(gap)}
     return row
-
-
-class _exudyn:  # noqa: N801 - named as the package is
-    """The chain in exudyn: mass points and distance constraints, its own sparse direct solver."""
-
-    def __init__(self, scene: Any, steps: int) -> None:
-        sys.exudynFast = True  # its build without range checks
-        import exudyn as exu
-        import exudyn.itemInterface
-
-        items = exu.itemInterface
-        self._exu, (q, v, _) = exu, scene.initial_state()
-        mbs = self._mbs = exu.SystemContainer().AddSystem()
-        ground = mbs.AddObject(items.ObjectGround())
-        last = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=ground))
-        for k in range(scene.links):
-            at = slice(2 * k, 2 * k + 2)
-            node = mbs.AddNode(
-                items.NodePoint2D(referenceCoordinates=list(q[at]), initialVelocities=list(v[at]))
-            )
-            point = mbs.AddObject(items.MassPoint2D(mass=scene.m, nodeNumber=node))
-            marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=point))
-            mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[0, -scene.m * scene.g, 0]))
-            mbs.AddObject(
-                items.DistanceConstraint(markerNumbers=[last, marker], distance=scene.length)
-            )
-            last = marker
-        mbs.Assemble()
-        s = self._settings = exu.SimulationSettings()
-        s.solution.file.write = False
-        s.parallel.numberOfThreads = 1
-        s.linearSolver.solverType = exu.LinearSolverType.EigenSparse
-        s.timeIntegration.numberOfSteps = steps
-        s.timeIntegration.endTime = steps * _H
-        s.timeIntegration.adaptiveStep = False
-        s.timeIntegration.generalizedAlpha.spectralRadius = _RHO
-        s.timeIntegration.newton.useModifiedNewton = True
-
-    def execute(self) -> None:
-        """One solve."""
-        if not self._mbs.SolveDynamic(self._settings):
-            raise SystemExit("exudyn did not solve the chain.")
-
-    def end(self) -> np.ndarray:
-        """Positions at the end."""
-        data = self._mbs.systemData
-        reference = self._exu.ConfigurationType.Reference
-        return data.GetODE2Coordinates() + data.GetODE2Coordinates(reference)
 
 
 def _memory() -> float:

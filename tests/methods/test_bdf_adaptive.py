@@ -11,10 +11,11 @@ from proofs import SWING, TWO_RODS
 
 from bench.conformance.trials import ForcedOscillator
 from integrators import Tolerances
-from integrators.methods.bdf_adaptive import BDFAdaptive
+from integrators.methods.bdf_adaptive import BDFAdaptive, _respaced
 from problems import jax, jnp
 from problems.initial_values import consistent_start
 from problems.reference import Reference
+from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.spring_mass import SpringMass
 
 
@@ -97,6 +98,31 @@ def test_index_3_follows_it_in_q_and_v_and_loses_part_of_a_and_lam():
     for errors, rtol in zip(runs, (1e-5, 1e-7), strict=True):
         assert max(errors["q"], errors["v"]) < 3 * rtol
     assert 5 < runs[0]["lam"] / runs[1]["lam"] < 40
+
+
+def test_a_controller_that_begins_at_zero_does_not_hold_up_index_3():
+    method = BDFAdaptive(formulation="index3")
+    for rtol in (1e-4, 1e-6, 1e-9):
+        run = method.prepare(DoublePendulumControlled(), 1.0, Tolerances(rtol)).measure()
+        assert run.status == "ok", run.message
+        assert run.work.rejected < 0.1 * run.work.steps
+
+
+@pytest.mark.long
+def test_a_controller_on_index_3_follows_the_tolerance_by_q_alone():
+    method, on = BDFAdaptive(formulation="index3"), (DoublePendulumControlled(), 0.2)
+    coarse, fine = (_largest_errors(method, *on, rtol)[0] for rtol in (1e-4, 1e-8))
+    assert max(coarse["q"] / 1e-4, fine["q"] / 1e-8) < 3
+    assert 30 < coarse["x"] / fine["x"] < 3000
+
+
+@pytest.mark.long
+def test_a_first_step_that_is_tried_again_has_the_start_of_its_own_size():
+    method, scene = BDFAdaptive(formulation="index3"), DoublePendulumControlled()
+    start = jax.tree.map(jnp.asarray, consistent_start(scene))
+    tried, own = (_respaced(method.begin(scene, start, h), 0.001) for h in (0.1, 0.001))
+    assert np.asarray(tried.spans) == pytest.approx(np.asarray(own.spans), rel=1e-13)
+    assert np.asarray(tried.differences) == pytest.approx(np.asarray(own.differences), abs=1e-15)
 
 
 @pytest.mark.long

@@ -111,3 +111,18 @@ def test_steps_follow_the_tolerance():
         assert errors[-1] < 30 * rtol
         assert abs((run.q * run.v).sum(axis=1)).max() < 5e-15
     assert errors[0] > 300 * errors[2]
+
+
+@pytest.mark.parametrize("projection", ["positions", *long("none")])
+def test_a_projection_holds_positions_to_rounding(projection):
+    run = PHEM56(steps="constant", projection=projection).prepare(*SWING, Steps(0.05)).measure()
+    positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+    assert (positions < 1e-15) == (projection == "positions")
+    assert abs((run.q * run.v).sum(axis=1)).max() < 1e-15
+
+
+@pytest.mark.long
+def test_a_projection_keeps_the_orders():
+    found = orders(PHEM56(steps="constant", projection="positions"), 40)
+    for group, order in {"q": 5, "v": 5, "a": 4, "lam": 4}.items():
+        assert found[group].order_at_end > order - 0.2, group

@@ -36,6 +36,13 @@ def test_semi_implicit_steps_do_not_damp_up_to_their_limit(method):
     assert radii[3] > 1.02
 
 
+@pytest.mark.parametrize("method", [ALL[0], *long(ALL[1])], ids=lambda m: m.name)
+def test_a_controller_is_stable_up_to_twice_its_time(method):
+    found = matrices(method, Relaxation(), [1.9, 2.1]).a
+    radii = [float(np.abs(np.linalg.eigvals(a)).max()) for a in found]
+    assert radii == pytest.approx([0.9, 1.1], abs=1e-12)
+
+
 def test_semi_implicit_steps_are_symplectic():
     step = step_of(SemiImplicitEuler(), SoftSpring(), 0.1)
     at, small = np.array([0.7, -0.4]), 1e-4

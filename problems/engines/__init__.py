@@ -1,0 +1,1 @@
+"""Scenes stated once more, as models of simulation engines."""
