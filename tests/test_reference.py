@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
+from problems import MechatronicSystem, State, jnp
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -67,3 +70,26 @@ def test_the_reference_of_a_scene_without_closed_form_would_find_the_closed_one(
     closed, tight = Reference(Pendulum(), 1.35)(t), Reference(Integrated(), 1.35)(t)
     for group in ("q", "v", "a", "lam"):
         assert tight[group] == pytest.approx(closed[group], abs=1e-11)
+
+
+@dataclass(frozen=True)
+class Beside(MechatronicSystem):
+    """A fast vibration of 1 um beside a slow one of 10 m."""
+
+    interval = (0.0, 0.2)
+    nominal_step = 0.05
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return -jnp.array([1.0, 2500.0]) * q
+
+    def initial_state(self):
+        return State(q=np.array([10.0, 1e-6]), v=np.zeros(2))
+
+
+def test_the_reference_knows_small_components_beside_large_ones():
+    t, reference = np.linspace(0.0, 0.2, 50), Reference(Beside(), 0.2)
+    small = np.abs(reference(t)["q"][:, 1] / 1e-6 - np.cos(50.0 * t)).max()
+    assert small <= 2 * reference.error["q"][1] / 1e-6 < 1e-9

@@ -24,8 +24,10 @@ _MODEST = 0.3
 _LOW, _LAST_POINTS, _AGREEMENT = 4, 4, 0.75
 #: Errors of higher orders count over the whole run. In a part of it the first two terms of an error
 #: may nearly cancel: v of dopri8 with projection shows 7.5 in the pendulum's last quarter, and in
-#: 40 digits 7.5, 7.8 and more, but 8 only below round-off.
-_NORM, _NORM_OF_HIGH = "settled", "max"
+#: 40 digits 7.5, 7.8 and more, but 8 only below round-off. But a claim is too modest only if all
+#: parts show more: y of rodas5p on spring_mass shows 6 over the whole run, as long as the second
+#: term of a short saturation is the larger one, and 5.1 to 5.0 in the last quarter.
+_NORMS, _NORMS_OF_HIGH = ("settled",), ("max", "settled")
 _FEWEST, _MOST = 8, 4096
 #: Below this an error shows the asymptotic order, and no coarser step has to be asked.
 _SMALL = 1e-4
@@ -72,14 +74,17 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
         levels, floors = _refine(steady, scene, t_end, claims)
         seen = {}
         for group, claimed in claims.items():
-            fit = _fit(levels[group], floors[group], claimed)
-            if fit.order is None and _at_round_off(levels[group], floors[group]):
+            by_norm, floor = levels[group], floors[group]
+            fit, *others = (_fit(by_norm[norm], floor, claimed) for norm in _norms(claimed))
+            whole = by_norm[_norms(claimed)[0]]
+            if fit.order is None and _at_round_off(whole, floor):
                 continue  # exact, or too accurate to show an order
             if fit.order is None or fit.order < claimed - _allowed(claimed):
-                measured = _in_words(fit, levels[group])
+                measured = _in_words(fit, whole)
                 faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
             else:
-                orders.setdefault((group, claimed), []).append((fit.order, scene.spec))
+                least = min([fit.order, *(o.order for o in others if o.order is not None)])
+                orders.setdefault((group, claimed), []).append((least, scene.spec))
             seen[group] = claimed
         if seen:
             found.append(f"{_words(seen)} on {scene.spec}")
@@ -101,13 +106,20 @@ def _words(claims: dict[str, int]) -> str:
     return ", ".join(f"{order} in {' '.join(names)}" for order, names in groups.items())
 
 
+def _norms(claimed: int) -> tuple[str, ...]:
+    """Return the norm that has to show the order, and others."""
+    return _NORMS if claimed <= _LOW else _NORMS_OF_HIGH
+
+
 def _refine(
     method: Integrator, scene: MechatronicSystem, t_end: float, claims: dict[str, int]
-) -> tuple[dict[str, Levels], dict[str, float]]:
-    """Return errors and floors of round-off at ever smaller steps, until every order shows."""
+) -> tuple[dict[str, dict[str, Levels]], dict[str, float]]:
+    """Return errors by norm, at ever smaller steps until every order shows, and their floors."""
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length, known = t_end - scene.interval[0], reference(scene, t_end)
-    levels: dict[str, Levels] = {group: [] for group in claims}
+    levels: dict[str, dict[str, Levels]] = {
+        group: {norm: [] for norm in _norms(claimed)} for group, claimed in claims.items()
+    }
     floors, count = dict.fromkeys(claims, 0.0), float(_FEWEST)
     while True:
         steps = round(count)
@@ -117,11 +129,12 @@ def _refine(
         if not trouble:  # coarse steps may be too coarse
             errors, own, *_ = relative_errors(run, known)
             for group, claimed in claims.items():
-                norm = _NORM if claimed <= _LOW else _NORM_OF_HIGH
-                error = errors[group][norm]
-                floors[group] = max(floors[group], own[group][norm])
-                levels[group].append((length / steps, math.inf if error is None else error))
-            if all(_shown(levels[g], floors[g], claims[g]) for g in claims):
+                for norm in _norms(claimed):
+                    error = errors[group][norm]
+                    floors[group] = max(floors[group], own[group][norm])
+                    at = length / steps, math.inf if error is None else error
+                    levels[group][norm].append(at)
+            if all(_shown(levels[g][_norms(p)[0]], floors[g], p) for g, p in claims.items()):
                 return levels, floors
         if count > _MOST:
             break

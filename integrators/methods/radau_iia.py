@@ -35,7 +35,7 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.own_values import Formulated, FreeSteps, OwnValues
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Slopes, inherited, stage_equations
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, largest
@@ -231,7 +231,9 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         first = of_v if self.formulation == "index2" else of_q
         of_a = of_q if self.formulation == "index3" else of_v
         of_lam = of_a * formulations.largest_inertia(scene, now.q)
-        rounding = (first, of_lam, of_q, 0.0, 0.0) if scene.sizes.nl else (0.0,) * 5
+        a, _, _, *control = jnp.split(state.stages[-1], cuts)
+        of_control = inherited(of_a, a, control)
+        rounding = (first, of_lam, of_q, *of_control) if scene.sizes.nl else (0.0,) * 5
         u = work.solve(
             residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
             split=StageTangents(r.a, tangents), evaluations=s,

@@ -85,9 +85,7 @@ class StageEquations(NamedTuple):
         """
         guess, old = self._with_mu(guess), self._with_mu(old)
         a, _, _, *control = jnp.split(old, self.cuts)
-        # The controller's values inherit the rounding errors of a.
-        part = jnp.minimum(self.rounding[0] / (largest(a) + 1e-300), _MOST_ROUNDING)
-        rounding = (*self.rounding, *(part * largest(now, 0.0) for now in control))
+        rounding = (*self.rounding, *inherited(self.rounding[0], a, control))
         return self.at(work.solve(self.residual, guess, old, self.cuts, rounding, enough=enough))
 
     def _with_mu(self, u: Array) -> Array:
@@ -142,6 +140,12 @@ def stage_equations(
         return jnp.concatenate(rows)
 
     return StageEquations(residual, at, cuts, _rounding(scene, formulation, base, slopes))
+
+
+def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:
+    """Rounding errors of the controller's values, xdot and y, which inherit those of a."""
+    part = jnp.minimum(of_a / (largest(a) + 1e-300), _MOST_ROUNDING)
+    return [part * largest(now, 0.0) for now in control]
 
 
 def _rounding(

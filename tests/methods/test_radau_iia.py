@@ -16,7 +16,7 @@ from integrators.native.step_work import EquationsFinder
 from problems import MechatronicSystem, State, jax, jnp
 from problems.initial_values import consistent_start
 from problems.reference import Reference
-from problems.scenes.double_pendulum import DoublePendulum
+from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
@@ -257,6 +257,13 @@ def test_the_stabilised_form_keeps_its_tangents_at_small_steps():
     assert run.status == "ok"
     assert run.work.factorisations < 0.2 * run.work.steps
     assert run.work.residuals < 15 * run.work.steps
+
+
+@pytest.mark.long
+def test_a_controller_with_an_acceleration_sensor_takes_small_steps():
+    # Accelerations of index 3 round like eps q/h^2, and the controller's values with them.
+    run = constant().prepare(DoublePendulumControlled(), 0.02, Steps(1e-4)).measure()
+    assert run.status == "ok", run.message
 
 
 @pytest.mark.long
