@@ -73,6 +73,7 @@ def test_no_entry_of_a_tangent_is_missed(scene, formulation):
 def test_an_elimination_is_a_small_part_of_that_of_a_full_matrix(scene, entries, products, work):
     _, found = tangent(scene)
     plan = planned(found)
+    assert plan is not None
     assert (found.sum(), len(plan.seeds), plan.work) == (entries, products, work)
 
 
@@ -152,6 +153,16 @@ def test_without_the_test_of_a_solution_it_would_be_wrong(monkeypatch):
 def test_a_singular_pattern_and_one_of_much_work_have_no_plan():
     assert planned(np.array([[True, True], [False, False]])) is None
     assert planned(np.ones((32, 32), bool)) is None
+
+
+def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks, monkeypatch):
+    def refused(*_):
+        raise KeyError("new_sizes")
+
+    monkeypatch.setattr(linear_solvers, "pattern", refused)
+    du = jax.jit(lambda u: linear_solvers.DENSE.once(lambda u: 2 * u - 1, u))(jnp.ones(2))
+    jax.effects_barrier()
+    assert (du.tolist(), len(fallbacks)) == ([0.5, 0.5], 1)
 
 
 @on_scenes

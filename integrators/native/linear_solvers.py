@@ -69,8 +69,7 @@ class DenseSolver(LinearSolver):
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
         program = jax.make_jaxpr(residual)(u)
-        small = len(u) <= small_matrices.MOST and runtime.joins_loops()
-        order = planned(pattern(program, len(u))) if small else None
+        order = _order(program, len(u))
 
         def by_pivots(u: Array, *constants: Array) -> Array:
             residual = partial(_evaluated, program, constants)
@@ -106,6 +105,18 @@ class DenseSolver(LinearSolver):
 
 
 DENSE = DenseSolver()
+
+
+def _order(program: ClosedJaxpr, n: int) -> Plan | None:
+    """Order of the elimination; None for full matrices, also if JAX names parts of programs
+    otherwise than today."""
+    if not 0 < n <= small_matrices.MOST or not runtime.joins_loops():
+        return None
+    try:
+        return planned(pattern(program, n))
+    except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
+        runtime.slower(f"Full Newton runs slowly: programs cannot be followed ({error}).")
+        return None
 
 
 def _evaluated(program: ClosedJaxpr, constants: Sequence[Array], u: Float[Array, " n"]) -> Array:
