@@ -1,4 +1,4 @@
-"""Linear algebra for Newton's method in a step: dense, or sparse by KLU.
+"""Linear algebra for Newton's method in a step: small and dense, or sparse by KLU.
 
 Full Newton takes each update by the tangent at the current unknowns (`once`). Modified Newton keeps
 a tangent over iterations and steps: the dense solver keeps its inverse, the sparse one its
@@ -8,19 +8,31 @@ factorisation.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
 from integrators.native import klu, small_matrices
+from integrators.native.dependencies import pattern
+from integrators.native.fixed_elimination import Plan, planned
+from problems import runtime
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 
 if TYPE_CHECKING:
     from jax import Array
+    from jax.extend.core import ClosedJaxpr
     from jaxtyping import Bool, Float
 
     Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+
+
+#: Most operations on arrays of all products with a tangent that are written out one by one, which
+#: is faster than side by side, but takes longer to compile.
+_MOST_WRITTEN_OUT = 1000
 
 
 class LinearSolver(ABC):
@@ -48,10 +60,36 @@ class LinearSolver(ABC):
 
 
 class DenseSolver(LinearSolver):
-    """Full matrices; modified Newton keeps the inverse, at first a matrix of NaN."""
+    """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
+
+    Full Newton reads the tangent's entries from the residual's program, takes them by a few
+    products, and eliminates in an order that is fixed; not so in many runs side by side, where the
+    work of a full matrix is shared by the lanes of the processor.
+    """
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))
+        program = jax.make_jaxpr(residual)(u)
+        order = _order(program, len(u))
+
+        def by_pivots(u: Array, *constants: Array) -> Array:
+            residual = partial(_evaluated, program, constants)
+            return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))
+
+        def in_order(order: Plan, u: Array, *constants: Array) -> Array:
+            r, products = _linearised(partial(_evaluated, program, constants), u, order.seeds)
+            return order.solve(products, r)
+
+        if order is None:
+            return by_pivots(u, *program.consts)
+        rewritten = small_matrices.without_products
+        alone = jax.custom_batching.custom_vmap(rewritten(partial(in_order, order)))
+
+        @alone.def_vmap
+        def _(size: int, batched: list[bool], *args: Array) -> tuple[Array, bool]:
+            axes = [0 if one else None for one in batched]
+            return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), True
+
+        return alone(u, *program.consts)
 
     def nothing_kept(self, size: int) -> Array:
         return jnp.full((size, size), jnp.nan)
@@ -67,6 +105,43 @@ class DenseSolver(LinearSolver):
 
 
 DENSE = DenseSolver()
+
+
+def _order(program: ClosedJaxpr, n: int) -> Plan | None:
+    """Order of the elimination; None for full matrices, also if JAX names parts of programs
+    otherwise than today."""
+    if not 0 < n <= small_matrices.MOST or not runtime.joins_loops():
+        return None
+    try:
+        return planned(pattern(program, n))
+    except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
+        runtime.slower(f"Full Newton runs slowly: programs cannot be followed ({error}).")
+        return None
+
+
+def _evaluated(program: ClosedJaxpr, constants: Sequence[Array], u: Float[Array, " n"]) -> Array:
+    """The result of a program with other constants."""
+    from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+    return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(u)[0]
+
+
+def _linearised(
+    residual: Residual, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
+) -> tuple[Float[Array, " n"], list[Float[Array, " n"]]]:
+    """The residual at u, and the products of its tangent with the seeds."""
+    programs: list[ClosedJaxpr] = []
+
+    def coefficients(u: Array) -> tuple[Array, list[Array]]:
+        r, linear = jax.linearize(residual, u)
+        programs.append(jax.make_jaxpr(linear)(u))
+        return r, list(programs[-1].consts)
+
+    r, constants = small_matrices.apart(coefficients, u)
+    product = partial(_evaluated, programs[-1], constants)
+    if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
+        return r, list(jax.vmap(product)(jnp.asarray(seeds)))
+    return r, [product(jnp.asarray(seed)) for seed in seeds]
 
 
 @dataclass(frozen=True)

@@ -104,13 +104,25 @@ def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[A
     axis, so that the processor works with several at once.
     """
     w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
-    # XLA repeats cheap computations at every use, and would eliminate many times over. It does not
-    # look into branches, and cannot find out that this condition is always true.
-    first = jnp.real(w[0, 0, 0])
-    always = jnp.isnan(first) | (first <= jnp.inf)
     for k in range(a.shape[1]):
-        w = jax.lax.cond(always, partial(_eliminated, k), lambda w: jnp.zeros_like(w[:, 1:]), w)
+        w = apart(partial(_eliminated, k), w)
     return jnp.moveaxis(w, 2, 0)
+
+
+def apart(function: Callable, *args: Any) -> Any:
+    """Compute function(*args) in a branch that is always taken.
+
+    XLA repeats cheap computations at every use, and would eliminate many times over. It does not
+    look into branches, and cannot find out that this condition is always true.
+    """
+    function = jax.jit(function)  # so that it is traced once
+    shapes = jax.eval_shape(function, *args)
+
+    def otherwise(*_: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    first = jnp.real(jnp.ravel(jax.tree.leaves(args)[0])[0])
+    return jax.lax.cond(jnp.isnan(first) | (first <= jnp.inf), function, otherwise, *args)
 
 
 def _eliminated(k: int, w: Array) -> Array:

@@ -1,0 +1,169 @@
+"""Elimination of small sparse matrices in an order that is fixed when the program is made.
+
+The matrices of one program have the same pattern. The order of its pivots is chosen once, so that
+few entries arise (Markowitz 1957, doi:10.1287/mnsc.3.3.255), and the elimination is written out:
+some 100 operations without an index for the 13 unknowns of a slider crank, in place of 13 updates
+of a full matrix with a search for a pivot each.
+
+Pivots are taken on the diagonal while it has one. Unknowns and equations of a step have the same
+order: masses are on the diagonal, and a constraint's entry there arises from the masses on which it
+acts. A fixed order cannot avoid a pivot that vanishes at some time. So each solution is tested: it
+has to solve a system that differs from the given one by rounding alone in every entry (Oettli &
+Prager 1964, doi:10.1007/BF01386090), else the elimination with pivots is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, reduce
+from operator import add, and_, sub
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from integrators.native import small_matrices
+from problems.runtime import jax, jnp
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Bool, Float, Int
+
+    #: Entries of a matrix, by row and column.
+    _Numbers: TypeAlias = dict[tuple[int, int], Array]
+
+#: Most multiplications of an elimination that is written out: compiling takes longer with each.
+MOST_WORK = 600
+#: Largest change of an entry, relative, that a solution may stand for.
+_BACKWARD = 1e-13
+
+
+class Pivot(NamedTuple):
+    """A step of the elimination: its pivot, and the rows and columns that it changes."""
+
+    row: int
+    column: int
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Elimination of the matrices of one pattern.
+
+    Parameters
+    ----------
+    entries
+        The pattern, ``(n, n)``.
+    colours
+        Columns of one colour share no row, so that one product with a matrix has them all.
+    pivots
+        The steps of the elimination.
+    """
+
+    entries: Bool[np.ndarray, "n n"]
+    colours: Int[np.ndarray, " n"]
+    pivots: tuple[Pivot, ...]
+
+    @property
+    def work(self) -> int:
+        """Multiplications and divisions of a solution."""
+        return sum((len(one.rows) + 1) * (len(one.columns) + 2) - 1 for one in self.pivots)
+
+    @cached_property
+    def seeds(self) -> Float[np.ndarray, "colours n"]:
+        """Vectors whose products with a matrix have all of its entries."""
+        return np.eye(self.colours.max() + 1)[self.colours].T
+
+    def solve(
+        self, products: Sequence[Float[Array, " n"]], b: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """Solve a x = b, given the products of a with the seeds."""
+        # Each stage stands apart, and values between them are numbers: XLA computes a number anew
+        # for each array that it goes into.
+        triangle, right, firm = small_matrices.apart(self._forward, products, b)
+        x = jnp.stack(small_matrices.apart(self._backward, triangle, right))
+        a = jnp.stack(products)
+        solved = firm & small_matrices.apart(self._solved, a, b, x)
+        return jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
+
+    def _forward(self, products: Sequence[Array], b: Array) -> tuple[_Numbers, list[Array], Array]:
+        """Rows of the triangle with inverted pivots, right-hand sides, and whether each pivot is
+        more than rounding of the terms that it is the sum of."""
+        w = {(i, j): products[self.colours[j]][i] for i, j in np.argwhere(self.entries).tolist()}
+        right, firm = list(b), []
+        terms: dict[tuple[int, int], list[Array]] = {
+            (one.row, one.column): [] for one in self.pivots
+        }
+        for i, j, rows, columns in self.pivots:
+            if terms[i, j]:
+                size = reduce(add, map(jnp.abs, terms[i, j]))
+                firm.append(jnp.abs(w[i, j]) > _BACKWARD * size)
+            w[i, j] = 1 / w[i, j]
+            for r in rows:
+                factor = w.pop((r, j)) * w[i, j]
+                right[r] = right[r] - factor * right[i]
+                for c in columns:
+                    change = factor * w[i, c]
+                    w[r, c] = w[r, c] - change if (r, c) in w else -change
+                    if (r, c) in terms:
+                        terms[r, c].append(change)
+        return w, right, reduce(and_, firm, jnp.asarray(True))
+
+    def _backward(self, triangle: _Numbers, right: list[Array]) -> list[Array]:
+        x = list(right)
+        for i, j, _, columns in reversed(self.pivots):
+            x[j] = reduce(lambda s, c: s - triangle[i, c] * x[c], columns, right[i])
+            x[j] = x[j] * triangle[i, j]
+        return x
+
+    def _solved(self, products: Array, b: Array, x: Array) -> Bool[Array, ""]:
+        """Whether x solves a system whose entries differ by rounding alone."""
+        columns = self.entries[:, None] & (self.colours == np.arange(len(products))[:, None])
+        terms = [
+            a * jnp.where(mine.any(axis=1), x[mine.argmax(axis=1)], 0.0)
+            for a, mine in zip(products, columns.swapaxes(0, 1), strict=True)
+        ]
+        gap, size = reduce(sub, terms, b), reduce(add, map(jnp.abs, terms), jnp.abs(b))
+        return jnp.all(jnp.abs(gap) <= _BACKWARD * size)
+
+    def _by_pivots(self, products: Array, b: Array, _: Array) -> Array:
+        a = jnp.where(self.entries, products[self.colours].T, 0.0)
+        return small_matrices.solve(a, b)
+
+
+def planned(entries: Bool[np.ndarray, "n n"]) -> Plan | None:
+    """Plan the elimination of matrices with a pattern; None if it is singular or much work."""
+    return _planned(entries.tobytes(), len(entries))
+
+
+@lru_cache(256)
+def _planned(pattern: bytes, n: int) -> Plan | None:
+    entries = np.frombuffer(pattern, bool).reshape(n, n)
+    left, pivots = entries.copy(), []
+    for _ in range(n):
+        others = np.outer(left.sum(axis=1) - 1, left.sum(axis=0) - 1)
+        found = [(i != j, others[i, j], i, j) for i, j in np.argwhere(left).tolist()]
+        if not found:
+            return None
+        *_, i, j = min(found)
+        rows, columns = left[:, j].copy(), left[i].copy()
+        rows[i] = columns[j] = False
+        left[i] = left[:, j] = False
+        left |= np.outer(rows, columns)
+        pivots.append(Pivot(i, j, *(tuple(np.flatnonzero(x).tolist()) for x in (rows, columns))))
+    plan = Plan(entries, _coloured(entries), tuple(pivots))
+    return plan if plan.work <= MOST_WORK else None
+
+
+def _coloured(entries: Bool[np.ndarray, "n n"]) -> Int[np.ndarray, " n"]:
+    """Colours of the columns, the fullest first: each takes the first that is free."""
+    taken: list[np.ndarray] = []
+    colours = np.zeros(len(entries), int)
+    for j in np.argsort(-entries.sum(axis=0), kind="stable"):
+        free = (k for k, rows in enumerate(taken) if not (rows & entries[:, j]).any())
+        colours[j] = next(free, len(taken))
+        if colours[j] == len(taken):
+            taken.append(np.zeros(len(entries), bool))
+        taken[colours[j]] |= entries[:, j]
+    return colours
