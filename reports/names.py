@@ -24,6 +24,7 @@ _ALPHA_FAMILY = {
 }
 BUILT_IN = _ALPHA_FAMILY | {
     "ida": "IDA",
+    "cvode": "CVODE",
     "bdf": "BDF",
     "bdf_dae": "BDF DAE",
     "radau": "Radau",
@@ -65,7 +66,12 @@ BUILT_IN = _ALPHA_FAMILY | {
     "wilson_theta": "Wilson-θ",
 }
 #: Names of families; others are called as their methods state it.
-_FAMILIES = {"generalized-alpha": "generalized-α", "ida": "IDA", "scipy_dae": "scipy DAE"}
+_FAMILIES = {
+    "generalized-alpha": "generalized-α",
+    "ida": "IDA",
+    "cvode": "CVODE",
+    "scipy_dae": "scipy DAE",
+}
 #: Options whose value says enough.
 _BARE = ("rho_inf", "alpha", "stages", "rho_b")
 #: Values that go without saying, as the method is known by them.
@@ -98,6 +104,7 @@ _VALUES = {
     ("multiplier", "one_sided"): "one-sided λ",
     ("constraints", "baumgarte"): "Baumgarte",
     ("constraints", "projected"): "projected",
+    ("method", "adams"): "Adams",
 }
 _GREEK = {
     "alpha_m": "αm",
