@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from probe import Probe, worst
 
+from bench.plugins.registry import Registry
 from integrators import Tolerances
 from integrators.adapters import ode, sundials, sundials_equations, sundials_native
 from integrators.adapters.cvode import CVODE, cvode_equations
 from integrators.lowering import graph, native
-from integrators.operations import NotCounted
 from problems import jnp
 from problems.runtime import slower
 from problems.scenes.pendulum import Pendulum
@@ -48,13 +48,12 @@ def run(scene, rtol=1e-6, length=1.0, **options):
 # ---- accuracy --------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["bdf", "adams"])
 def test_the_error_falls_with_the_tolerance(method):
-    errors = [worst(run(Pendulum(), rtol, method=method), Pendulum(), "q") for rtol in RTOLS]
+    errors = [
+        worst(run(Pendulum(), rtol, method=method), Pendulum(), "q") for rtol in (1e-5, 1e-7, 1e-9)
+    ]
     assert errors[0] < 1e-3
     assert errors[1] < errors[0] / 10
     assert errors[2] < errors[1] / 10
-
-
-RTOLS = (1e-5, 1e-7, 1e-9)
 
 
 def test_controller_states_and_outputs_are_followed_too():
@@ -73,13 +72,12 @@ def test_baumgarte_keeps_the_constraint_that_index_1_leaves():
 
 def test_a_projection_is_refused():
     with pytest.raises(SpecError, match="constraints"):
-        CVODE(constraints="projected")
+        Registry([]).integrator("cvode[constraints=projected]")
 
 
 def test_adams_takes_orders_beyond_those_of_bdf():
-    assert CVODE(method="adams", max_order=2).spec == "cvode[method=adams,max_order=2]"
-    low, high = (run(Probe(), 1e-8, method="adams", max_order=k).work.steps for k in (5, 12))
-    assert high < 0.8 * low
+    low, high = (run(Probe(), 1e-12, method="adams", max_order=k).work.steps for k in (5, 12))
+    assert high < 0.7 * low
     assert run(Probe(), 1e-8, max_order=5).work == run(Probe(), 1e-8).work
 
 
@@ -132,8 +130,7 @@ def test_counts_are_cvodes_own_and_the_timed_solve_takes_the_same_steps(callback
     assert [*trajectory.q[-1], *trajectory.v[-1]] == timed.y.tolist()
     if callbacks == "python":  # scikit-sundae does not tell
         assert work.rejected is work.newton is work.factorisations is work.solves is None
-        with pytest.raises(NotCounted, match="how often CVODE factorises"):
-            started.bill(trajectory)
+        assert started.bill(trajectory) == {}
     else:  # CVODE keeps a Jacobian over several factorisations
         assert work.jacobians < work.factorisations < work.newton == work.solves < work.residuals
         bill = started.bill(trajectory)

@@ -120,8 +120,8 @@ class SundialsRun(PreparedRun):
         """The counts, with those that follow from others."""
 
     @abstractmethod
-    def _linear_algebra(self, work: Work) -> tuple[int, int]:
-        """The numbers of factorisations and solves."""
+    def _linear_algebra(self, work: Work) -> tuple[int, int] | None:
+        """The numbers of factorisations and solves; None if they are not known."""
 
     @abstractmethod
     def _advice(self, status: str) -> str:
@@ -178,7 +178,10 @@ class SundialsRun(PreparedRun):
         return replace(trajectory, status=status, message=message)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        factorisations, solves = self._linear_algebra(run.work)
+        algebra = self._linear_algebra(run.work)
+        if algebra is None:
+            return {}
+        factorisations, solves = algebra
         return bill(
             self._scene,
             run,
