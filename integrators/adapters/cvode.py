@@ -118,7 +118,6 @@ class _CVODERun(SundialsRun):
 
     def _linear_algebra(self, work: Work) -> tuple[int, int] | None:
         # scikit-sundae does not tell how often CVODE factorises.
-        known = work.factorisations is not None and work.solves is not None
         if work.factorisations is None or work.solves is None:
             return None
         return work.factorisations, work.solves
