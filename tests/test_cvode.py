@@ -16,7 +16,7 @@ from integrators.adapters import ode, sundials, sundials_equations, sundials_nat
 from integrators.adapters.cvode import CVODE, cvode_equations
 from integrators.lowering import graph, native
 from problems import jnp
-from problems.runtime import slower
+from problems.runtime import jax, slower
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
@@ -212,6 +212,41 @@ def test_a_jacobian_that_is_not_finite_ends_the_run(callbacks):
     ended = run(Kinked(), 1e-6, 2.0, callbacks=callbacks)
     assert ended.status == "diverged"
     assert ended.t[-1] < 0.7
+
+
+@dataclass(frozen=True)
+class CallingBack(Probe):
+    """Its force is a function of Python, which raises after t = 0.5 s."""
+
+    def force(self, q, v, t):
+        def value(q, t):
+            if t > 0.5:
+                raise ValueError("no force is known here")
+            return np.asarray(-4.0 * q)
+
+        @jax.custom_jvp
+        def called(q, t):
+            result = jax.ShapeDtypeStruct((1,), float)
+            return jax.pure_callback(value, result, q, t, vmap_method="sequential")
+
+        called.defjvp(lambda at, along: (called(*at), -4.0 * along[0]))
+        return called(q, t)
+
+
+@dataclass(frozen=True)
+class Raising(Probe):
+    """A scene whose equations cannot even be traced."""
+
+    def force(self, q, v, t):
+        raise ArithmeticError("no force at all")
+
+
+def test_an_error_of_a_scene_reaches_the_caller_whenever_it_happens():
+    with pytest.raises(ArithmeticError, match="no force at all"):
+        prepared(Raising(), 1.0)
+    started = prepared(CallingBack(), 2.0)
+    with pytest.raises(ValueError, match="no force is known here"):
+        started.measure()
 
 
 def test_a_flag_of_a_call_that_fails_ends_the_run(monkeypatch):
