@@ -58,7 +58,7 @@ def test_the_error_falls_with_the_tolerance(method):
 
 
 def test_controller_states_and_outputs_are_followed_too():
-    trajectory = run(SpringMass(), 1e-10, 2.0)
+    trajectory = run(SpringMass(), 1e-10, 0.5)
     for group in ("q", "v", "a", "x", "y"):
         assert worst(trajectory, SpringMass(), group) < 1e-8
 

@@ -32,10 +32,10 @@ class CVODE(ODEMethod):
     accelerations and multipliers are solved from the index-1 equations in every evaluation of the
     right-hand side. The Jacobian is exact (automatic differentiation); CVODE keeps it over several
     factorisations. Reported q, v and x are the solver's own, at the ends of its own steps; a, lam,
-    y and xdot solve the equations of motion there. A projection of every step is not offered: it
-    would have to move the solver's whole history along.
+    y and xdot solve the equations of motion there. A projection of every step is not offered.
 
-    CVODE calls equations in C, which are made of the scene's traced equations, or through Python.
+    CVODE calls equations in C, which are made of the scene's traced equations, or through Python,
+    as on scenes with outputs, for which Newton's method solves in a loop.
     ``residuals`` are evaluations of the right-hand side, counted there; a run that uses up
     ``max_calls`` of them ends with status budget_exceeded, and a value that is not finite ends it
     as diverged. Through Python scikit-sundae does not tell how often CVODE factorises, so that no

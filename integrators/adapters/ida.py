@@ -142,6 +142,8 @@ class _IDARun(SundialsRun):
         return dae.trajectory_from_vectors(self._scene, self.layout, t, w)
 
     def _completed(self, work: Work) -> Work:
+        if work.factorisations is not None:
+            return work
         return replace(work, factorisations=work.jacobians)  # IDA factorises each Jacobian once
 
     def _linear_algebra(self, work: Work) -> tuple[int, int]:
