@@ -24,6 +24,7 @@ _ALPHA_FAMILY = {
 }
 BUILT_IN = _ALPHA_FAMILY | {
     "ida": "IDA",
+    "cvode": "CVODE",
     "bdf": "BDF",
     "bdf_dae": "BDF DAE",
     "radau": "Radau",
@@ -70,6 +71,7 @@ BUILT_IN = _ALPHA_FAMILY | {
 _FAMILIES = {
     "generalized-alpha": "generalized-α",
     "ida": "IDA",
+    "cvode": "CVODE",
     "scipy_dae": "scipy DAE",
     "engine": "engines",
 }
@@ -108,6 +110,7 @@ _VALUES = {
     ("method", "trapezoidal_index2"): "trapezoidal",
     ("integrator", "euler"): "Euler",
     ("integrator", "rk4"): "RK4",
+    ("method", "adams"): "Adams",
 }
 _GREEK = {
     "alpha_m": "αm",

@@ -10,9 +10,9 @@ import pytest
 from probe import Probe, worst
 
 from integrators import Tolerances
-from integrators.adapters import ida_equations, ida_native, sundials
+from integrators.adapters import sundials, sundials_equations, sundials_native
 from integrators.adapters.ida import IDA
-from integrators.adapters.ida_native import NativeIDA
+from integrators.adapters.sundials_native import NativeIDA
 from integrators.lowering import graph, native
 from problems import jnp
 from problems.runtime import jax, slower
@@ -38,7 +38,7 @@ def forgotten(caplog):
     """Compiled equations and sentences are made anew, and forgotten after the test."""
 
     def forget():
-        ida_equations.compiled_equations.cache_clear()
+        sundials_equations.compiled_equations.cache_clear()
         sundials.library.cache_clear()
         native.load.cache_clear()
         slower.cache_clear()
@@ -54,17 +54,17 @@ def prepared(scene, length, rtol=1e-6, **options):
 
 def through_python(run):
     """Let a prepared run call its equations in C through Python, one by one."""
-    compiled, p, n = run.native, np.array([*run._scene.parameters().values()]), run.layout.size
+    compiled, p, n = run.native, np.array([*run._scene.parameters().values()]), run._equations.size
     entries = n * n if compiled.entries is None else compiled.entries
 
     def residual(*state):
         out = np.empty(n)
-        ida_equations.evaluate(compiled, "residual", p, *state, out=out)
+        sundials_equations.evaluate(compiled, "residual", p, *state, out=out)
         return out
 
     def jacobian(*state):
         out = np.empty(entries)
-        ida_equations.evaluate(compiled, "jacobian", p, *state, out=out)
+        sundials_equations.evaluate(compiled, "jacobian", p, *state, out=out)
         return out.reshape(n, n) if compiled.entries is None else out
 
     run.functions, run.native = (residual, jacobian), None
@@ -107,7 +107,7 @@ def test_runs_through_c_and_through_python_have_like_errors_and_work():
 def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(monkeypatch):
     run = prepared(SliderCrank(), 0.1)
     whole = run.execute()
-    monkeypatch.setattr(ida_native, "_STEPS_IN_A_CALL", 7)
+    monkeypatch.setattr(sundials_native, "_STEPS_IN_A_CALL", 7)
     cut = run.execute()
     assert (whole.t, whole.nfev, whole.njev) == (cut.t, cut.nfev, cut.njev)
     assert whole.y.tobytes() == cut.y.tobytes()
@@ -115,9 +115,9 @@ def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(monkeypatch
 
 def test_other_parameters_compile_nothing_new():
     prepared(Pendulum(), 0.1)
-    before = ida_equations.compiled_equations.cache_info().misses
+    before = sundials_equations.compiled_equations.cache_info().misses
     run = prepared(replace(Pendulum(), length=2.0), 0.1).measure()
-    assert ida_equations.compiled_equations.cache_info().misses == before
+    assert sundials_equations.compiled_equations.cache_info().misses == before
     assert np.linalg.norm(run.q, axis=1) == pytest.approx(2.0, abs=1e-5)
 
 
@@ -159,7 +159,7 @@ def test_an_unknown_release_or_a_missing_function_is_left_alone(forgotten, monke
     falls_back(forgotten, "is not the release 6 that is known")
     monkeypatch.undo()
     sundials.library.cache_clear()
-    ida_equations.compiled_equations.cache_clear()
+    sundials_equations.compiled_equations.cache_clear()
     monkeypatch.setitem(sundials._SIGNATURES, "IDAGone", (ctypes.c_int,))
     with pytest.raises(graph.NotLowered, match="has no function IDAGone"):
         sundials.library()

@@ -9,7 +9,8 @@ import pytest
 from helpers import long
 
 from bench.plugins.registry import Registry
-from integrators.adapters import dae, ida_equations
+from integrators.adapters import dae, sundials_equations
+from integrators.adapters.ida import ida_equations
 from integrators.lowering import c_source, graph, native
 from integrators.lowering.c_source import HEADER, c_function
 from integrators.lowering.graph import NotLowered
@@ -46,7 +47,7 @@ def operations(function, n):
 def differences(scene, formulation, sparse=False):
     """Largest differences of residual and Jacobian at random states, relative to the largest."""
     of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
-    compiled = ida_equations.compiled_equations(*of, sparse)
+    compiled = sundials_equations.compiled_equations(ida_equations(*of, sparse))
     assert not isinstance(compiled, NotLowered), compiled
     jacobian = dae.sparse_jacobian(*of).values if sparse else dae.packed_jacobian(*of)
     n, rng, worst = dae_layout(scene.sizes, formulation).size, np.random.default_rng(7), []
@@ -60,7 +61,7 @@ def differences(scene, formulation, sparse=False):
         ):
             right = np.asarray(packed.bind(p)(*state, *last)).ravel()
             found = np.full(right.size, 7.0)
-            ida_equations.evaluate(compiled, name, p, *state, *last, out=found)
+            sundials_equations.evaluate(compiled, name, p, *state, *last, out=found)
             known = np.isfinite(right)
             assert (np.isfinite(found) == known).all()
             gap = np.abs(found - right)[known].max(initial=0.0)
@@ -91,11 +92,11 @@ def test_entries_of_a_sparse_jacobian_are_those_of_jax():
 def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
     spoiled = graph.OPERATORS[name]._replace(c=graph.OPERATORS[other].c)
     monkeypatch.setitem(graph.OPERATORS, name, spoiled)
-    ida_equations.compiled_equations.cache_clear()
+    sundials_equations.compiled_equations.cache_clear()
     try:
         assert max(differences(Registry([]).problem("slider_crank"), "index1")) > 1e-6
     finally:
-        ida_equations.compiled_equations.cache_clear()
+        sundials_equations.compiled_equations.cache_clear()
 
 
 # ---- primitives ------------------------------------------------------------------------

@@ -76,13 +76,15 @@ class PackedFunction:
         The function itself.
     program
         The compiled function of one array, in which all arguments stand side by side.
+    lengths
+        Lengths of its arguments.
     """
 
     def __init__(self, function: Callable[..., Any], *lengths: int | None) -> None:
         ends = np.cumsum([0, *(1 if n is None else n for n in lengths)]).tolist()
         between = zip(pairwise(ends), lengths, strict=True)
         self._places = [a if n is None else slice(a, b) for (a, b), n in between]
-        self._size, self.function = ends[-1], function
+        self._size, self.function, self.lengths = ends[-1], function, lengths
         self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self._places)))
 
     @cached_property

@@ -12,7 +12,7 @@ from integrators.adapters.callbacks import PackedFunction
 from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
 from problems.projections import projected_state
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 
@@ -32,11 +32,12 @@ def packed_rate_and_jacobian(
     template: MechatronicSystem, baumgarte: bool = False
 ) -> tuple[PackedFunction, PackedFunction]:
     """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p as `packed_parameters` gives it."""
-    return _packed(template, baumgarte)
+    return packed_rate(template, baumgarte), _packed_jacobian(template, baumgarte)
 
 
-@cache  # which takes an argument that is left out for another one than its default
-def _packed(template: MechatronicSystem, baumgarte: bool) -> tuple[PackedFunction, PackedFunction]:
+@cache
+def packed_rate(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
+    """f(p, t, s), compiled."""
     count = len(template.parameters())
     lengths = count + 2 * baumgarte, None, 2 * template.sizes.nq + template.sizes.nx
 
@@ -44,7 +45,25 @@ def _packed(template: MechatronicSystem, baumgarte: bool) -> tuple[PackedFunctio
         rates = Baumgarte(p[count], p[count + 1]) if baumgarte else None
         return ode_rate(_scene(template, p), t, s, rates)
 
-    return PackedFunction(rate, *lengths), PackedFunction(jax.jacfwd(rate, argnums=2), *lengths)
+    return PackedFunction(rate, *lengths)
+
+
+@cache
+def _packed_jacobian(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
+    rate = packed_rate(template, baumgarte)
+    return PackedFunction(jax.jacfwd(rate.function, argnums=2), *rate.lengths)
+
+
+@cache
+def packed_columns(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
+    """The transpose of df/ds, compiled: column after column, as solvers in C keep it."""
+    rate = packed_rate(template, baumgarte)
+
+    def columns(p: Any, t: Any, s: Any) -> Any:
+        along = jax.linearize(lambda s: rate.function(p, t, s), s)[1]
+        return jax.vmap(along)(jnp.eye(len(s)))
+
+    return PackedFunction(columns, *rate.lengths)
 
 
 @cache

@@ -1,11 +1,12 @@
 """The SUNDIALS libraries inside scikit-sundae, called from this process without Python between.
 
-scikit-sundae's own module is linked to them, so that their functions are found through it, whatever
-their files are called. Version, types and every function that is used are checked first.
+scikit-sundae's own modules are linked to them, so that their functions are found through these,
+whatever the files are called. Version, types and every function that is used are checked first.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from ctypes import POINTER, byref, c_char, c_double, c_int, c_long, c_void_p
 from functools import cache
@@ -42,23 +43,33 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "SUNLinSolFree": (c_int, c_void_p),
     "IDACreate": (c_void_p, c_void_p),
     "IDAInit": (c_int, c_void_p, c_void_p, c_double, c_void_p, c_void_p),
-    "IDASVtolerances": (c_int, c_void_p, c_double, c_void_p),
-    "IDASetUserData": (c_int, c_void_p, c_void_p),
-    "IDASetLinearSolver": (c_int, c_void_p, c_void_p, c_void_p),
-    "IDASetJacFn": (c_int, c_void_p, c_void_p),
     "IDASetId": (c_int, c_void_p, c_void_p),
     "IDASetSuppressAlg": (c_int, c_void_p, c_int),
-    "IDASetMaxOrd": (c_int, c_void_p, c_int),
-    "IDASetMaxNumSteps": (c_int, c_void_p, c_long),
-    "IDASetStopTime": (c_int, c_void_p, c_double),
     "IDASolve": (c_int, c_void_p, c_double, _FLOATS, c_void_p, c_void_p, c_int),
     "IDAGetNumResEvals": (c_int, c_void_p, POINTER(c_long)),
-    "IDAGetNumJacEvals": (c_int, c_void_p, POINTER(c_long)),
-    "IDAGetNumLinSolvSetups": (c_int, c_void_p, POINTER(c_long)),
-    "IDAGetNumErrTestFails": (c_int, c_void_p, POINTER(c_long)),
-    "IDAGetNumStepSolveFails": (c_int, c_void_p, POINTER(c_long)),
-    "IDAGetNumNonlinSolvIters": (c_int, c_void_p, POINTER(c_long)),
-    "IDAFree": (None, POINTER(c_void_p)),
+    "CVodeCreate": (c_void_p, c_int, c_void_p),
+    "CVodeInit": (c_int, c_void_p, c_void_p, c_double, c_void_p),
+    "CVode": (c_int, c_void_p, c_double, c_void_p, _FLOATS, c_int),
+    "CVodeGetNumRhsEvals": (c_int, c_void_p, POINTER(c_long)),
+}
+#: Functions that both solvers have, each with its own name before these.
+_OF_BOTH: dict[str, tuple[Any, ...]] = {
+    "SVtolerances": (c_int, c_void_p, c_double, c_void_p),
+    "SetUserData": (c_int, c_void_p, c_void_p),
+    "SetLinearSolver": (c_int, c_void_p, c_void_p, c_void_p),
+    "SetJacFn": (c_int, c_void_p, c_void_p),
+    "SetMaxOrd": (c_int, c_void_p, c_int),
+    "SetMaxNumSteps": (c_int, c_void_p, c_long),
+    "SetStopTime": (c_int, c_void_p, c_double),
+    "GetNumJacEvals": (c_int, c_void_p, POINTER(c_long)),
+    "GetNumLinSolvSetups": (c_int, c_void_p, POINTER(c_long)),
+    "GetNumErrTestFails": (c_int, c_void_p, POINTER(c_long)),
+    "GetNumStepSolveFails": (c_int, c_void_p, POINTER(c_long)),
+    "GetNumNonlinSolvIters": (c_int, c_void_p, POINTER(c_long)),
+    "Free": (None, POINTER(c_void_p)),
+}
+_SIGNATURES |= {
+    solver + name: kinds for solver in ("IDA", "CVode") for name, kinds in _OF_BOTH.items()
 }
 
 
@@ -78,7 +89,8 @@ class Library:
         if kinds.get("SUNDIALS_INT_TYPE") not in _INDICES:
             raise NotLowered("the index type of SUNDIALS is not known")
         index, self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
-        self._library = ctypes.CDLL(import_module("sksundae._cy_ida").__file__)
+        modules = (import_module(f"sksundae._cy_{solver}") for solver in ("ida", "cvode"))
+        self._libraries = [ctypes.CDLL(module.__file__) for module in modules]
         major = self._major()
         if major != _MAJOR:
             raise NotLowered(f"SUNDIALS {major} is not the release {_MAJOR} that is known")
@@ -95,12 +107,11 @@ class Library:
         """The address of a function, for C."""
         return ctypes.cast(getattr(self, name), c_void_p).value or 0
 
-    def vector(self, values: np.ndarray, context: c_void_p) -> tuple[int, np.ndarray]:
-        """A new vector with these values, and its memory as an array."""
+    def vector(self, values: np.ndarray, context: c_void_p) -> int:
+        """A new vector with these values."""
         new = self.N_VNew_Serial(len(values), context)
-        memory = np.ctypeslib.as_array(self.N_VGetArrayPointer(new), values.shape)
-        memory[:] = values
-        return new, memory
+        np.ctypeslib.as_array(self.N_VGetArrayPointer(new), values.shape)[:] = values
+        return new
 
     def _major(self) -> int:
         numbers, label = [c_int() for _ in range(3)], (c_char * 64)()
@@ -109,10 +120,10 @@ class Library:
         return numbers[0].value
 
     def _function(self, name: str) -> Any:
-        try:
-            return getattr(self._library, name)
-        except AttributeError as error:
-            raise NotLowered(f"SUNDIALS has no function {name}") from error
+        for library in self._libraries:
+            with contextlib.suppress(AttributeError):
+                return getattr(library, name)
+        raise NotLowered(f"SUNDIALS has no function {name}")
 
 
 @cache

@@ -33,6 +33,7 @@ _BUILT_IN = {
     "wbz_classical": (308, 0, 2),
     "newmark": (246, 5, 2),
     "ida": (22, 0, 0),
+    "cvode": (28, 13, 3),
     "bdf": (335, 0, 0),
     "bdf_dae": (350, 5, 0),
     "radau": (42, 5, 0),

@@ -24,8 +24,8 @@ from integrators import Tolerances
 from integrators.adapters import dae, ode
 from integrators.adapters.callbacks import CountedEquations
 from integrators.adapters.ida import IDA
-from integrators.adapters.ida_python import IDAEquations
 from integrators.adapters.scipy_ode import Radau
+from integrators.adapters.sundials_python import Callbacks
 from problems.runtime import jax, one_thread
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
@@ -87,12 +87,11 @@ class Case:
         if hasattr(self.run, "counted_equations"):
             scipy = CountedEquations(*functions, -1)
             return lambda: scipy.value(*first), lambda: np.asarray(scipy.jacobian(*second))
-        equations, n = IDAEquations(*functions, -1), len(first[1])
+        sundials, n = Callbacks(*functions, -1), len(first[1])
         into = np.zeros(n), np.zeros(np.shape(functions[1](*second)))
-        *state, cj = second
         return (
-            lambda: equations.residual(*first, into[0]),
-            lambda: equations.jacobian(*state, into[0], cj, into[1]),
+            lambda: sundials.fill(into[0], *first),
+            lambda: sundials.fill_jacobian(into[1], *second),
         )
 
     def plain(self) -> list[Callable]:

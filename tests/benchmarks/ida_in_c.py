@@ -1,8 +1,9 @@
 """IDA with equations in C against IDA that calls them through Python: the same solver and settings.
 
-``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round;
-ratios are taken within a round. Times are not checked. A run that fails is left out, with its
-message.
+A second table tells what Python costs: IDA and CVODE either way, and backward differences of our
+own, in processor seconds. ``make bench`` prints both and writes them as JSON. Contestants run in
+turn, round after round; ratios are taken within a round. Times are not checked. A run that fails is
+left out, with its message.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from callbacks import least
+from opponents import NotHere, stepbench
 
 from integrators import Tolerances
 from integrators.adapters.ida import IDA
@@ -23,7 +25,8 @@ from integrators.lowering.native import load
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
-from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
+from problems.system import MechatronicSystem
 
 _SCENES = ((SliderCrank(), 5.0), (CarAxis(), 3.0))
 #: Scene, end of the interval and rtol of the races of IDA in C and through Python.
@@ -32,6 +35,16 @@ _CONTESTANTS = {
     "through Python": IDA(callbacks="python", max_calls=500_000),
     "in C": IDA(max_calls=500_000),
     "in C, `suppress_algebraic`": IDA(suppress_algebraic=True, max_calls=500_000),
+}
+#: Scenes and relative tolerance of the table that tells what Python costs.
+_COSTS, _RTOL = (SliderCrank(), CarAxis(), SliderCrankMinimal()), 1e-6
+#: Their contestants: specification, and the one whose time its own is divided by.
+_SOLVERS = {
+    "IDA through Python": ("ida[callbacks=python,max_calls=500000]", "IDA in C"),
+    "IDA in C": ("ida[max_calls=500000]", "IDA in C"),
+    "CVODE through Python": ("cvode[callbacks=python,max_calls=500000]", "CVODE in C"),
+    "CVODE in C": ("cvode[max_calls=500000]", "CVODE in C"),
+    "`bdf_adaptive`, our own": ("bdf_adaptive[newton=modified]", "IDA in C"),
 }
 _REPEAT = """
 void repeat(long n, void (*f)(void *, void *, void *, void *, void *), void **a)
@@ -111,14 +124,69 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def costs(scene: MechatronicSystem, rounds: int) -> list[dict[str, Any]]:
+    """One scene: IDA and CVODE through Python and in C, and backward differences of our own."""
+    reference = Reference(scene, scene.interval[1])
+    found = {}
+    for name, (spec, _) in _SOLVERS.items():
+        try:
+            found[name] = stepbench(spec, Tolerances(_RTOL), reference, scene)
+        except NotHere as reason:
+            print(f"{scene.spec}: {reason}")
+    seconds: dict[str, list[float]] = {name: [] for name in found}
+    for _ in range(rounds):
+        for name, contestant in found.items():
+            seconds[name].append(contestant.run())
+    rows = []
+    for name, contestant in found.items():
+        own, other = np.array(seconds[name]), _SOLVERS[name][1]
+        ratio = np.quantile(own / seconds[other], [0.5, 0.25, 0.75]) if other in seconds else None
+        calls = contestant.work["residuals"] or 0
+        rows.append(
+            {
+                "case": scene.spec,
+                "contestant": name,
+                "steps": contestant.steps,
+                "residuals": calls,
+                "ms": 1e3 * float(np.median(own)),
+                "least_ms": 1e3 * float(own.min()),
+                "us_per_residual": 1e6 * float(own.min()) / calls,
+                "against": other,
+                "ratio": None if ratio is None else ratio.tolist(),
+                "error": contestant.error,
+            }
+        )
+    return rows
+
+
+def costs_table(rows: list[dict[str, Any]]) -> str:
+    """What Python costs, in Markdown."""
+    lines = [
+        f"| rtol={_RTOL:g} | solver | steps | residual calls | ms: median (least) "
+        "| least µs per call | time/in C (quartiles) | settled error in a |",
+        "|---|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        ratio = "{:.2f} ({:.2f} to {:.2f})".format(*row["ratio"]) if row["ratio"] else ""
+        lines.append(
+            f"| {row['case']} | {row['contestant']} | {row['steps']} | {row['residuals']} "
+            f"| {row['ms']:.2f} ({row['least_ms']:.2f}) | {row['us_per_residual']:.2f} | {ratio} "
+            f"| {row['error']:.1e} |"
+        )
+    return "\n".join(lines)
+
+
 def main() -> None:
-    """Measure all cases, print the table, write the JSON."""
+    """Measure all cases, print the tables, write the JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rounds", type=int, default=11, help="samples of each contestant")
     parser.add_argument("--out", type=Path, default=Path("stepbench-ida-in-c.json"))
     given = parser.parse_args()
     rows = [row for case in range(len(_CASES)) for row in race(case, given.rounds)]
     print(table(rows))
+    python = [row for scene in _COSTS for row in costs(scene, given.rounds)]
+    print(costs_table(python))
+    rows += python
     given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print(f"Written to {given.out}.")
 

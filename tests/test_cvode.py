@@ -1,0 +1,294 @@
+"""CVODE: accuracy, counts, endings, the same runs in C and through Python, and the way back."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from helpers import long
+from probe import Probe, worst
+
+from bench.plugins.registry import Registry
+from integrators import Tolerances
+from integrators.adapters import ode, sundials, sundials_equations, sundials_native
+from integrators.adapters.cvode import CVODE, cvode_equations
+from integrators.lowering import graph, native
+from problems import jnp
+from problems.runtime import jax, slower
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
+from problems.spec import SpecError
+
+every_callback = pytest.mark.parametrize("callbacks", ["compiled", "python"])
+GROUPS = ("t", "q", "v", "a", "lam")
+
+
+@pytest.fixture
+def forgotten(caplog):
+    """Compiled equations and sentences are made anew, and forgotten after the test."""
+
+    def forget():
+        for kept in (sundials_equations.compiled_equations, sundials.library, native.load, slower):
+            kept.cache_clear()
+
+    forget()
+    yield caplog
+    forget()
+
+
+def prepared(scene, length, rtol=1e-6, **options):
+    return CVODE(**options).prepare(scene, scene.interval[0] + length, Tolerances(rtol))
+
+
+def run(scene, rtol=1e-6, length=1.0, **options):
+    return prepared(scene, length, rtol, **options).measure()
+
+
+# ---- accuracy --------------------------------------------------------------------------
+@pytest.mark.parametrize("method", ["bdf", "adams"])
+def test_the_error_falls_with_the_tolerance(method):
+    errors = [
+        worst(run(Pendulum(), rtol, method=method), Pendulum(), "q") for rtol in (1e-5, 1e-7, 1e-9)
+    ]
+    assert errors[0] < 1e-3
+    assert errors[1] < errors[0] / 10
+    assert errors[2] < errors[1] / 10
+
+
+def test_controller_states_and_outputs_are_followed_too():
+    trajectory = run(SpringMass(), 1e-10, 0.5)
+    for group in ("q", "v", "a", "x", "y"):
+        assert worst(trajectory, SpringMass(), group) < 1e-8
+
+
+def test_baumgarte_keeps_the_constraint_that_index_1_leaves():
+    def violation(constraints):
+        z = run(Pendulum(), 1e-5, 10.0, constraints=constraints)
+        return np.abs(np.sum(z.q**2, axis=1) - 1).max()
+
+    assert violation("index1") > 5 * violation("baumgarte")
+
+
+def test_a_projection_is_refused():
+    with pytest.raises(SpecError, match="constraints"):
+        Registry([]).integrator("cvode[constraints=projected]")
+
+
+def test_adams_takes_orders_beyond_those_of_bdf():
+    low, high = (run(Probe(), 1e-12, method="adams", max_order=k).work.steps for k in (5, 12))
+    assert high < 0.7 * low
+    assert run(Probe(), 1e-8, max_order=5).work == run(Probe(), 1e-8).work
+
+
+# ---- both ways -------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "constraints"),
+    [
+        ("pendulum", "index1"),
+        ("pendulum", "baumgarte"),
+        *long(*((name, "index1") for name in ("car_axis", "slider_crank_minimal", "heavy_top"))),
+        *long(("slider_crank", "baumgarte"), ("chain[links=3]", "baumgarte")),
+    ],
+)
+def test_equations_in_c_are_those_of_jax_to_rounding(name, constraints):
+    scene = Registry([]).problem(name)
+    started = prepared(scene, 1.0, constraints=constraints)
+    compiled, p = started.native, started._p
+    assert len(p) == len(scene.parameters()) + 2 * (constraints == "baumgarte")
+    rate, jacobian = ode.packed_rate_and_jacobian(scene.template(), constraints != "index1")
+    start, n = started.start[1], len(started.start[1])
+    for shift in np.random.default_rng(5).normal(size=(5, n)):
+        s, found, columns = start + shift * (1 + abs(start)), np.empty(n), np.empty((n, n))
+        sundials_equations.evaluate(compiled, "residual", p, 0.3, s, out=found)
+        sundials_equations.evaluate(compiled, "jacobian", p, 0.3, s, out=columns.ravel())
+        for ours, right in ((found, rate.bind(p)(0.3, s)), (columns.T, jacobian.bind(p)(0.3, s))):
+            assert np.abs(ours - right).max() <= 1e-12 * np.abs(right).max()
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "adams", "max_order": 9}], ids=["bdf", "adams"])
+def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit(options):
+    started = prepared(Pendulum(), 1.0, **options)
+    own, compiled = started.measure(), started.native
+
+    def through_python(name, shape):
+        def function(*state):
+            out = np.empty(shape)
+            sundials_equations.evaluate(compiled, name, started._p, *state, out=out.ravel())
+            return out
+
+        return function
+
+    started.functions = through_python("residual", 4), through_python("jacobian", (4, 4))
+    started.native = None
+    other = started.measure()
+    assert own.status == other.status == "ok"
+    assert own.work.steps > 20
+    for name in ("steps", "residuals", "jacobians"):
+        assert getattr(own.work, name) == getattr(other.work, name), name
+    for name in GROUPS:
+        assert getattr(own, name).tobytes() == getattr(other, name).tobytes(), name
+
+
+@every_callback
+def test_counts_are_cvodes_own_and_the_timed_solve_takes_the_same_steps(callbacks):
+    started = prepared(Pendulum(), 1.0, 1e-7, callbacks=callbacks)
+    trajectory, timed = started.measure(), started.execute()
+    work = trajectory.work
+    assert (work.residuals, work.jacobians) == (timed.nfev, timed.njev)
+    assert work.residuals > work.steps > work.jacobians > 0
+    assert [*trajectory.q[-1], *trajectory.v[-1]] == timed.y.tolist()
+    if callbacks == "python":  # scikit-sundae does not tell
+        assert work.rejected is work.newton is work.factorisations is work.solves is None
+        assert started.bill(trajectory) == {}
+    else:  # CVODE keeps a Jacobian over several factorisations
+        assert work.jacobians < work.factorisations < work.newton == work.solves < work.residuals
+        bill = started.bill(trajectory)
+        assert bill["solves"] == 2 * 4**2 * work.solves
+        assert bill["factorisations"] == pytest.approx(2 / 3 * 4**3 * work.factorisations)
+
+
+def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(monkeypatch):
+    started = prepared(Pendulum(), 1.0)
+    whole = started.execute()
+    monkeypatch.setattr(sundials_native, "_STEPS_IN_A_CALL", 7)
+    cut = started.execute()
+    assert (whole.t, whole.nfev, whole.njev) == (cut.t, cut.nfev, cut.njev)
+    assert whole.y.tobytes() == cut.y.tobytes()
+
+
+def test_other_parameters_compile_nothing_new():
+    prepared(Pendulum(), 0.1)
+    before = sundials_equations.compiled_equations.cache_info().misses
+    longer = run(replace(Pendulum(), length=2.0), 1e-6, 0.1)
+    assert sundials_equations.compiled_equations.cache_info().misses == before
+    assert np.linalg.norm(longer.q, axis=1) == pytest.approx(2.0, abs=1e-5)
+
+
+# ---- ways to end -----------------------------------------------------------------------
+@every_callback
+def test_a_budget_ends_the_run_after_exactly_that_many_calls_and_keeps_its_rows(callbacks):
+    trajectory = run(Pendulum(), 1e-8, max_calls=100, callbacks=callbacks)
+    assert trajectory.status == "budget_exceeded"
+    assert "raise max_calls" in trajectory.message
+    assert trajectory.work.residuals == 100
+    assert len(trajectory.t) == len(trajectory.q) == len(trajectory.a) > 10
+    assert worst(trajectory, Pendulum(), "q") < 1e-6
+
+
+@every_callback
+@pytest.mark.parametrize("breaks_at", [0.0, 0.5])
+def test_a_force_that_becomes_nan_ends_the_run_at_once_and_names_the_time(
+    callbacks, breaks_at, capfd
+):
+    started = prepared(Probe(breaks_at=breaks_at), 2.0, callbacks=callbacks)
+    trajectory = started.measure()
+    assert trajectory.status == "diverged"
+    assert trajectory.t[-1] <= breaks_at
+    assert trajectory.a[0] == pytest.approx(-4.0)
+    assert f"t={trajectory.t[-1]:.6g} s" in trajectory.message
+    assert trajectory.work.residuals < 1000
+    assert started.execute() is None
+    assert capfd.readouterr().out == ""
+
+
+def test_a_pole_of_the_solution_ends_the_run_near_it():
+    # q'' = 6 q^2 with q = 1/(1-t)^2.
+    trajectory = run(Probe(k=0.0, c=6.0, v0=2.0), 1e-6, 2.0)
+    assert trajectory.status in ("step_too_small", "newton_failed", "diverged", "budget_exceeded")
+    assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+@every_callback
+def test_a_jacobian_that_is_not_finite_ends_the_run(callbacks):
+    @dataclass(frozen=True)
+    class Kinked(Probe):
+        """Its force has no derivative after t = 0.5 s, where it is finite."""
+
+        def force(self, q, v, t):
+            return -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2)
+
+    ended = run(Kinked(), 1e-6, 2.0, callbacks=callbacks)
+    assert ended.status == "diverged"
+    assert ended.t[-1] < 0.7
+
+
+@dataclass(frozen=True)
+class CallingBack(Probe):
+    """Its force is a function of Python, which raises after t = 0.5 s."""
+
+    def force(self, q, v, t):
+        def value(q, t):
+            if t > 0.5:
+                raise ValueError("no force is known here")
+            return np.asarray(-4.0 * q)
+
+        @jax.custom_jvp
+        def called(q, t):
+            result = jax.ShapeDtypeStruct((1,), float)
+            return jax.pure_callback(value, result, q, t, vmap_method="sequential")
+
+        called.defjvp(lambda at, along: (called(*at), -4.0 * along[0]))
+        return called(q, t)
+
+
+@dataclass(frozen=True)
+class Raising(Probe):
+    """A scene whose equations cannot even be traced."""
+
+    def force(self, q, v, t):
+        raise ArithmeticError("no force at all")
+
+
+def test_an_error_of_a_scene_reaches_the_caller_whenever_it_happens():
+    with pytest.raises(ArithmeticError, match="no force at all"):
+        prepared(Raising(), 1.0)
+    started = prepared(CallingBack(), 2.0)
+    with pytest.raises(ValueError, match="no force is known here"):
+        started.measure()
+
+
+def test_a_flag_of_a_call_that_fails_ends_the_run(monkeypatch):
+    started = prepared(Pendulum(), 0.2)
+    monkeypatch.setattr(sundials_native.NativeCVODE, "step", lambda self: (-99, 0.0, np.zeros(4)))
+    ended = started.measure()
+    assert ended.status == "crashed"
+    assert "CVODE returned the flag -99" in ended.message
+
+
+# ---- the way back to Python ------------------------------------------------------------
+def falls_back(forgotten, reason, scene=None):
+    started = prepared(scene or Pendulum(), 0.2)
+    assert started.native is None
+    (sentence,) = [text for text in forgotten.messages if "through Python" in text]
+    assert sentence.startswith("CVODE calls")
+    assert reason in sentence
+    assert started.measure().status == "ok"
+
+
+def test_without_a_compiler_equations_are_called_through_python(forgotten, monkeypatch):
+    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
+    falls_back(forgotten, "there is no C compiler named no-such-compiler")
+
+
+def test_a_missing_function_of_cvode_leads_to_python(forgotten, monkeypatch):
+    monkeypatch.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,))
+    falls_back(forgotten, "has no function CVodeGone")
+
+
+def test_outputs_that_newtons_method_solves_for_are_called_through_python(forgotten):
+    falls_back(forgotten, "it has the operation 'while'", SpringMass())
+
+
+def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):
+    flipped = graph.OPERATORS["sub"]._replace(c="{} + {}")
+    monkeypatch.setitem(graph.OPERATORS, "sub", flipped)
+    falls_back(forgotten, "in C is not the one of JAX")
+
+
+def test_equations_are_made_once_for_a_kind_of_scene():
+    longer = replace(Pendulum(), length=2.0)
+    assert cvode_equations(Pendulum().template(), False) is cvode_equations(
+        longer.template(), False
+    )
