@@ -214,10 +214,11 @@ def check(
         right = np.asarray(function(*state))
         found = np.empty(right.size)
         evaluate(compiled, name, p, *state, out=found)
-        scale = np.abs(right).max(initial=0.0)
-        close = np.abs(found - right.ravel()) <= _ROUNDING * scale
-        same = (found == right.ravel()) | (np.isnan(found) & np.isnan(right.ravel()))
-        if not (close | same | ~np.isfinite(scale)).all():
+        right = right.ravel()
+        scale = np.abs(right[np.isfinite(right)]).max(initial=0.0)
+        close = np.abs(found - right) <= _ROUNDING * scale
+        same = (found == right) | (np.isnan(found) & np.isnan(right))
+        if not (close | same).all():
             raise NotLowered(f"its {name} in C is not the one of JAX")
 
 

@@ -137,7 +137,7 @@ class NativeSolver(ABC):
         return self._solve(_ONE_STEP), self._t.value, self._values.copy()
 
     def work(self, steps: int) -> Work:
-        """The counts of the run; all but the first two and the steps are the solver's own."""
+        """The counts of the run: steps, residuals and Jacobians by us, the others by SUNDIALS."""
         newton = self._count("NonlinSolvIters")
         return Work(
             steps=steps,

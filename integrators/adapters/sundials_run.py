@@ -55,7 +55,7 @@ def callbacks_option() -> Any:
 def described(callbacks: str) -> str:
     """How a solver with this option calls its equations."""
     if callbacks == "compiled":
-        return "a C library calls equations in C, one by one"
+        return "a C library calls equations in C, where they have such a form, one by one"
     return "a C library calls compiled equations through Python, one by one"
 
 

@@ -37,9 +37,9 @@ def load(source: str) -> ctypes.CDLL:
     compiler = shutil.which(_COMPILER)
     if compiler is None:
         raise NotLowered(f"there is no C compiler named {_COMPILER}")
-    about = "\0".join((source, _version(compiler), *_FLAGS))
-    name = f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
     try:
+        about = "\0".join((source, _version(compiler), *_FLAGS))
+        name = f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
         _CACHE.mkdir(parents=True, exist_ok=True)
         file = _CACHE / name
         if file.exists():
@@ -50,7 +50,7 @@ def load(source: str) -> ctypes.CDLL:
             new.replace(file)
         return ctypes.CDLL(str(file))
     except OSError as error:
-        raise NotLowered(f"compiled functions cannot be kept in {_CACHE} ({error})") from error
+        raise NotLowered(f"{_COMPILER} or the folder {_CACHE} fails ({error})") from error
 
 
 def _compile(compiler: str, source: str, folder: Path) -> Path:

@@ -105,7 +105,7 @@ class _Follower:
         if self._entries > _MOST_ENTRIES:
             raise NotLowered("its arrays are too large")
         types = [var.aval.dtype for var in equation.outvars]
-        if any(kind == np.float32 or kind.kind == "c" for kind in types):
+        if any(kind.kind == "c" or (kind.kind == "f" and kind != np.float64) for kind in types):
             raise NotLowered("it computes with numbers that are no 64-bit floats")
         if name in RULES:
             try:
