@@ -121,7 +121,7 @@ def test_other_parameters_compile_nothing_new():
     assert np.linalg.norm(run.q, axis=1) == pytest.approx(2.0, abs=1e-5)
 
 
-def test_idas_own_switch_spares_steps_and_keeps_the_multipliers_tolerance():
+def test_idas_own_switch_spares_steps():
     plain, suppressed = (
         prepared(Pendulum(), 1.0, 1e-7, suppress_algebraic=on).measure() for on in (False, True)
     )

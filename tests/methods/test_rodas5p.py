@@ -108,23 +108,31 @@ def test_oscillations_are_damped_as_the_coefficients_say():
     assert radii(CONSTANT) == pytest.approx([abs(growth(1j * y)) for y in OMEGA_H], abs=1e-9)
 
 
+@dataclass(frozen=True)
+class PushedOscillator(ForcedOscillator):
+    """Its force changes at the start, too."""
+
+    def force(self, q, v, t):
+        return jnp.sin(1.5 * t) - q - 0.3 * q**3
+
+
 def test_a_step_is_that_of_the_whole_system_with_its_full_matrix():
     h, z, stages = 0.1, np.array([1.0, 0.5, 0.2]), []
-    z[2] = 1 - z[0] - 0.3 * z[0] ** 3
-    mass, of_time = np.diag([1.0, 1.0, 0.0]), np.zeros(3)
+    z[2] = -z[0] - 0.3 * z[0] ** 3
+    mass, of_time = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.5])
     jacobian = np.array([[0, 1, 0], [0, 0, 1], [-1 - 0.9 * z[0] ** 2, 0, -1]])
 
     def rate(t: float, z: np.ndarray) -> np.ndarray:
-        return np.array([z[1], z[2], np.cos(1.5 * t) - z[0] - 0.3 * z[0] ** 3 - z[2]])
+        return np.array([z[1], z[2], np.sin(1.5 * t) - z[0] - 0.3 * z[0] ** 3 - z[2]])
 
     for i in range(STAGES):
         before = sum((ALPHA[i, j] * k for j, k in enumerate(stages)), np.zeros(3))
         coupled = sum((GAMMA[i, j] * k for j, k in enumerate(stages)), np.zeros(3))
         known = h * rate(rodas5p._PLACES[i] * h, z + before) + h * jacobian @ coupled
-        known += h**2 * rodas5p._OF_TIME[i] * of_time  # which is zero at t = 0
+        known += h**2 * rodas5p._OF_TIME[i] * of_time
         stages.append(np.linalg.solve(mass - h * rodas5p._GAMMA * jacobian, known))
     end = z + B @ np.array(stages)
-    run = CONSTANT.prepare(ForcedOscillator(), h, Steps(h)).measure()
+    run = CONSTANT.prepare(PushedOscillator(), h, Steps(h)).measure()
     assert [run.q[-1, 0], run.v[-1, 0], run.a[-1, 0]] == pytest.approx(end, abs=1e-13)
 
 
