@@ -45,7 +45,7 @@ _FREE = {
     "shift_right_logical", "bitcast_convert_type",
 }  # fmt: skip
 #: Primitives that call another program, and the name of its parameter.
-_CALLS = {
+CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
@@ -228,8 +228,8 @@ class _Counter:
 
     def _equation(self, equation: Any, given: list[_Value], scopes: str) -> list[_Value]:
         name, params = equation.primitive.name, equation.params
-        if name in _CALLS:
-            return self._called(params[_CALLS[name]], given, scopes)
+        if name in CALLS:
+            return self._called(params[CALLS[name]], given, scopes)
         if name == "custom_linear_solve":
             lengths = params["const_lengths"]
             start = lengths.matvec + lengths.vecmat

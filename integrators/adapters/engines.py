@@ -1,4 +1,4 @@
-"""What adapters of simulation engines have in common; they need the extra ``peers``."""
+"""Common parts of the adapters of simulation engines; they need the extra ``peers``."""
 
 from __future__ import annotations
 

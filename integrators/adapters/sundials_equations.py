@@ -110,7 +110,7 @@ int called_jacobian(double t, void *s, void *rate, void *matrix, void *user, voi
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """What a solver of SUNDIALS calls; one object for each kind of scene.
+    """The functions that a solver of SUNDIALS calls; one object for each kind of scene.
 
     Parameters
     ----------

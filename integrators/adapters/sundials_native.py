@@ -35,7 +35,7 @@ class _Run(ctypes.Structure):
 
 
 class Solution(NamedTuple):
-    """Where a whole solve ended: time, unknowns, the solver's flag and its counts of calls."""
+    """The end of a whole solve: time, unknowns, the solver's flag and its counts of calls."""
 
     t: float
     y: Float[np.ndarray, " n"]

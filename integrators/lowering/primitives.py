@@ -129,7 +129,7 @@ for _name, _by in {
 
 
 def _empty(graph: Graph, operator: str, shape: tuple[int, ...]) -> np.ndarray:
-    """What is folded of nothing."""
+    """The result of folding nothing."""
     if operator not in ("add", "mul"):
         raise NotLowered("it has a largest entry of nothing")
     return np.full(shape, graph.zero if operator == "add" else graph.one)

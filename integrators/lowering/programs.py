@@ -16,22 +16,12 @@ import numpy as np
 from integrators.lowering.elimination import refuse_many, solve
 from integrators.lowering.graph import Graph, NotLowered
 from integrators.lowering.primitives import RULES
+from integrators.operations import CALLS
 from problems.runtime import jax
 
 if TYPE_CHECKING:
     from jaxtyping import Int
 
-#: Primitives that call another program, and the name of its parameter.
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "remat": "jaxpr",
-    "checkpoint": "jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-}
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
 
@@ -96,8 +86,8 @@ class _Follower:
 
     def _equation(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         name, params = equation.primitive.name, equation.params
-        if name in _CALLS:
-            return self.called(params[_CALLS[name]], given)
+        if name in CALLS:
+            return self.called(params[CALLS[name]], given)
         if name == "custom_linear_solve":
             return self._solved(params, given)
         shapes = [var.aval.shape for var in equation.outvars]
