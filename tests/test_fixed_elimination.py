@@ -176,8 +176,9 @@ def test_runs_agree_with_those_by_pivots(scene, fallbacks, monkeypatch):
     fixed = run()
     jax.effects_barrier()
     # Where all terms of a row are all but zero, its rounding may be that of other rows; car_axis at
-    # its start has such rows.
-    assert len(fallbacks) <= 0.15 * (fixed.work.newton or 0)
+    # its start has such rows, 9 of 80 solutions.
+    part = 0.15 if scene.name == "car_axis" else 0.1
+    assert len(fallbacks) <= part * (fixed.work.newton or 0)
     fallbacks.clear()
     monkeypatch.setattr(linear_solvers, "planned", lambda entries: None)
     by_pivots = run()

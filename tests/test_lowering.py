@@ -19,9 +19,11 @@ from problems import jnp
 from problems.formulations import dae_layout
 from problems.runtime import jax
 
-#: Rounding of sums and elementary functions, relative to the largest entry. It is 1e-14 of their
-#: largest term, which may be twice the largest entry (heavy_top, of the terms of spin^2).
-ROUNDING = 2e-14
+#: Rounding of sums and elementary functions, relative to the largest entry. Near the start of
+#: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is
+#: seen to differ by 1.2e-14, which is 2e-16 of the largest term.
+ROUNDING = 1e-14
+_OF_SMALL_REMAINDERS = {"heavy_top": 2e-14}
 SCENES = Registry([]).problems
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 
@@ -80,7 +82,8 @@ def differences(scene, formulation, sparse=False):
     ],
 )
 def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
-    assert max(differences(Registry([]).problem(name), formulation)) < ROUNDING
+    allowed = _OF_SMALL_REMAINDERS.get(name, ROUNDING)
+    assert max(differences(Registry([]).problem(name), formulation)) < allowed
 
 
 def test_entries_of_a_sparse_jacobian_are_those_of_jax():
