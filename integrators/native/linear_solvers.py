@@ -59,17 +59,25 @@ class LinearSolver(ABC):
         """True if ``kept`` holds a tangent, not the placeholder."""
 
 
+@dataclass(frozen=True)
 class DenseSolver(LinearSolver):
     """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
 
     Full Newton reads the tangent's entries from the residual's program, takes them by a few
     products, and eliminates in an order that is fixed; not so in many runs side by side, where the
     work of a full matrix is shared by the lanes of the processor.
+
+    Parameters
+    ----------
+    joins
+        One linearisation gives full Newton both the residual and its tangent, where it can.
     """
+
+    joins: bool = True
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
         program = jax.make_jaxpr(residual)(u)
-        order = _order(program, len(u))
+        order = _order(program, len(u)) if self.joins else None
 
         def by_pivots(u: Array, *constants: Array) -> Array:
             residual = partial(_evaluated, program, constants)

@@ -62,12 +62,15 @@ class StepProgram:
         Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
     explicit
         The method has no options of Newton's method, and may not ask for it.
+    dense
+        Solver of the equations that have no pattern.
     """
 
     functions: StepFunctions
     keeps_tangents: bool = False
     patterns: tuple[Pattern, ...] = ()
     explicit: bool = False
+    dense: LinearSolver = DENSE
 
     def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Any:
         """The state at t0, before a first step of size h in s."""
@@ -151,7 +154,7 @@ class StepProgram:
                 f"The step of {type(self.functions).__name__} solves equations; inherit from "
                 f"ImplicitStepMethod in place of StepMethod."
             )
-        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
+        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else self.dense
 
 
 class SparseTangents(NamedTuple):
