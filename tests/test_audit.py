@@ -75,7 +75,6 @@ def test_two_stages_that_are_counted_as_one_are_found_out():
         check_counts(Heun(counted=1), ForcedOscillator())
 
 
-@pytest.mark.long
 def test_counts_of_newtons_method_are_true_and_one_evaluation_more_is_found():
     declared, counted = audited(Midpoint(), ForcedOscillator())
     assert declared == counted > 2 * TRIAL_STEPS
