@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from problems.exported_programs import exported
 from problems.formulations import (
     Start,
     algebraic_iterations,
@@ -81,26 +82,35 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             constraint_acceleration(s, q, v, a, t),
         )
 
+    def over_rows(name: str, function: Callable) -> Callable:
+        return _over_rows(function, (name, template))
+
+    def alone(name: str, function: Callable) -> Callable:
+        return exported(lambda: function, lambda: (name, template))
+
     return Compiled(
-        start=jax.jit(lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
-        ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
-        rate=jax.jit(
-            lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), t, s)
+        start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
+        rate=alone(
+            "rate", lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), t, s)
         ),
-        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
-        levels=_over_rows(levels),
-        energy=_over_rows(lambda p, q, v: at(p).energy(q, v)),
-        momentum=_over_rows(lambda p, q, v: at(p).momentum(q, v)),
-        iterations=_over_rows(lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)),
+        complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
+        levels=over_rows("levels", levels),
+        energy=over_rows("energy", lambda p, q, v: at(p).energy(q, v)),
+        momentum=over_rows("momentum", lambda p, q, v: at(p).momentum(q, v)),
+        iterations=over_rows(
+            "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
+        ),
     )
 
 
-def _over_rows(function: Callable) -> Callable:
-    """Vectorise over rows, filled up to whole blocks."""
+def _over_rows(function: Callable, about: tuple) -> Callable:
+    """Vectorise over rows, filled up to whole blocks; ``about`` tells what the function is."""
 
-    @jax.jit
-    def block(p: Mapping, rows: tuple[Array, ...]) -> Any:
+    def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
         return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+    block = exported(lambda: rows_at_once, lambda: about)
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0

@@ -28,7 +28,7 @@ import platformdirs
 
 from problems.canary import wrong_functions
 
-_CACHE = Path(platformdirs.user_cache_dir("stepbench"))
+CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
 _JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
@@ -41,7 +41,7 @@ _FLAGS = (
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
-    "JAX_COMPILATION_CACHE_DIR": str(_CACHE / "jax"),
+    "JAX_COMPILATION_CACHE_DIR": str(CACHE / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     "XLA_FLAGS": " ".join(_FLAGS),
@@ -235,7 +235,7 @@ def _refusal(flags: str) -> str:
     They are tried in another process, once for each release of jaxlib.
     """
     key = hashlib.sha256(f"{version('jaxlib')} {flags}".encode()).hexdigest()[:16]
-    file = _CACHE / "flags" / key
+    file = CACHE / "flags" / key
     with suppress(OSError, UnicodeDecodeError):
         return file.read_text()
     words = _start_of_xla(flags)

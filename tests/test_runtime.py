@@ -90,7 +90,7 @@ def refusing(monkeypatch, tmp_path):
         return "Unknown flag in XLA_FLAGS: --xla_dropped" if "dropped" in flags else ""
 
     monkeypatch.setattr(runtime, "_start_of_xla", start)
-    monkeypatch.setattr(runtime, "_CACHE", tmp_path)
+    monkeypatch.setattr(runtime, "CACHE", tmp_path)
     runtime.slower.cache_clear()
     return tried
 
@@ -116,7 +116,7 @@ def test_a_flag_of_the_user_that_xla_refuses_is_named_with_the_remedy(monkeypatc
 
 def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatch, tmp_path):
     monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "out of memory")
-    monkeypatch.setattr(runtime, "_CACHE", tmp_path)
+    monkeypatch.setattr(runtime, "CACHE", tmp_path)
     runtime._leave_out_refused_flags()
     assert not list(tmp_path.iterdir())  # and no verdict is kept
 

@@ -26,6 +26,8 @@ _STOPPED = 3
 _LATE, _LEAST_LATE = 20, 60.0
 #: Longest time in s between two looks that counts: more passes if this process itself is halted.
 _LONGEST_LOOK = 1.0
+#: Time in s between two comparisons with the limits: each takes longer than many a job.
+_BETWEEN = 0.05
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Meter:
     def start(self) -> None:
         """Begin a job, which has used nothing."""
         self._used: defaultdict[str, _Used] = defaultdict(_Used)
-        self._looked = time.monotonic()
+        self._looked = self._compared = time.monotonic()
 
     def begin(self, phase: str, process: int | None = None) -> None:
         """Go on to a phase; the use so far belongs to the one before."""
@@ -122,8 +124,14 @@ class Meter:
             used.idle_s += max(0.0, passed - computed - queued)
         return use
 
+    @property
+    def is_due(self) -> bool:
+        """Whether the job began, or was compared with its limits, some time ago."""
+        return time.monotonic() - self._compared >= _BETWEEN
+
     def excess(self, process: int) -> Excess | None:
         """Look at a process; return the limit that it has passed, if any."""
+        self._compared = time.monotonic()
         if (use := self._count(process)) is None:
             return None
         used = self._used[self.phase]

@@ -143,7 +143,7 @@ class GuardedProcess:
             return self._failed("crashed", f"Its answer cannot be read: {error}.")
         if (status := self._status()) is not None:
             return self._died(status)
-        excess = self._meter.excess(self.pid) if self.pid else None
+        excess = self._meter.excess(self.pid) if self.pid and self._meter.is_due else None
         if not excess:
             return None
         self.end()

@@ -14,6 +14,7 @@ from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from problems import answers
+from problems.exported_programs import exported
 from problems.formulations import ode_rate
 from problems.redundant_start import missing_rank
 from problems.reference import Reference
@@ -177,7 +178,8 @@ def _jacobians(template: MechatronicSystem) -> Any:
     def one(p: dict, t: Any, s: Any) -> Any:
         return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
 
-    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0)))
+    many = jax.vmap(one, in_axes=(None, 0, 0))
+    return exported(lambda: many, lambda: ("rates", template))
 
 
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:

@@ -27,6 +27,7 @@ from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
+from problems.exported_programs import use_exports
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
 from problems.reference import Reference
@@ -263,4 +264,6 @@ def start_worker(notify: Notify, sources: Sources, threads: bool = False) -> Wor
     gc.set_threshold(_GARBAGE)
     if not threads:
         one_thread()
+    if not sources:
+        use_exports()
     return Worker(load_registry(notify, sources), notify, watched=bool(sources))

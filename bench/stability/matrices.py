@@ -27,6 +27,7 @@ from integrators import answers
 from integrators.contract import Integrator, Steps
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepProgram
+from problems.exported_programs import exported
 from problems.formulations import Start, with_rates
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
@@ -208,13 +209,12 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
         b = jax.vmap(lambda s: ravel_pytree(started(s))[0])(deviations) - ravel_pytree(first)[0]
         return a.T, b.T, c.T, converged
 
-    @jax.jit
     def each(
         p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macros: Any
     ) -> tuple:
         return jax.lax.map(lambda macro: one(p, numbers, deviations, pattern, slots, macro), macros)
 
-    return each
+    return exported(lambda: each, lambda: ("matrices", method, template))
 
 
 # ---- all other methods at constant steps -------------------------------------------------

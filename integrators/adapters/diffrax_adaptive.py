@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.counting import (
+    EVALUATION,
+    LINEARISATION,
+    names_are_registered,
+    run_counted,
+    watch,
+)
 from integrators.adapters.diffrax_scheme import (
     Numbers,
     Scheme,
@@ -22,6 +28,7 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.contract import PreparedRun, Tolerances, Trajectory
 from integrators.kept_rows import kept_rows
 from problems.compiled import compiled
+from problems.exported_programs import exported
 from problems.formulations import Baumgarte
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp, slower
@@ -61,18 +68,25 @@ class AdaptivePrograms(NamedTuple):
 def adaptive_programs(
     scheme: Scheme, template: MechatronicSystem, max_steps: int
 ) -> AdaptivePrograms:
-    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the result."""
-    import diffrax
-    import optimistix
+    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending.
 
-    options = {}
-    if scheme.root_finder == "fair":
-        options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-    rate, solver = right_hand_side(template), made_solver(scheme, template, **options)
-    if scheme.root_finder != "none":  # the results of an explicit step are constants, and stay so
-        solver = _traced_once(type(solver))(**options)
+    The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
+    """
+    by_name = names_are_registered()
 
-    def program(rate: Callable, save: Any) -> Callable:
+    def program(counts: bool) -> Callable:
+        import diffrax
+        import optimistix
+
+        options = {}
+        if scheme.root_finder == "fair":
+            options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
+        rate, solver = right_hand_side(template), made_solver(scheme, template, **options)
+        if scheme.root_finder != "none":  # results of an explicit step are constants, and stay so
+            solver = _traced_once(type(solver))(**options)
+        rate = watch(rate) if counts else rate
+        save = diffrax.SaveAt(steps=True) if counts else diffrax.SaveAt(t1=True)
+
         def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
             # A step near the rounding of time cannot help. Without this limit diffrax would
             # go on trying ever smaller ones until max_steps.
@@ -93,13 +107,21 @@ def adaptive_programs(
                 adjoint=diffrax.ForwardMode(),
                 throw=False,
             )
-            return solution.ts, solution.ys, solution.stats, solution.result
+            steps = tuple(solution.stats[f"num_{k}_steps"] for k in ("accepted", "rejected"))
+            good = solution.result == diffrax.RESULTS.successful
+            (number,) = jax.tree.leaves(solution.result)
+            return solution.ts, solution.ys, steps, (good, number)
 
-        return jax.jit(solve)
+        return solve
 
+    about = "adaptive steps of diffrax", scheme, template, max_steps
     return AdaptivePrograms(
-        timed=program(rate, diffrax.SaveAt(t1=True)),
-        counted=program(watch(rate), diffrax.SaveAt(steps=True)),
+        timed=exported(lambda: program(counts=False), lambda: (*about, "timed")),
+        counted=exported(
+            lambda: program(counts=True),
+            lambda: (*about, "counted", by_name),
+            calls=(EVALUATION, LINEARISATION),
+        ),
     )
 
 
@@ -138,11 +160,11 @@ class AdaptiveRun(PreparedRun):
         except jax.errors.JaxRuntimeError as error:
             reason = str(error).splitlines()[0]
             return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")
-        t, s, stats, result = solution
-        accepted, rejected = (int(stats[f"num_{k}_steps"]) for k in ("accepted", "rejected"))
+        t, s, steps, (good, number) = solution
+        accepted, rejected = map(int, steps)
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
-        status, message = self._outcome(result, t[-1], s[-1])
+        status, message = self._outcome(good, number, t[-1], s[-1])
         keep, nq = kept_rows(accepted), self._scene.sizes.nq
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
@@ -152,12 +174,13 @@ class AdaptiveRun(PreparedRun):
     def bill(self, run: Trajectory) -> dict[str, float]:
         return bill_of(self._scheme, self._scene, self._baumgarte is not None, run)
 
-    def _outcome(self, result: Any, t: float, s: np.ndarray) -> tuple[str, str]:
+    def _outcome(self, good: Any, number: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""
+        if good and np.isfinite(s).all():
+            return "ok", ""
         from diffrax import RESULTS
 
-        if result == RESULTS.successful and np.isfinite(s).all():
-            return "ok", ""
+        result = jax.tree.unflatten(jax.tree.structure(RESULTS.successful), [number])
         if not self._defined_after(t, s):
             status, reason = "diverged", "the right-hand side is not finite from here on"
             remedy = "check the scene's equations beyond this time or use a smaller rtol"

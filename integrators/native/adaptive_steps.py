@@ -242,4 +242,6 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         program.finish(m.state)
         return m.rows.early, m.rows.spread, last, jnp.stack([m.ending, m.t, *m.counts])
 
-    return (_SparseKernel if program.patterns else Kernel)(loop)
+    if program.patterns:
+        return _SparseKernel(loop)
+    return Kernel(loop, ("adaptive steps", program, template))

@@ -199,4 +199,6 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         program.finish(state)
         return kept, jnp.stack([ending, t, *counts])
 
-    return (_SparseKernel if program.patterns else Kernel)(loop)
+    if program.patterns:
+        return _SparseKernel(loop)
+    return Kernel(loop, ("constant steps", program, template))

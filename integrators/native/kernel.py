@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from integrators.native import klu
+from problems.exported_programs import exported
 from problems.runtime import jax, jnp, known_options
 
 if TYPE_CHECKING:
@@ -27,9 +28,11 @@ class Kernel:
     loop
         Traceable function of (parameters, numbers, start, time, *wanted); ``wanted`` selects the
         rows to keep.
+    about
+        All that decides the loop, so that its trace can be kept; None if it cannot.
     """
 
-    def __init__(self, loop: Callable) -> None:
+    def __init__(self, loop: Callable, about: tuple | None = None) -> None:
         self._unpack: Callable | None = None
         self._form: Any = None
         self._shapes: Any = None
@@ -37,7 +40,9 @@ class Kernel:
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
 
-        self.compiled = jax.jit(run)
+        self.compiled = (
+            exported(lambda: run, lambda: (about, str(self._form))) if about else jax.jit(run)
+        )
         self._run = run
 
     def pack(self, *arguments: Any) -> Float[Array, " n"]:
@@ -91,7 +96,7 @@ class Kernel:
     @property
     def compilations(self) -> int:
         """Number of compiled programs; one serves all schemes, steps and parameters."""
-        return self.compiled._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+        return self.compiled._cache_size()  # pyright: ignore
 
 
 class SparseKernel(Kernel):

@@ -1,0 +1,152 @@
+"""Programs that are traced once and for all: exported to a file for the processes to come.
+
+JAX's compilation cache keeps what XLA made of a program. To find it there, each process would trace
+the program again, which takes longer than all else that is left. So a process that runs nothing but
+this project's own code (`use_exports`) writes what it has traced to the user's cache, and reads
+what others have written. The name of a file is a digest of all that decides the program: the
+sources of the project, the versions of the libraries, the flags of the compiler, and the objects of
+which the program is made. No file is used in a process that has loaded a plugin, or where tests
+patch functions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import FunctionType
+from typing import TYPE_CHECKING, Any
+
+from problems.runtime import CACHE, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.export import Exported
+
+_PROJECT = Path(__file__).parents[1]
+_PACKAGES = ("problems", "integrators", "bench")
+#: Libraries whose code is traced.
+_LIBRARIES = ("jax", "jaxlib", "numpy", "diffrax", "equinox", "lineax", "optimistix")
+_used = False
+
+
+def use_exports() -> None:
+    """Read and write exported programs from now on; for a process that runs our code alone."""
+    global _used
+    _used = True
+
+
+class _Foreign(Exception):
+    """An object is made by code that is not ours."""
+
+
+class _Pickler(pickle.Pickler):
+    """A pickler that refuses what comes from outside of this project."""
+
+    def persistent_id(self, obj: Any) -> None:
+        if isinstance(obj, type | FunctionType):
+            top = obj.__module__.partition(".")[0]
+            if top not in (*_PACKAGES, *_LIBRARIES) and top not in sys.stdlib_module_names:
+                raise _Foreign(obj.__module__)
+
+
+def exported(
+    make: Callable[[], Callable], about: Callable[[], Sequence[Any]], calls: Sequence[str] = ()
+) -> Callable:
+    """Return the compiled function ``jax.jit(make())``, read from a file if there is one.
+
+    Parameters
+    ----------
+    make
+        Makes the traceable function; not called if the program is read.
+    about
+        Returns all that decides the program beside the code of this project; it is asked when
+        the program is traced.
+    calls
+        Names under which the program calls functions of this process.
+    """
+    if not _used:
+        return jax.jit(make())
+    made = cache(make)
+
+    def program(*arguments: Any) -> Any:
+        leaves, tree = jax.tree.flatten(arguments)
+        shapes = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in leaves]
+        # Whatever goes wrong here costs time alone: the function itself is traced instead.
+        try:
+            file = _file(*about(), str(tree), [(s.shape, str(s.dtype)) for s in shapes])
+            form, found = _read(file) or _written(file, made(), tree, shapes, calls)
+        except Exception:
+            return made()(*arguments)
+        return jax.tree.unflatten(jax.tree.structure(form), found.call(*leaves))
+
+    return jax.jit(program)
+
+
+def _file(*about: Any) -> Path:
+    """The file of a program.
+
+    Raises
+    ------
+    Exception
+        If an object cannot be written down, or is not ours.
+    """
+    text = io.BytesIO()
+    _Pickler(text).dump(about)
+    return CACHE / "exported" / _ours() / hashlib.sha256(text.getvalue()).hexdigest()[:32]
+
+
+@cache
+def _ours() -> str:
+    """Digest of the sources of this project, of the libraries' versions and of the flags."""
+    digest = hashlib.sha256(sys.version.encode())
+    for package in _PACKAGES:
+        for source in sorted((_PROJECT / package).rglob("*.py")):
+            digest.update(f"{source.relative_to(_PROJECT)}\n".encode() + source.read_bytes())
+    for library in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            digest.update(f"{library} {version(library)}\n".encode())
+    digest.update(repr([os.environ.get(n) for n in ("XLA_FLAGS", "JAX_ENABLE_X64")]).encode())
+    return digest.hexdigest()[:16]
+
+
+def _read(file: Path) -> tuple[Any, Exported] | None:
+    """The form of a program's results, and the program, if there is a file of it."""
+    from jax import export
+
+    try:
+        form, program = pickle.loads(file.read_bytes())
+        return form, export.deserialize(bytearray(program))
+    except Exception:  # there is none, or it is broken
+        return None
+
+
+def _written(
+    file: Path, function: Callable, tree: Any, shapes: Sequence[Any], calls: Sequence[str]
+) -> tuple[Any, Exported]:
+    """Trace a function of leaves, write it to its file, and return what `_read` would."""
+    form: Any = None
+
+    def flat(*leaves: Any) -> list[Any]:
+        nonlocal form
+        results, of_results = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves)))
+        form = jax.tree.unflatten(of_results, range(len(results)))
+        return results
+
+    from jax import export
+
+    allowed = [export.DisabledSafetyCheck.custom_call(name) for name in calls]
+    found = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
+    content = pickle.dumps((form, bytes(found.serialize())))
+    with suppress(OSError):  # a full disk, or a folder that cannot be written
+        file.parent.mkdir(parents=True, exist_ok=True)
+        new = file.with_suffix(f".{os.getpid()}")
+        new.write_bytes(content)
+        new.replace(file)
+    return form, found

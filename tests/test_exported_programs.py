@@ -1,0 +1,122 @@
+"""Programs that are traced once and read by later processes: the same numbers, and ours alone."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from bench.plugins.facts import Sources
+from bench.running import worker
+from integrators import Steps
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.native import constant_steps
+from problems import exported_programs, jnp
+from problems.compiled import _compiled
+from problems.exported_programs import exported
+from problems.initial_values import consistent_start
+from problems.scenes.pendulum import Pendulum
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(exported_programs, "CACHE", tmp_path)
+    monkeypatch.setattr(exported_programs, "_used", True)
+    yield tmp_path / "exported"
+    # Whatever was made here must not outlive the folder.
+    _compiled.cache_clear()
+    constant_steps.kernel.cache_clear()
+
+
+def files(folder):
+    return [file for file in folder.rglob("*") if file.is_file()]
+
+
+def never():
+    raise AssertionError("it was traced again")
+
+
+def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
+    about = "sine and cosine", Pendulum()
+    first = exported(
+        lambda: lambda p, x: {"s": jnp.sin(p["k"] * x), "c": (x, 2 * x)}, lambda: about
+    )
+    made = first({"k": 2.0}, np.arange(3.0))
+    assert len(files(folder)) == 1
+    read = exported(lambda: never(), lambda: about)({"k": 2.0}, np.arange(3.0))
+    assert np.array_equal(read["s"], made["s"])
+    assert np.array_equal(read["s"], np.sin(2 * np.arange(3.0)))
+    assert [list(part) for part in read["c"]] == [[0, 1, 2], [0, 2, 4]]
+    with pytest.raises(AssertionError, match="again"):  # other shapes, other program
+        exported(never, lambda: about)({"k": 2.0}, np.arange(4.0))
+    with pytest.raises(AssertionError, match="again"):  # another value of what decides it
+        exported(never, lambda: ("sine and cosine", Pendulum(l=2.0)))({"k": 2.0}, np.arange(3.0))
+
+
+def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, monkeypatch):
+    for package in ("problems", "integrators", "bench"):
+        (tmp_path / package).mkdir()
+    source = tmp_path / "problems" / "scene.py"
+    source.write_text("a = 1")
+    monkeypatch.setattr(exported_programs, "_PROJECT", tmp_path)
+    digests = set()
+    for change in (
+        lambda: None,
+        lambda: source.write_text("a = 2"),
+        lambda: monkeypatch.setenv("XLA_FLAGS", "--some"),
+    ):
+        change()
+        digests.add(exported_programs._ours.__wrapped__())
+    assert len(digests) == 3
+
+
+def test_a_broken_file_is_written_anew(folder):
+    def doubled():
+        return lambda x: 2 * x
+
+    exported(doubled, lambda: ("double",))(1.0)
+    (file,) = files(folder)
+    for content in (b"", b"no pickle", pickle.dumps(("form", b"no program"))):
+        file.write_bytes(content)
+        assert float(exported(doubled, lambda: ("double",))(3.0)) == 6.0
+        assert float(exported(never, lambda: ("double",))(4.0)) == 8.0
+
+
+def test_foreign_code_and_a_folder_that_cannot_be_written_cost_time_alone(folder):
+    class Foreign(Pendulum):
+        pass
+
+    assert float(exported(lambda: lambda x: 3 * x, lambda: (Foreign(),))(2.0)) == 6.0
+    assert float(exported(lambda: lambda x: 3 * x, lambda: (never,))(2.0)) == 6.0
+    assert not files(folder)
+    folder.write_text("not a folder")
+    assert float(exported(lambda: lambda x: 4 * x, lambda: ("four",))(2.0)) == 8.0
+
+
+def test_a_run_by_programs_from_files_is_the_same_to_the_bit(folder, monkeypatch):
+    def run():
+        _compiled.cache_clear()
+        constant_steps.kernel.cache_clear()
+        scene = Pendulum()
+        consistent_start(scene)
+        made = GeneralizedAlpha(rho_inf=0.8).prepare(scene, 0.6, Steps(0.01)).measure()
+        return b"".join(getattr(made, g).tobytes() for g in ("q", "v", "a", "lam")), made.work
+
+    written = run()
+    assert len(files(folder)) >= 2
+    read = run()
+    monkeypatch.setattr(exported_programs, "_used", False)
+    assert written == read == run()
+
+
+def test_a_process_with_plugins_neither_reads_nor_writes_programs(monkeypatch):
+    used = []
+    monkeypatch.setattr(worker, "use_exports", lambda: used.append(True))
+    monkeypatch.setattr(worker, "load_registry", lambda notify, sources: None)
+    monkeypatch.setattr(worker.gc, "set_threshold", lambda count: None)
+    monkeypatch.setattr(worker, "one_thread", lambda: None)
+    worker.start_worker(lambda phase, words: None, Sources(files=frozenset({"mine.py"})))
+    assert not used
+    worker.start_worker(lambda phase, words: None, Sources())
+    assert used
