@@ -68,12 +68,23 @@ def new_table(title: str = "") -> Table:
     )
 
 
+class _Bar(Progress):
+    """A progress bar with a line below it."""
+
+    found = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        if self.found:
+            yield Text(self.found, style="dim", no_wrap=True, overflow="ellipsis")
+
+
 class RunProgress:
-    """A progress bar that names the cell in work; plain lines where there is no terminal."""
+    """A progress bar with the cell in work and the last result; plain lines without a terminal."""
 
     def __init__(self) -> None:
         self._console = _PlainConsole(sys.stderr)
-        self._bar = Progress(
+        self._bar = _Bar(
             SpinnerColumn(),
             TextColumn("{task.fields[phase]}"),
             BarColumn(),
@@ -114,6 +125,12 @@ class RunProgress:
         self._done += 1
         if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
             self._say()
+
+    def found(self, text: str) -> None:
+        """Show the last result below the bar; without a terminal, the first one as a line."""
+        if not (self._bar.found or self._console.is_terminal):
+            self._console.print(escape(f"First result: {text}"), soft_wrap=True)
+        self._bar.found = text
 
     def note(self, text: str) -> None:
         """Print a warning."""

@@ -9,6 +9,7 @@ from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import SceneFacts
 from bench.results.environment import environment
+from bench.results.quantities import NORM, NORM_NAMES
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
@@ -32,6 +33,9 @@ class Progress(Protocol):
 
     def advance(self) -> None:
         """Say that one step is done."""
+
+    def found(self, text: str) -> None:
+        """Tell a result, the first numbers of a run among others."""
 
     def note(self, text: str) -> None:
         """Say that something went wrong that costs no cell."""
@@ -105,6 +109,7 @@ def measure_suite(
         record, rows = result_of(cell, answer, registry)
         record.environment, record.budget_s = number, suite.plan.budget_s
         store.save(record, rows)
+        progress.found(_in_words(record))
 
     sound, count = [], len(cells)
     for cell in cells:
@@ -221,6 +226,13 @@ def _fault_of_scene(task: Task, answer: SceneRecord | NoAnswer) -> str:
     if isinstance(answer, NoAnswer):
         return answer.message
     return "" if (answer.problem, answer.t_end) == task.arguments else _OTHER
+
+
+def _in_words(record: Record) -> str:
+    """Return the result of a cell as a line."""
+    error = record.errors.get("a", {}).get(NORM)
+    text = f"relative error in a {error:.1e} ({NORM_NAMES[NORM]})" if error else record.status
+    return f"{text}: {record.integrator} on {record.problem}, {record.resolution}"
 
 
 def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
