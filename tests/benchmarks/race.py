@@ -4,6 +4,7 @@
 that a disturbance of the machine acts on all alike. A ratio is taken within a round; above 1 we are
 faster. The table has its median and quartiles over the rounds, and the ratio of the least times,
 which is steadier on a busy machine. The times are not checked; the agreement of the results is.
+Operations of our own methods per second stand beside those that one core can do at most.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from opponents import (
     T_END,
     Contestant,
     NotHere,
+    Peak,
     c_program,
     equally_accurate,
+    peak,
     stepbench,
 )
 
@@ -88,6 +91,7 @@ def race(title: str, agreement: str, contestants: list[Contestant], rounds: int)
                 },
                 "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True))
                 | {"of_least": float(own.min() / seconds[:, 0].min())},
+                "gflops": one.done and 1e-9 * one.done / float(np.median(own)),
                 "agreement": {agreement: float(gap if one.error is None else one.error)},
             }
         )
@@ -136,23 +140,29 @@ def engines(rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows in Markdown, a table per race."""
+def table(rows: list[dict[str, Any]], most: Peak | None = None) -> str:
+    """The rows in Markdown, a table per race; operations beside the most that a core can do."""
     lines: list[str] = []
     for k, row in enumerate(rows):
         ((agreement, gap),) = row["agreement"].items()
         if k == 0 or row["race"] != rows[k - 1]["race"]:
             times = "ms | µs/step (least) | its time/ours (quartiles) | of the least"
-            head = f"| {row['race']} | at | {times} | {agreement} |"
-            lines += ["", head, "|---|---|---:|---:|---:|---:|---:|"]
+            head = f"| {row['race']} | at | {times} | {agreement} | Gflop/s (of the peak) |"
+            lines += ["", head, "|---|---|---:|---:|---:|---:|---:|---:|"]
         us, ratio = row["us_per_step"], row["ratio"]
         lines.append(
             f"| {row['contestant']} | {row['about']} | {row['milliseconds']['median']:.1f} "
             f"| {us['median']:.2f} ({us['least']:.2f}) "
             f"| {ratio['median']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f}) "
-            f"| {ratio['of_least']:.2f} | {gap:.1e} |"
+            f"| {ratio['of_least']:.2f} | {gap:.1e} | {_speed(row['gflops'], most)} |"
         )
     return "\n".join(lines[1:])
+
+
+def _speed(rate: float | None, most: Peak | None) -> str:
+    if rate is None:
+        return ""
+    return f"{rate:.2f}" if most is None else f"{rate:.2f} ({rate / most.wide:.1%})"
 
 
 def main() -> None:
@@ -162,13 +172,21 @@ def main() -> None:
     given = options.parse_args()
     machine = environment()
     print(f"{machine.cpu}, {machine.cores} cores, {machine.platform}")
+    most = peak()
+    if most is not None:
+        print(f"The peak of a core: {most.wide:.1f} Gflop/s, {most.single:.1f} by single numbers.")
     rows = same_equations(given.rounds)
     reference = Reference(SCENE, T_END)
     for h in _SIZES:
         rows += same_error(h, max(3, given.rounds // 4), reference)
     rows += engines(max(3, given.rounds // 4))
-    print(table(rows))
-    record = {"machine": msgspec.to_builtins(machine), "rounds": given.rounds, "rows": rows}
+    print(table(rows, most))
+    record = {
+        "machine": msgspec.to_builtins(machine),
+        "peak_gflops": most and most._asdict(),
+        "rounds": given.rounds,
+        "rows": rows,
+    }
     given.output.write_text(json.dumps(record, indent=1) + "\n")
     print(f"\nWritten to {given.output}.")
 
