@@ -32,14 +32,16 @@ from opponents import (
     stepbench,
 )
 
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
-from integrators import Steps
+from integrators import Steps, Tolerances
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
 
 #: Steps of the races at equal error in a: a coarse and a fine one.
 _SIZES = (1e-3, 1e-4)
@@ -50,6 +52,12 @@ _ENGINES = (
     *(OURS, f"generalized_alpha[rho_inf={RHO:g}]", "semi_implicit_euler"),
     *("exudyn", "exudyn[newton=full]", "exudyn[method=trapezoidal_index2]"),
     *("mujoco[integrator=euler]", "mujoco[integrator=rk4]"),
+)
+#: Methods on small scenes: steps of those at constant ones, and tolerance of the others.
+_SMALL_SCENES, _SMALL_STEPS, _SMALL_RTOL = (SpringMass(), Pendulum()), 20_000, 1e-8
+_METHODS = (
+    *("generalized_alpha", "generalized_alpha[newton=modified]", "hht", "newmark", "wbz"),
+    *("ida", "kvaerno5", "kencarp4"),
 )
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-6
@@ -140,6 +148,22 @@ def engines(rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def methods(rounds: int) -> list[dict[str, Any]]:
+    """Methods and solvers on small scenes; they solve other discrete equations."""
+    rows = []
+    for scene in _SMALL_SCENES:
+        start, end = scene.interval
+        at = {"step": Steps((end - start) / _SMALL_STEPS), "tolerance": Tolerances(_SMALL_RTOL)}
+        makers = [
+            lambda spec=spec, at=at, scene=scene: stepbench(
+                spec, at[Registry().integrator(spec).controls], scene=scene
+            )
+            for spec in _METHODS
+        ]
+        rows += race(scene.name, "difference of q at the end", present(*makers), rounds)
+    return rows
+
+
 def table(rows: list[dict[str, Any]], most: Peak | None = None) -> str:
     """The rows in Markdown, a table per race; operations beside the most that a core can do."""
     lines: list[str] = []
@@ -180,6 +204,7 @@ def main() -> None:
     for h in _SIZES:
         rows += same_error(h, max(3, given.rounds // 4), reference)
     rows += engines(max(3, given.rounds // 4))
+    rows += methods(max(3, given.rounds // 4))
     print(table(rows, most))
     record = {
         "machine": msgspec.to_builtins(machine),
