@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from integrators import Steps
@@ -56,3 +57,29 @@ def test_a_method_meets_the_error_of_another():
     assert wanted / 2 <= found.error <= 2 * wanted
     with pytest.raises(opponents.NotHere, match="The nearest is"):
         opponents.equally_accurate("semi_implicit_euler", 1e-9, reference)
+
+
+@pytest.mark.long
+def test_operations_of_full_newton_are_those_of_its_fixed_order():
+    import opponents
+
+    # Multiplications and divisions of its elimination: `test_fixed_elimination` counts them.
+    elimination, steps = 2 * 85, Steps(1e-2)
+    full, modified = (
+        opponents.stepbench(f"generalized_alpha[newton={kind}]", steps)
+        for kind in ("full", "modified")
+    )
+    assert modified.done == modified.work["operations"]
+    assert elimination * full.work["newton"] < full.done < 0.6 * full.work["operations"]
+
+
+@pytest.mark.long
+def test_the_table_of_a_race_has_operations_per_second():
+    import opponents
+    import race
+
+    rows = race.race("short", "gap", [opponents.stepbench(opponents.OURS, Steps(1e-2))], rounds=2)
+    done = 1e-9 * rows[0]["work"]["operations"] / np.median(rows[0]["seconds"])
+    assert rows[0]["gflops"] == pytest.approx(done)
+    line = race.table(rows, race.Peak(2 * done, done)).splitlines()[-1]
+    assert line.endswith(f"| {done:.2f} (50.0%) |")

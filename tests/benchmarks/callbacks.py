@@ -161,8 +161,20 @@ def merged(samples: list[dict[str, Any]]) -> dict[str, Any]:
     return best
 
 
-def row(case: int, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """Parts of the time of a run in seconds; each entry for residual and Jacobian."""
+def row(case: int, samples: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
+    """Parts of the time of a run in seconds; each entry for residual and Jacobian.
+
+    Ratios are medians and quartiles of those within rounds.
+    """
+    now, before = (merged(samples[kind]) for kind in _KINDS)
+    ratios = {
+        key: np.quantile(
+            [np.divide(was[key], own[key]) for own, was in zip(*samples.values(), strict=True)],
+            [0.5, 0.25, 0.75],
+            axis=0,
+        ).T.tolist()
+        for key in ("run", "callback")
+    }
     ends = np.array(now["q"]), np.array(before["q"])
     gap = float(np.linalg.norm(ends[0] - ends[1]) / np.linalg.norm(ends[0]))
     if not gap < _SAME * _CASES[case][3]:
@@ -173,16 +185,22 @@ def row(case: int, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any
     } | {
         "library": (now["run"] - float(calls @ spent)) / now["calls"][0],
         "before": {key: before[key] for key in ("calls", "run", "callback")},
+        "ratios": ratios,
         "agreement": gap,
     }
+
+
+def spread(ratios: list[float]) -> str:
+    """A median and its quartiles."""
+    return "{:.1f} ({:.1f} to {:.1f})".format(*ratios)
 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows in Markdown, times in microseconds."""
     lines = [
         "| run | calls | arithmetic | + call by JAX | + wrapper | = callback, µs | before "
-        "| before/now | share of the run |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| before/now (quartiles) | share of the run | difference of q |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for one in rows:
         for k, what in enumerate(("residual", "Jacobian")):
@@ -190,17 +208,18 @@ def table(rows: list[dict[str, Any]]) -> str:
                 [0.0, *(one[key][k] for key in ("arithmetic", "program", "callback"))]
             )
             own, was = one["callback"][k], one["before"]["callback"][k]
+            share, ratios = one["calls"][k] * own / one["run"], one["ratios"]["callback"][k]
             lines.append(
                 f"| {one['case']}: {what} | {one['calls'][k]} | {parts[0]:.2f} | {parts[1]:.1f} "
-                f"| {parts[2]:.1f} | **{1e6 * own:.1f}** | {1e6 * was:.1f} | {was / own:.1f} "
-                f"| {one['calls'][k] * own / one['run']:.0%} |"
+                f"| {parts[2]:.1f} | **{1e6 * own:.1f}** | {1e6 * was:.1f} "
+                f"| {spread(ratios)} | {share:.0%} | |"
             )
         was = one["before"]
         per_call = [1e6 * r["run"] / r["calls"][0] for r in (one, was)]
         lines.append(
             f"| whole run: {1e3 * one['run']:.1f} ms, per residual call | {one['calls'][0]} | | "
             f"| {one['library'] * 1e6:.1f} by the library | **{per_call[0]:.1f}** "
-            f"| {per_call[1]:.1f} | {per_call[1] / per_call[0]:.1f} | |"
+            f"| {per_call[1]:.1f} | {spread(one['ratios']['run'])} | | {one['agreement']:.0e} |"
         )
     return "\n".join(lines)
 
@@ -208,7 +227,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure all cases, print the table, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=2, help="processes of each kind")
+    parser.add_argument("--rounds", type=int, default=5, help="processes of each kind")
     parser.add_argument("--out", type=Path, default=Path("stepbench-callbacks.json"))
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -225,7 +244,7 @@ def main() -> None:
                 if done.returncode:
                     raise SystemExit(done.returncode)
                 samples[kind].append(json.loads(done.stdout.splitlines()[-1]))
-        rows.append(row(case, *(merged(samples[kind]) for kind in _KINDS)))
+        rows.append(row(case, samples))
     print(table(rows))
     given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print(f"Written to {given.out}.")

@@ -4,6 +4,7 @@
 that a disturbance of the machine acts on all alike. A ratio is taken within a round; above 1 we are
 faster. The table has its median and quartiles over the rounds, and the ratio of the least times,
 which is steadier on a busy machine. The times are not checked; the agreement of the results is.
+Operations of our own methods per second stand beside those that one core can do at most.
 """
 
 from __future__ import annotations
@@ -24,19 +25,23 @@ from opponents import (
     T_END,
     Contestant,
     NotHere,
+    Peak,
     c_program,
     equally_accurate,
+    peak,
     stepbench,
 )
 
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
-from integrators import Steps
+from integrators import Steps, Tolerances
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
 
 #: Steps of the races at equal error in a: a coarse and a fine one.
 _SIZES = (1e-3, 1e-4)
@@ -47,6 +52,12 @@ _ENGINES = (
     *(OURS, f"generalized_alpha[rho_inf={RHO:g}]", "semi_implicit_euler"),
     *("exudyn", "exudyn[newton=full]", "exudyn[method=trapezoidal_index2]"),
     *("mujoco[integrator=euler]", "mujoco[integrator=rk4]"),
+)
+#: Methods on small scenes: steps of those at constant ones, and tolerance of the others.
+_SMALL_SCENES, _SMALL_STEPS, _SMALL_RTOL = (SpringMass(), Pendulum()), 20_000, 1e-8
+_METHODS = (
+    *("generalized_alpha", "generalized_alpha[newton=modified]", "hht", "newmark", "wbz"),
+    *("ida", "kvaerno5", "kencarp4"),
 )
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-6
@@ -88,6 +99,7 @@ def race(title: str, agreement: str, contestants: list[Contestant], rounds: int)
                 },
                 "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True))
                 | {"of_least": float(own.min() / seconds[:, 0].min())},
+                "gflops": one.done and 1e-9 * one.done / float(np.median(own)),
                 "agreement": {agreement: float(gap if one.error is None else one.error)},
             }
         )
@@ -136,23 +148,45 @@ def engines(rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows in Markdown, a table per race."""
+def methods(rounds: int) -> list[dict[str, Any]]:
+    """Methods and solvers on small scenes; they solve other discrete equations."""
+    rows = []
+    for scene in _SMALL_SCENES:
+        start, end = scene.interval
+        at = {"step": Steps((end - start) / _SMALL_STEPS), "tolerance": Tolerances(_SMALL_RTOL)}
+        makers = [
+            lambda spec=spec, at=at, scene=scene: stepbench(
+                spec, at[Registry().integrator(spec).controls], scene=scene
+            )
+            for spec in _METHODS
+        ]
+        rows += race(scene.name, "difference of q at the end", present(*makers), rounds)
+    return rows
+
+
+def table(rows: list[dict[str, Any]], most: Peak | None = None) -> str:
+    """The rows in Markdown, a table per race; operations beside the most that a core can do."""
     lines: list[str] = []
     for k, row in enumerate(rows):
         ((agreement, gap),) = row["agreement"].items()
         if k == 0 or row["race"] != rows[k - 1]["race"]:
             times = "ms | µs/step (least) | its time/ours (quartiles) | of the least"
-            head = f"| {row['race']} | at | {times} | {agreement} |"
-            lines += ["", head, "|---|---|---:|---:|---:|---:|---:|"]
+            head = f"| {row['race']} | at | {times} | {agreement} | Gflop/s (of the peak) |"
+            lines += ["", head, "|---|---|---:|---:|---:|---:|---:|---:|"]
         us, ratio = row["us_per_step"], row["ratio"]
         lines.append(
             f"| {row['contestant']} | {row['about']} | {row['milliseconds']['median']:.1f} "
             f"| {us['median']:.2f} ({us['least']:.2f}) "
             f"| {ratio['median']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f}) "
-            f"| {ratio['of_least']:.2f} | {gap:.1e} |"
+            f"| {ratio['of_least']:.2f} | {gap:.1e} | {_speed(row['gflops'], most)} |"
         )
     return "\n".join(lines[1:])
+
+
+def _speed(rate: float | None, most: Peak | None) -> str:
+    if rate is None:
+        return ""
+    return f"{rate:.2f}" if most is None else f"{rate:.2f} ({rate / most.wide:.1%})"
 
 
 def main() -> None:
@@ -162,13 +196,22 @@ def main() -> None:
     given = options.parse_args()
     machine = environment()
     print(f"{machine.cpu}, {machine.cores} cores, {machine.platform}")
+    most = peak()
+    if most is not None:
+        print(f"The peak of a core: {most.wide:.1f} Gflop/s, {most.single:.1f} by single numbers.")
     rows = same_equations(given.rounds)
     reference = Reference(SCENE, T_END)
     for h in _SIZES:
         rows += same_error(h, max(3, given.rounds // 4), reference)
     rows += engines(max(3, given.rounds // 4))
-    print(table(rows))
-    record = {"machine": msgspec.to_builtins(machine), "rounds": given.rounds, "rows": rows}
+    rows += methods(max(3, given.rounds // 4))
+    print(table(rows, most))
+    record = {
+        "machine": msgspec.to_builtins(machine),
+        "peak_gflops": most and most._asdict(),
+        "rounds": given.rounds,
+        "rows": rows,
+    }
     given.output.write_text(json.dumps(record, indent=1) + "\n")
     print(f"\nWritten to {given.output}.")
 

@@ -89,7 +89,10 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
         if not gap < _SAME:
             raise SystemExit(f"{links} links: {name} ends elsewhere, by {gap:.1e}.")
         ratios = np.array(seconds[name]) / np.array(seconds["modified"])
-        row[name] |= {"ratio": float(np.median(ratios)), "agreement": float(gap)}
+        row[name] |= {
+            "ratio": np.quantile(ratios, [0.5, 0.25, 0.75]).tolist(),
+            "agreement": float(gap),
+        }
     return row
 
 
@@ -101,14 +104,14 @@ def _memory() -> float:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows in Markdown."""
     lines = [
-        "| links | contestant | µs/step: median (least) | µs/step/link | time/modified "
+        "| links | contestant | µs/step: median (least) | µs/step/link | time/modified (quartiles) "
         "| Newton/step | factorisations/step | difference of q | energy drift |",
         "|---:|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
         for name in (name for name in (*_OURS, _THEIRS) if name in row):
             own = row[name]
-            time_of = own["us_per_step"]
+            time_of, ratio = own["us_per_step"], "{:.1f} ({:.1f} to {:.1f})".format(*own["ratio"])
             work = (
                 f"{own['newton_per_step']:.2f} | {own['factorisations_per_step']:.2f}"
                 if name in _OURS
@@ -117,7 +120,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             drift = f"{own['energy_drift']:.0e}" if name in _OURS else "-"
             lines.append(
                 f"| {row['links']} | {name} | {time_of['median']:.0f} ({time_of['least']:.0f}) "
-                f"| {time_of['least'] / row['links']:.2f} | {own['ratio']:.1f} | {work} "
+                f"| {time_of['least'] / row['links']:.2f} | {ratio} | {work} "
                 f"| {own['agreement']:.0e} | {drift} |"
             )
     lines += ["", "| links | prepared in s | memory MiB |", "|---:|---:|---:|"]

@@ -77,7 +77,7 @@ def measure(links: int, t_end: float, rtol: float, rounds: int) -> dict[str, Any
         "calls": [last.work.residuals, result.nfev],
         "factorisations": [last.work.factorisations, result.njev],
         "seconds": [float(np.median(own)) for own in seconds],
-        "ratio": float(np.median(np.divide(seconds[1], seconds[0]))),
+        "ratio": np.quantile(np.divide(seconds[1], seconds[0]), [0.5, 0.25, 0.75]).tolist(),
         "errors": [errors(found) for found in ends.values()],
         "energy_drift": [drift(found) for found in ends.values()],
         "contestants": list(ends),
@@ -100,16 +100,17 @@ def _in_turn(contestants: list[Callable], rounds: int) -> list[list[float]]:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows in Markdown."""
     lines = [
-        "| links | contestant | at | ms per simulated ms | time/ours | residuals | factorisations "
-        "| error in q | error in v | energy drift |",
+        "| links | contestant | at | ms per simulated ms | time/ours (quartiles) | residuals "
+        "| factorisations | error in q | error in v | energy drift |",
         "|---:|---|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
+        ratio = "{:.2g} ({:.2g} to {:.2g})".format(*row["ratio"])
         for k, name in enumerate(row["contestants"]):
             error = row["errors"][k]
             lines.append(
                 f"| {row['links']} | {name} | {row['at'][k]} "
-                f"| {row['seconds'][k] / row['t_end']:.3g} | {row['ratio'] if k else 1:.2g} "
+                f"| {row['seconds'][k] / row['t_end']:.3g} | {ratio if k else 1} "
                 f"| {row['calls'][k]} | {row['factorisations'][k]} | {error['q']:.0e} "
                 f"| {error['v']:.0e} | {row['energy_drift'][k]:.0e} |"
             )
