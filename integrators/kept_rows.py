@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -79,3 +79,41 @@ def spread_rows(
     rows = next((d for d in range(most, least, -1) if steps % d == 0), most)
     spread = np.round(np.arange(rows + 1) * (steps / max(rows, 1))).astype(np.int64)
     return np.union1d(np.arange(min(first, steps) + 1), spread)
+
+
+class RowKeeper:
+    """Rows of a run whose number of steps is not known beforehand: all, up to `most_rows`.
+
+    Of more steps every fourth is a row, of more than four times as many every 16th, and so on,
+    beside the first ones and the last. The others are not held in memory.
+
+    Parameters
+    ----------
+    width
+        Numbers in a row.
+    start
+        The first row.
+    """
+
+    def __init__(self, width: int, start: Any) -> None:
+        self._most, self._stride = most_rows(width), 1
+        self._first = min(FIRST_ROWS, self._most // 2)
+        self._rows = [(0, start)]
+        self.steps, self.last = 0, start
+
+    def add(self, row: Any) -> None:
+        """Take the row of the next step."""
+        self.steps, self.last = self.steps + 1, row
+        if self._stays(self.steps):
+            self._rows.append((self.steps, row))
+        if len(self._rows) > self._most + 1:
+            self._stride *= 4
+            self._rows = [kept for kept in self._rows if self._stays(kept[0])]
+
+    def rows(self) -> list[Any]:
+        """Return the rows in the order of steps, from the start to the last."""
+        rows = [row for _, row in self._rows]
+        return rows if self._rows[-1][0] == self.steps else [*rows, self.last]
+
+    def _stays(self, step: int) -> bool:
+        return step <= self._first or step % self._stride == 0
