@@ -50,7 +50,7 @@ def kept_rows(steps: int, width: int = 1) -> Int[np.ndarray, " k"]:
     most = most_rows(width)
     if steps <= most:
         return np.arange(steps + 1)
-    return spread_rows(steps, most // 4, min(FIRST_ROWS, most // 2))
+    return spread_rows(steps, most // 4, min(FIRST_ROWS, most // 4))
 
 
 def spread_rows(
@@ -97,7 +97,7 @@ class RowKeeper:
 
     def __init__(self, width: int, start: Any) -> None:
         self._most, self._stride = most_rows(width), 1
-        self._first = min(FIRST_ROWS, self._most // 2)
+        self._first = min(FIRST_ROWS, self._most // 4)
         self._rows = [(0, start)]
         self.steps, self.last = 0, start
 
