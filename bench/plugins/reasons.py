@@ -26,14 +26,15 @@ def explain(error: BaseException) -> str:
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{_lack_of_memory(error) or named(error)}{where}."
+    return _lack_of_memory(error) or f"{named(error)}{where}."
 
 
 def _lack_of_memory(error: BaseException) -> str:
     """Return the reason of an error that tells of too little memory; nothing for others."""
     text = text_of(error)
     if found := re.search(_BYTES, text):
-        amount = f"{int(found[1]) / 2**30:.3g} GiB"
+        size = int(found[1]) / 2**30
+        amount = f"{size:.3g} GiB" if size < 1000 else f"{size / 1024:.3g} TiB"
     elif not isinstance(error, MemoryError):
         return ""
     else:
@@ -42,7 +43,7 @@ def _lack_of_memory(error: BaseException) -> str:
     return (
         f"It asks for {amount} at once, which the machine does not have. Full matrices grow with "
         f"the square of the number of unknowns: take a smaller scene, or a method with sparse "
-        f"tangents (linear_solver=sparse or auto)"
+        f"tangents (linear_solver=sparse or auto)."
     )
 
 
