@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096
+#: Blocks of large scenes have fewer rows: at most so many numbers go into one, or one row.
+_MOST_NUMBERS = 2**21
 
 
 class Compiled(NamedTuple):
@@ -114,8 +116,10 @@ def _over_rows(function: Callable, about: tuple) -> Callable:
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0
+        width = sum(np.size(r) for r in rows) // max(count, 1)
+        most = max(1, _MOST_NUMBERS // max(width, 1))
         while first < count:
-            size = _LARGE_BLOCK if count - first > 4 * _ROW_BLOCK else _ROW_BLOCK
+            size = min(most, _LARGE_BLOCK if count - first > 4 * _ROW_BLOCK else _ROW_BLOCK)
             chosen = np.minimum(np.arange(first, first + size), count - 1)
             parts.append(block(p, tuple(np.asarray(r)[chosen] for r in rows)))
             first += size

@@ -54,7 +54,7 @@ def test_answers_come_back_as_data_of_the_stated_type(guarded):
         (jobs.ends_by, (signal.SIGKILL,), "interrupted", "from outside while running (SIGKILL)"),
         (jobs.ends_by, (signal.SIGTERM,), "interrupted", "from outside while running (SIGTERM)"),
         (jobs.computes, (60.0,), "budget_exceeded", "more than 1 s of processor time"),
-        (jobs.hoards, (), "budget_exceeded", "more memory than the budget of 0.3 GiB"),
+        (jobs.hoards, (), "budget_exceeded", "budget of 0.3 GiB; take a smaller scene"),
     ],
 )
 def test_a_job_that_fails_has_a_fate_and_the_next_one_an_answer(

@@ -28,6 +28,11 @@ _LATE, _LEAST_LATE = 20, 60.0
 _LONGEST_LOOK = 1.0
 #: Time in s between two comparisons with the limits: each takes longer than many a job.
 _BETWEEN = 0.05
+#: Neither steps nor tolerances change what a run holds in memory.
+_LESS_MEMORY = (
+    "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
+    "memory_gib"
+)
 
 
 @dataclass(frozen=True)
@@ -67,10 +72,11 @@ class Limits:
 
 
 class Excess(NamedTuple):
-    """A limit that was passed: the status of the job, and the reason as a clause."""
+    """A limit that was passed: the status of the job, and the reason and advice as clauses."""
 
     status: str
     reason: str
+    advice: str = ""
 
 
 @dataclass
@@ -137,20 +143,21 @@ class Meter:
         used = self._used[self.phase]
         allowed = self._limits.seconds(self.phase)
         if used.computed_s > allowed:
-            return Excess(
-                "budget_exceeded", f"it took more than {allowed:g} s of processor time, its budget"
-            )
+            reason = f"it took more than {allowed:g} s of processor time, its budget"
+            return Excess("budget_exceeded", reason, self._limits.advice)
         if used.idle_s > self._limits.idle_seconds:
             return Excess(
                 "budget_exceeded",
                 f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
+                self._limits.advice,
             )
         stopped = _STOPPED * self._limits.idle_seconds
         if used.stopped_s > stopped:
             return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if use.memory > self._limits.memory_gib * 2**30:
             memory = f"{self._limits.memory_gib:g} GiB"
-            return Excess("budget_exceeded", f"it used more memory than the budget of {memory}")
+            reason = f"it used more memory than the budget of {memory}"
+            return Excess("budget_exceeded", reason, _LESS_MEMORY)
         if used.lasted_s > _LATE * allowed + _LEAST_LATE:
             return Excess(
                 "interrupted", "the machine hardly let it run: it was halted, or busy with others"

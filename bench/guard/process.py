@@ -152,7 +152,7 @@ class GuardedProcess:
         return self._failed(
             excess.status,
             f"Stopped while {self._doing} because {excess.reason}"
-            f"{'; ' if self._limits.advice else ''}{self._limits.advice}.",
+            f"{'; ' if excess.advice else ''}{excess.advice}.",
         )
 
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

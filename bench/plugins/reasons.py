@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sysconfig
 import traceback
 from pathlib import Path
 
-from problems.plain_text import named, said
+from problems.plain_text import named, said, text_of
 from problems.spec import SpecError
 
 #: Folders of code that is not to blame for an exception.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+#: XLA and NumPy say how much memory they did not get.
+_BYTES, _AMOUNT = r"RESOURCE_EXHAUSTED\D*(\d+) bytes", r"Unable to allocate ([\d.]+ \w+)"
 
 
 class PluginError(SpecError):
@@ -23,7 +26,25 @@ def explain(error: BaseException) -> str:
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{named(error)}{where}."
+    return _lack_of_memory(error) or f"{named(error)}{where}."
+
+
+def _lack_of_memory(error: BaseException) -> str:
+    """Return the reason of an error that tells of too little memory; nothing for others."""
+    text = text_of(error)
+    if found := re.search(_BYTES, text):
+        size = int(found[1]) / 2**30
+        amount = f"{size:.3g} GiB" if size < 1000 else f"{size / 1024:.3g} TiB"
+    elif not isinstance(error, MemoryError):
+        return ""
+    else:
+        found = re.search(_AMOUNT, text)
+        amount = found[1].replace(". ", " ") if found else "more memory"
+    return (
+        f"It asks for {amount} at once, which the machine does not have. Full matrices grow with "
+        f"the square of the number of unknowns: take a smaller scene, or a method with sparse "
+        f"tangents (linear_solver=sparse or auto)."
+    )
 
 
 def why(error: BaseException) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from integrators.adapters.engines import Engine, EngineRun
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
-from integrators.kept_rows import kept_rows
+from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
 from problems.engines.agreement import check_start
 from problems.engines.exudyn_models import MODELS, engine, exudyn_model
@@ -138,7 +138,8 @@ class _ExudynRun(EngineRun):
         return solver
 
     def measure(self) -> Trajectory:
-        wanted, rows, count = set(kept_rows(self.steps).tolist()), [], 0
+        width = width_of(self.scene.sizes)
+        wanted, rows, count = set(kept_rows(self.steps, width).tolist()), [], 0
 
         def keep(system: Any, t: float) -> bool:
             nonlocal count

@@ -25,7 +25,7 @@ from integrators.adapters.ode import (
 )
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, option
-from integrators.kept_rows import kept_rows
+from integrators.kept_rows import RowKeeper, width_of
 from integrators.operations import NotCounted, bill, dense
 from problems.formulations import Baumgarte
 from problems.initial_values import consistent_start
@@ -133,16 +133,13 @@ class ScipyRun(PreparedRun):
         return self._solve(self.counted_equations(), lambda solver: None, lambda t, w: None)
 
     def measure(self) -> Trajectory:
-        t, w, equations = [self.start[0]], [self.start[1]], self.counted_equations()
-
-        def keep(time: float, values: np.ndarray) -> None:
-            t.append(time)
-            w.append(values)
-
-        end = self._solve(equations, equations.count_linear_algebra, keep)
-        rows = kept_rows(len(t) - 1)
-        trajectory = self._trajectory(np.array(t)[rows], np.array(w)[rows])
-        work = equations.work(len(t) - 1)
+        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
+        equations = self.counted_equations()
+        end = self._solve(
+            equations, equations.count_linear_algebra, lambda time, values: kept.add((time, values))
+        )
+        t, w = map(np.array, zip(*kept.rows(), strict=True))
+        trajectory, work = self._trajectory(t, w), equations.work(kept.steps)
         self._complex = equations.complex_factorisations, equations.complex_solves
         if end is None:
             return replace(trajectory, work=work)

@@ -20,7 +20,7 @@ from integrators.adapters.sundials_native import NativeSolver
 from integrators.adapters.sundials_python import PythonSolver, python_solver
 from integrators.adapters.trajectories import early_end_message
 from integrators.contract import PreparedRun, Trajectory, Work, option
-from integrators.kept_rows import kept_rows
+from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
 from integrators.operations import Algebra, bill
 from problems.runtime import slower
@@ -154,23 +154,22 @@ class SundialsRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
-        t, w = [self.start[0]], [self.start[1]]
+        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
         flag, early_end = 0, None
         with self._solver() as solver:
             try:
-                while t[-1] < self._t_end and flag >= 0:
+                while kept.last[0] < self._t_end and flag >= 0:
                     flag, time, unknowns = solver.step()
                     if flag >= 0:
-                        t.append(time)
-                        w.append(unknowns)
+                        kept.add((time, unknowns))
             except EarlyEnd as end:
                 early_end = end.with_traceback(None)  # whose frames would keep the solver alive
-            work = self._completed(solver.work(len(t) - 1))
+            work = self._completed(solver.work(kept.steps))
         if flag < 0:
             unknown = "crashed", f"{self._name} returned the flag {flag}"
             early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))
-        keep = kept_rows(len(t) - 1)
-        trajectory = replace(self._trajectory(np.array(t)[keep], np.array(w)[keep]), work=work)
+        t, w = map(np.array, zip(*kept.rows(), strict=True))
+        trajectory = replace(self._trajectory(t, w), work=work)
         if early_end is None:
             return trajectory
         status, remedy = early_end.status, self._advice(early_end.status)

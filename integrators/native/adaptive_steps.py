@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
-from integrators.kept_rows import FIRST_ROWS, MOST_ROWS
+from integrators.kept_rows import FIRST_ROWS, most_rows, width_of
 from integrators.native import small_matrices
-from integrators.native.constant_steps import ROW_SLOTS
+from integrators.native.constant_steps import row_slots
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
 from integrators.native.rows import GROWTH_LIMIT, SpreadRows, flat, with_start
@@ -81,7 +81,8 @@ class AdaptiveRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         packs = [scene.parameters(), numbers, self._start]
         self.arguments = self.kernel.pack(*packs, self._span)
-        self.end_only = (jnp.zeros(ROW_SLOTS, dtype=int),)
+        self._slots = row_slots(scene)
+        self.end_only = (jnp.zeros(self._slots, dtype=int),)
         # A loop over no time compiles the kernel and costs nothing else.
         nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
         jax.block_until_ready(self.kernel(nothing, *self.end_only))
@@ -90,14 +91,15 @@ class AdaptiveRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        first, steps, parts, last, end = 1, MOST_ROWS, [], np.zeros(0), np.zeros(0)
+        most = most_rows(width_of(self._scene.sizes))
+        first, steps, parts, last, end = 1, most, [], np.zeros(0), np.zeros(0)
         # Each call begins at the start again, and keeps the next rows.
         while first <= steps:
-            wanted = jnp.full(ROW_SLOTS, first)
+            wanted = jnp.full(self._slots, first)
             window, spread, last, end = map(np.asarray, self.kernel(self.arguments, wanted))
-            steps, first = int(end[2]), first + ROW_SLOTS
+            steps, first = int(end[2]), first + self._slots
             parts.append(window)
-            if steps > MOST_ROWS:
+            if steps > most:
                 parts.append(spread)
                 break
         ending, t, *counts = end

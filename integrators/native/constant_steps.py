@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Steps, Trajectory, Work
-from integrators.kept_rows import kept_rows
+from integrators.kept_rows import kept_rows, most_rows, width_of
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
@@ -37,8 +37,14 @@ _OK, _NEWTON_FAILED, _DIVERGED = (
 )
 _PATTERN_SLOTS = 16
 #: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
-#: anew in every call.
+#: anew in every call. For large scenes they are those that a trajectory keeps, so that one call is
+#: enough.
 ROW_SLOTS = 1024
+
+
+def row_slots(scene: MechatronicSystem) -> int:
+    """Rows of a scene that one call of a kernel keeps."""
+    return min(ROW_SLOTS, most_rows(width_of(scene.sizes)))
 
 
 class Clock(NamedTuple):
@@ -91,7 +97,8 @@ class ConstantStepsRun(PreparedRun):
         self._program, self._scene = program, scene
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
-        self.end_only = jnp.full(ROW_SLOTS, self._steps, dtype=int), jnp.asarray(1)
+        self._slots = row_slots(scene)
+        self.end_only = jnp.full(self._slots, self._steps, dtype=int), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
 
@@ -99,18 +106,20 @@ class ConstantStepsRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        numbers, parts, end = kept_rows(self._steps)[1:], [], np.zeros(0)
+        numbers = kept_rows(self._steps, width_of(self._scene.sizes))[1:]
+        parts, end, slots = [], np.zeros(0), self._slots
         # Each call begins at the start again, and keeps the next rows.
-        for first in range(0, len(numbers), ROW_SLOTS):
-            wanted = numbers[first : first + ROW_SLOTS]
-            asked = jnp.asarray(np.resize(wanted, ROW_SLOTS)), jnp.asarray(len(wanted))
+        for first in range(0, len(numbers), slots):
+            wanted = numbers[first : first + slots]
+            asked = jnp.asarray(np.resize(wanted, slots)), jnp.asarray(len(wanted))
             kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
-            parts.append(kept[: len(wanted)][kept[: len(wanted), 0] == wanted])
+            # After a failure no row is reached. A slice is no copy of a large table.
+            parts.append(kept[: (kept[: len(wanted), 0] == wanted).sum()])
             if Ending(int(end[0])) is not Ending.OK:
                 break
         ending, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
-        rows = np.concatenate(parts)
+        rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
         values = with_start(self._start, rows[:, 1:], self._noted)
         ended = self._program.cause(Ending(int(ending)), self._scene, values)
         status, message = ended.outcome(float(t), self._t_end)

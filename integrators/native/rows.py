@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
+from integrators.kept_rows import most_rows
 from integrators.native.step_records import Reading
 from problems.formulations import Start
 from problems.runtime import jax, jnp
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 #: A run whose q or v has grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
-#: Rows of one run among many, besides the first: they are spread over the run.
+#: Rows that are spread over a run, besides the first; fewer of large scenes. They are halved.
 _SPREAD_SLOTS = 400
 
 
@@ -38,7 +39,7 @@ class SpreadRows(NamedTuple):
     @classmethod
     def empty(cls, slots: int, width: int, spread: bool) -> Self:
         """Room for ``slots`` rows in order, and for a spread if wanted."""
-        room = _SPREAD_SLOTS if spread else 0
+        room = min(_SPREAD_SLOTS, most_rows(width) // 2 * 2) if spread else 0
         return cls(jnp.zeros((slots, width)), jnp.zeros((room, width)), jnp.asarray(1))
 
     def with_row(self, n: Array, row: Array, wanted: Array) -> Self:
@@ -46,12 +47,13 @@ class SpreadRows(NamedTuple):
         place = n - wanted
         at = jnp.where((wanted > 0) & (place >= 0), place, len(self.early))
         early = self.early.at[at].set(row, mode="drop")
+        room = len(self.spread)
         slot, hit = n // self.stride - 1, (wanted > 0) & (n % self.stride == 0)
-        spread = self.spread.at[jnp.where(hit, slot, _SPREAD_SLOTS)].set(row, mode="drop")
-        full = hit & (slot == _SPREAD_SLOTS - 1)
+        spread = self.spread.at[jnp.where(hit, slot, room)].set(row, mode="drop")
+        full = hit & (slot == room - 1)
 
         def thin(spread: Array) -> Array:
-            return jnp.zeros_like(spread).at[: _SPREAD_SLOTS // 2].set(spread[1::2])
+            return jnp.zeros_like(spread).at[: room // 2].set(spread[1::2])
 
         spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
         return self._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * self.stride)
