@@ -88,7 +88,19 @@ def test_adams_takes_orders_beyond_those_of_bdf():
     [
         ("pendulum", "index1"),
         ("pendulum", "baumgarte"),
-        *long(*((name, "index1") for name in ("car_axis", "slider_crank_minimal", "heavy_top"))),
+        ("spring_mass", "index1"),
+        *long(
+            *(
+                (name, "index1")
+                for name in (
+                    "quarter_car",
+                    "full_car",
+                    "car_axis",
+                    "slider_crank_minimal",
+                    "heavy_top",
+                )
+            )
+        ),
         *long(("slider_crank", "baumgarte"), ("chain[links=3]", "baumgarte")),
     ],
 )
@@ -277,8 +289,15 @@ def test_a_missing_function_of_cvode_leads_to_python(forgotten, monkeypatch):
     falls_back(forgotten, "has no function CVodeGone")
 
 
-def test_outputs_that_newtons_method_solves_for_are_called_through_python(forgotten):
-    falls_back(forgotten, "it has the operation 'while'", SpringMass())
+def test_an_operation_without_a_form_in_c_leads_to_python(forgotten):
+    @dataclass(frozen=True)
+    class Sorted(Probe):
+        """Its force needs an order of numbers."""
+
+        def force(self, q, v, t):
+            return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
+
+    falls_back(forgotten, "it has the operation 'sort'", Sorted())
 
 
 def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):

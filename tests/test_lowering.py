@@ -168,6 +168,64 @@ def test_programs_in_pieces_compute_the_same(monkeypatch):
     assert in_c(many, 12)(u).tobytes() == whole.tobytes()
 
 
+# ---- loops and branches ----------------------------------------------------------------
+def root(u):
+    """Newton's method for x^3 + x = u, as an inner solve of equations."""
+    return jax.lax.while_loop(
+        lambda at: (jnp.abs(at[1]).max() > 1e-14) & (at[2] < 50),
+        lambda at: (at[0] - at[1], (at[0] ** 3 + at[0] - u) / (3 * at[0] ** 2 + 1), at[2] + 1),
+        (u, jnp.ones_like(u), 0),
+    )
+
+
+def nested(u):
+    """Turns in turns, as many as the values say."""
+
+    def halved(x):
+        return jax.lax.while_loop(lambda x: jnp.abs(x) > u[0] ** 2 + 0.1, lambda x: x / 2, x)
+
+    return jax.lax.while_loop(
+        lambda at: at[1] < 3 + u[1], lambda at: (halved(at[0]) * 3 + at[1], at[1] + 1), (u[2], 0)
+    )[0]
+
+
+LOOPS = {
+    "newton": lambda u: root(u)[0],
+    "turns": lambda u: root(u)[2] + 0.0,
+    "derivative": jax.jacfwd(lambda u: jnp.sin(root(u)[0])),
+    "nested": nested,
+    "side by side": lambda u: jax.vmap(lambda k: nested(u + k))(jnp.arange(4.0)),
+    "none": lambda u: jax.lax.while_loop(lambda x: x[0] > x[0], lambda x: 2 * x, u),
+    "a known flag": lambda u: jax.lax.while_loop(
+        lambda at: at[1] | (at[0][0] < 5), lambda at: (at[0] + 1, at[0][1] < -9), (u, True)
+    )[0],
+    "known turns": lambda u: jax.lax.fori_loop(0, 5, lambda k, x: jnp.sin(x) * k + u[k % 3], u),
+    "rows": lambda u: jnp.concatenate(
+        [r.ravel() for r in jax.lax.scan(lambda x, row: (x + row, x * row), u, jnp.outer(u, u))]
+    ),
+    "rows from the end": lambda u: jax.lax.scan(
+        lambda x, row: (jnp.cos(x) + row, x[::-1]), u, jnp.outer(u, u), reverse=True
+    )[1],
+    "branches": lambda u: jax.lax.switch(
+        jnp.int32(u[0] > 0) + (u[1] > 0), [jnp.sin, jnp.cos, lambda u: u[::-1]], u
+    ),
+    "a known branch": lambda u: jax.lax.cond(True, jnp.sin, jnp.cos, u),
+    "large systems": lambda u: jax.lax.while_loop(
+        lambda x: jnp.abs(x).max() > 0.1,
+        lambda x: jnp.linalg.solve(jnp.eye(6) * 9 + jnp.outer(x, x) + u[0], x),
+        jnp.tile(u, 2),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_take_the_turns_that_they_take_in_jax(name):
+    function, traced = in_c(LOOPS[name], 3), jax.jit(LOOPS[name])
+    for seed in range(10):
+        u = np.random.default_rng(seed).normal(size=3) * (1 + seed % 3)
+        assert function(u) == pytest.approx(np.asarray(traced(u)), rel=1e-13, abs=1e-13), seed
+
+
 # ---- simplification --------------------------------------------------------------------
 def test_only_operations_that_matter_remain():
     assert operations(lambda u: 0 * u[0] + 1 * u[1] - (-u[2]) + 0, 3) == ["add"]
@@ -189,13 +247,21 @@ def test_only_operations_that_matter_remain():
 @pytest.mark.parametrize(
     ("function", "reason"),
     [
-        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, lambda x: 2 * x, u), "'while'"),
+        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, jnp.sort, u), "'sort'"),
+        (
+            lambda u: jax.lax.while_loop(
+                lambda x: x[0] < 9, lambda x: x[::-1] * x[jnp.argmax(x)], u
+            ),
+            "'",
+        ),
+        (lambda u: jax.lax.cond(u[0] > 0, LOOPS["none"], jnp.sin, u), "'cond'"),
+        (lambda u: jax.lax.fori_loop(0, 2000, lambda k, x: x + k, u), "'scan'"),
         (lambda u: u[jnp.argmax(u)], "'argmax'|'dynamic_slice'|'gather'"),
         (lambda u: jnp.sort(u), "'sort'"),
         (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
         (lambda u: u.astype(jnp.float32) * 2, "64-bit"),
         (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
-        (lambda u: jnp.sin(jnp.arange(12_000) + u[0]), "operations"),
+        (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
     ],
 )
 def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):

@@ -192,7 +192,7 @@ def check(
     p: np.ndarray,
     start: tuple,
 ) -> None:
-    """Compare the functions in C with those of JAX, near the start of a run.
+    """Compare the functions in C with those of JAX, so near the start that a run might come there.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def check(
         If they differ.
     """
     t, *vectors = start
-    shift = np.random.default_rng(0).uniform(-0.1, 0.1, (len(vectors), len(vectors[0])))
+    shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(vectors), len(vectors[0])))
     moved = [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
     states = (t, *moved), (t, *moved, *equations.factors)
     for name, function, state in zip(("residual", "jacobian"), functions, states, strict=True):
