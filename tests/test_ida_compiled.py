@@ -15,22 +15,13 @@ from integrators.adapters.ida import IDA
 from integrators.adapters.sundials_native import NativeIDA
 from integrators.lowering import graph, native
 from problems import jnp
-from problems.runtime import jax, slower
+from problems.runtime import slower
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.spec import SpecError
 
 GROUPS = ("t", "q", "v", "a", "lam")
-
-
-@dataclass(frozen=True)
-class Searching(Probe):
-    """A scene with a loop whose turns depend on the state."""
-
-    def force(self, q, v, t):
-        root = jax.lax.while_loop(lambda x: x[0] > 1.5, lambda x: x / 2, q)
-        return -self.k * root
 
 
 @pytest.fixture
@@ -168,10 +159,6 @@ def test_an_unknown_release_or_a_missing_function_is_left_alone(forgotten, monke
 def test_a_jax_with_other_programs_leads_to_python(forgotten, monkeypatch):
     monkeypatch.delattr("jax.extend.core.Literal")
     falls_back(forgotten, "programs of this JAX are not as known")
-
-
-def test_a_scene_with_a_loop_is_called_through_python(forgotten):
-    falls_back(forgotten, "it has the operation 'while'", Searching())
 
 
 def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):

@@ -67,7 +67,7 @@ def differences(scene, formulation, sparse=False):
             sundials_equations.evaluate(compiled, name, p, *state, *last, out=found)
             known = np.isfinite(right)
             assert (np.isfinite(found) == known).all()
-            gap = np.abs(found - right)[known].max(initial=0.0)
+            gap = np.abs(found[known] - right[known]).max(initial=0.0)
             worst.append(gap / (np.abs(right)[known].max(initial=0.0) or 1.0))
     return worst
 

@@ -9,11 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.adapters.callbacks import advice
+from integrators.adapters.called_in_c import callbacks_option
 from integrators.adapters.ode import ODEMethod, packed_columns, packed_parameters, packed_rate
 from integrators.adapters.sundials_equations import Compiled, Equations
 from integrators.adapters.sundials_native import NativeCVODE, NativeSolver
 from integrators.adapters.sundials_python import Callbacks, new_cvode
-from integrators.adapters.sundials_run import SundialsRun, callbacks_option, described
+from integrators.adapters.sundials_run import SundialsRun, described
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import dense

@@ -10,10 +10,11 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import advice
+from integrators.adapters.called_in_c import callbacks_option
 from integrators.adapters.sundials_equations import Compiled, Equations
 from integrators.adapters.sundials_native import NativeIDA, NativeSolver
 from integrators.adapters.sundials_python import Callbacks, new_ida
-from integrators.adapters.sundials_run import SundialsRun, callbacks_option, described
+from integrators.adapters.sundials_run import SundialsRun, described
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import dense, sparse
 from problems import sparsity

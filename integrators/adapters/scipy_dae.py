@@ -11,10 +11,11 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import PackedFunction, advice
-from integrators.adapters.scipy_ode import ScipyRun
+from integrators.adapters.called_in_c import callbacks_option
+from integrators.adapters.scipy_ode import ScipyRun, looped
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from problems.formulations import FORMULATIONS, dae_layout
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 
@@ -38,7 +39,6 @@ class ScipyDAESolver(Integrator):
 
     family: ClassVar[str] = "scipy_dae"
     controls = "tolerance"
-    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
     #: Name of the solver's class in scipy_dae.integrate.
     library_class: ClassVar[str]
 
@@ -52,6 +52,11 @@ class ScipyDAESolver(Integrator):
         False, "test the errors of multipliers like those of q, v and x"
     )
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
+    callbacks: str = callbacks_option()
+
+    @property
+    def calls(self) -> str:
+        return looped(self.callbacks)
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if find_spec("scipy_dae") is None:
@@ -86,9 +91,10 @@ class BDFDAE(ScipyDAESolver):
 
 @cache
 def packed_jacobians(template: MechatronicSystem, formulation: str) -> PackedFunction:
-    """(dF/dw, dF/dwdot) at (p, t, w, wdot), compiled; shapes ``(n, n)``."""
+    """(dF/dw, dF/dwdot) at (p, t, w, wdot), compiled; one array ``(2, n, n)``."""
     residual, lengths = dae.equations(template, formulation)
-    return PackedFunction(jax.jacfwd(residual, argnums=(2, 3)), *lengths)
+    jacobians = jax.jacfwd(residual, argnums=(2, 3))
+    return PackedFunction(lambda *given: jnp.stack(jacobians(*given)), *lengths)
 
 
 class _DAERun(ScipyRun):
@@ -104,6 +110,7 @@ class _DAERun(ScipyRun):
         super().__init__(
             getattr(integrate, method.library_class),
             method.max_calls,
+            method.callbacks,
             scene,
             t_end,
             (dae.packed_residual(*key), packed_jacobians(*key)),

@@ -17,6 +17,7 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
+from integrators.adapters.called_in_c import callbacks_option, functions_in_c
 from integrators.adapters.ode import (
     ODEMethod,
     packed_parameters,
@@ -54,11 +55,15 @@ class ScipySolver(ODEMethod):
 
     family: ClassVar[str] = "scipy"
     controls = "tolerance"
-    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
 
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
+    callbacks: str = callbacks_option()
+
+    @property
+    def calls(self) -> str:
+        return looped(self.callbacks)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
@@ -83,6 +88,13 @@ class BDF(ScipySolver):
     name = "bdf"
 
 
+def looped(callbacks: str) -> str:
+    """How a solver in Python with this option calls its equations."""
+    if callbacks == "compiled":
+        return "its loop is Python, which calls equations in C, where they have such a form"
+    return "its loop is Python, which calls compiled equations one by one"
+
+
 class ScipyRun(PreparedRun):
     """A run of a solver of scipy's kind: a loop calls its ``step``."""
 
@@ -90,6 +102,7 @@ class ScipyRun(PreparedRun):
         self,
         solver: type,
         max_calls: int,
+        callbacks: str,
         scene: MechatronicSystem,
         t_end: float,
         packed: tuple[PackedFunction, PackedFunction],
@@ -108,6 +121,9 @@ class ScipyRun(PreparedRun):
         self.functions = packed[0].bind(p), packed[1].bind(p)
         for function in self.functions:
             function(*self.start)  # compiles
+        if callbacks == "compiled":
+            about = f"{solver.__name__} calls {scene.name}"
+            self.functions = functions_in_c(about, packed, p, self.functions, self.start)
 
     def counted_equations(self) -> CountedEquations:
         """The equations, with all counters at zero."""
@@ -208,6 +224,7 @@ class _ODERun(ScipyRun):
         super().__init__(
             getattr(integrate, method.library_class),
             method.max_calls,
+            method.callbacks,
             scene,
             t_end,
             packed_rate_and_jacobian(scene.template(), baumgarte is not None),
