@@ -58,8 +58,8 @@ static NOINLINE void solve(int n, int m, double *restrict a, double *restrict b)
 """
 #: Operations of a piece.
 _PIECE = 500
-#: Operations that a compiler takes some six seconds for.
-_MOST_OPERATIONS = 20_000
+#: Operations that a compiler takes some four seconds for.
+_MOST_OPERATIONS = 12_000
 
 
 def c_function(name: str, program: Program, arguments: int) -> str:
