@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from ctypes import c_void_p
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,22 @@ if TYPE_CHECKING:
 
 #: C and JAX may differ by so much of the largest entry, as both round.
 _ROUNDING = 1e-12
+
+
+class CallsEquations:
+    """What methods with `callbacks_option` say of their calls."""
+
+    controls = "tolerance"
+    #: A solver, as a clause that goes on with "calls ...".
+    loop: ClassVar[str]
+    callbacks: str
+
+    @property
+    def calls(self) -> str:
+        """How the method calls its equations."""
+        if self.callbacks == "compiled":
+            return f"{self.loop} calls equations in C, where they have such a form, one by one"
+        return f"{self.loop} calls compiled equations through Python, one by one"
 
 
 def callbacks_option() -> Any:

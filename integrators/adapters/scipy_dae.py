@@ -11,8 +11,8 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import PackedFunction, advice
-from integrators.adapters.called_in_c import callbacks_option
-from integrators.adapters.scipy_ode import ScipyRun, looped
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option
+from integrators.adapters.scipy_ode import ScipyRun
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from problems.formulations import FORMULATIONS, dae_layout
 from problems.runtime import jax, jnp
@@ -20,7 +20,7 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ScipyDAESolver(Integrator):
+class ScipyDAESolver(CallsEquations, Integrator):
     """Base of the methods of scipy_dae: a method states ``library_class`` and its source.
 
     The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). scipy_dae does not take
@@ -38,7 +38,7 @@ class ScipyDAESolver(Integrator):
     """
 
     family: ClassVar[str] = "scipy_dae"
-    controls = "tolerance"
+    loop = "its loop is Python, which"
     #: Name of the solver's class in scipy_dae.integrate.
     library_class: ClassVar[str]
 
@@ -53,10 +53,6 @@ class ScipyDAESolver(Integrator):
     )
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
     callbacks: str = callbacks_option()
-
-    @property
-    def calls(self) -> str:
-        return looped(self.callbacks)
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if find_spec("scipy_dae") is None:

@@ -17,7 +17,7 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
-from integrators.adapters.called_in_c import callbacks_option, functions_in_c
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option, functions_in_c
 from integrators.adapters.ode import (
     ODEMethod,
     packed_parameters,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ScipySolver(ODEMethod):
+class ScipySolver(CallsEquations, ODEMethod):
     """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -54,16 +54,12 @@ class ScipySolver(ODEMethod):
     """
 
     family: ClassVar[str] = "scipy"
-    controls = "tolerance"
+    loop = "its loop is Python, which"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
 
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
     callbacks: str = callbacks_option()
-
-    @property
-    def calls(self) -> str:
-        return looped(self.callbacks)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
@@ -86,13 +82,6 @@ class BDF(ScipySolver):
     library_class = "BDF"
     source = "Shampine & Reichelt (1997), doi:10.1137/S1064827594276424"
     name = "bdf"
-
-
-def looped(callbacks: str) -> str:
-    """How a solver in Python with this option calls its equations."""
-    if callbacks == "compiled":
-        return "its loop is Python, which calls equations in C, where they have such a form"
-    return "its loop is Python, which calls compiled equations one by one"
 
 
 class ScipyRun(PreparedRun):

@@ -42,13 +42,6 @@ _ENDINGS = {
 }
 
 
-def described(callbacks: str) -> str:
-    """How a solver with this option calls its equations."""
-    if callbacks == "compiled":
-        return "a C library calls equations in C, where they have such a form, one by one"
-    return "a C library calls compiled equations through Python, one by one"
-
-
 class SundialsRun(PreparedRun):
     """A run of a solver of SUNDIALS.
 
