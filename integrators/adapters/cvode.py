@@ -35,8 +35,7 @@ class CVODE(CallsEquations, ODEMethod):
     factorisations. Reported q, v and x are the solver's own, at the ends of its own steps; a, lam,
     y and xdot solve the equations of motion there. A projection of every step is not offered.
 
-    CVODE calls equations in C, which are made of the scene's traced equations, or through Python,
-    as on scenes with outputs, for which Newton's method solves in a loop.
+    CVODE calls equations in C, which are made of the scene's traced equations, or through Python.
     ``residuals`` are evaluations of the right-hand side, counted there; a run that uses up
     ``max_calls`` of them ends with status budget_exceeded, and a value that is not finite ends it
     as diverged. Through Python scikit-sundae does not tell how often CVODE factorises, so that no
