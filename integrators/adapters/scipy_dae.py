@@ -32,7 +32,8 @@ class ScipyDAESolver(CallsEquations, Integrator):
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x.
 
-    Everything is counted where it happens: ``residuals`` are evaluations of F;
+    F is called in C, where it has such a form, or by JAX. Everything is counted where it happens:
+    ``residuals`` are evaluations of F;
     ``factorisations`` and ``solves`` count real and complex systems alike. A value that is not
     finite makes the solver take a smaller step; where none helps the run ends as diverged.
     """

@@ -46,7 +46,8 @@ class ScipySolver(CallsEquations, ODEMethod):
     solver's own, at the ends of its own steps; a, lam, y and xdot solve the equations of motion
     there.
 
-    Everything is counted where it happens: ``residuals`` are evaluations of the right-hand side,
+    The equations are called in C, where they have such a form, or by JAX. Everything is counted
+    where it happens: ``residuals`` are evaluations of the right-hand side,
     those of the choice of the first step included; ``factorisations`` and ``solves`` count real and
     complex systems alike. After a projection Radau evaluates the right-hand side once more, and BDF
     moves its whole history along, which does not change the differences in it. A value that is not
