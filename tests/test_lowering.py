@@ -141,24 +141,37 @@ def test_every_operation_is_the_one_of_jax():
         assert found == pytest.approx(right, rel=4e-14, abs=4e-14, nan_ok=True), seed
 
 
-def test_a_linear_system_is_solved_with_pivots():
-    def solution(u):
-        return jnp.linalg.solve(u[:16].reshape(4, 4) * (1 - jnp.eye(4)), u[16:])
+@pytest.mark.parametrize("n", [4, 7])  # written out, or by a function
+def test_a_linear_system_is_solved_with_pivots(n):
+    def matrix(u):
+        return u[: n * n].reshape(n, n) * (1 - jnp.eye(n))
 
-    u = np.random.default_rng(2).normal(size=20)
+    u = np.random.default_rng(2).normal(size=n * (n + 1))
     u[1] = 1e-14  # a first pivot that would lose all digits
-    matrix = u[:16].reshape(4, 4) * (1 - np.eye(4))
-    right = np.linalg.solve(matrix, u[16:])
-    assert in_c(solution, 20)(u) == pytest.approx(right, rel=1e-11)
+    right = np.linalg.solve(matrix(u), u[n * n :])
+    found = in_c(lambda u: jnp.linalg.solve(matrix(u), u[n * n :]), len(u))(u)
+    assert found == pytest.approx(right, rel=1e-11)
 
 
-def test_systems_with_one_matrix_are_solved_one_by_one():
-    def solutions(u):
-        return jnp.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+@pytest.mark.parametrize("n", [3, 6])
+def test_systems_with_one_matrix_are_solved_together(n):
+    def parts(u):
+        return u[: n * n].reshape(n, n), u[n * n :].reshape(n, 20)
 
-    u = np.random.default_rng(4).normal(size=69)
-    right = np.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
-    assert in_c(solutions, 69)(u) == pytest.approx(right, rel=1e-11)
+    u = np.random.default_rng(4).normal(size=n * (n + 20))
+    found = in_c(lambda u: jnp.linalg.solve(*parts(u)), len(u))(u)
+    assert found == pytest.approx(np.linalg.solve(*parts(u)), rel=1e-10)
+
+
+def test_independent_parts_of_a_system_are_solved_apart():
+    def solution(u):
+        blocks = [u[: 9 * k][-9:].reshape(3, 3) for k in (1, 2)]
+        return jnp.linalg.solve(jax.scipy.linalg.block_diag(*blocks), u[18:])
+
+    u = np.random.default_rng(6).normal(size=24)
+    program = lowered(solution, (24,))
+    assert not any(isinstance(operator, graph.Solve) for operator, _ in program.graph.nodes)
+    assert in_c(solution, 24)(u) == pytest.approx(np.asarray(solution(u)), rel=1e-11)
 
 
 def test_programs_in_pieces_compute_the_same(monkeypatch):
