@@ -15,7 +15,7 @@ from integrators.adapters import called_in_c
 from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.scipy_dae import RadauDAE
 from integrators.adapters.scipy_ode import BDF, Radau
-from integrators.lowering import graph, native
+from integrators.lowering import native, operators
 from problems import jnp
 from problems.runtime import slower
 from problems.scenes.pendulum import Pendulum
@@ -103,8 +103,8 @@ def test_a_force_without_a_form_in_c_is_called_through_jax(forgotten):
 
 
 def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):
-    flipped = graph.OPERATORS["sub"]._replace(c="{} + {}")
-    monkeypatch.setitem(graph.OPERATORS, "sub", flipped)
+    flipped = operators.OPERATORS["sub"]._replace(c="{} + {}")
+    monkeypatch.setitem(operators.OPERATORS, "sub", flipped)
     assert run(Radau(), Pendulum()).measure().status == "ok"
     assert any("in C are not those of JAX" in text for text in forgotten.messages)
 

@@ -11,7 +11,7 @@ from helpers import long
 from bench.plugins.registry import Registry
 from integrators.adapters import dae, sundials_equations
 from integrators.adapters.ida import ida_equations
-from integrators.lowering import c_source, graph, native
+from integrators.lowering import c_source, graph, native, operators
 from integrators.lowering.c_source import HEADER, c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
@@ -94,8 +94,8 @@ def test_entries_of_a_sparse_jacobian_are_those_of_jax():
 
 @pytest.mark.parametrize(("name", "other"), [("add", "sub"), ("sin", "cos"), ("mul", "add")])
 def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
-    spoiled = graph.OPERATORS[name]._replace(c=graph.OPERATORS[other].c)
-    monkeypatch.setitem(graph.OPERATORS, name, spoiled)
+    spoiled = operators.OPERATORS[name]._replace(c=operators.OPERATORS[other].c)
+    monkeypatch.setitem(operators.OPERATORS, name, spoiled)
     sundials_equations.compiled_equations.cache_clear()
     try:
         assert max(differences(Registry([]).problem("slider_crank"), "index1")) > 1e-6

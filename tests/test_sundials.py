@@ -13,7 +13,7 @@ from integrators import Tolerances
 from integrators.adapters import sundials, sundials_equations, sundials_native
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.lowering import graph, native
+from integrators.lowering import native, operators
 from problems import jnp
 from problems.runtime import slower
 from problems.scenes.chain import Chain
@@ -180,6 +180,6 @@ def test_an_operation_without_a_form_in_c_leads_to_python(method, forgotten):
 
 @every_method
 def test_functions_that_differ_from_those_of_jax_are_not_used(method, forgotten, monkeypatch):
-    flipped = graph.OPERATORS["sub"]._replace(c="{} + {}")
-    monkeypatch.setitem(graph.OPERATORS, "sub", flipped)
+    flipped = operators.OPERATORS["sub"]._replace(c="{} + {}")
+    monkeypatch.setitem(operators.OPERATORS, "sub", flipped)
     falls_back(method, forgotten, "in C is not the one of JAX")

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-from integrators.lowering.graph import OPERATORS, Entry, Loop, NotLowered, Program, Solve
+from integrators.lowering.graph import Entry, Loop, NotLowered, Program, Solve
+from integrators.lowering.operators import OPERATORS
 
 HEADER = """#include <math.h>
 #include <stdint.h>

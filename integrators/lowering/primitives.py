@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from integrators.lowering.graph import OPERATORS, Graph, NotLowered
+from integrators.lowering.graph import Graph, NotLowered
 from integrators.lowering.indexing import dynamic_slice, gather, scatter
+from integrators.lowering.operators import OPERATORS
 
 RULES: dict[str, Callable[..., Any]] = {
     "dynamic_slice": dynamic_slice,
