@@ -11,7 +11,7 @@ from helpers import long
 from bench.plugins.registry import Registry
 from integrators.adapters import dae, sundials_equations
 from integrators.adapters.ida import ida_equations
-from integrators.lowering import c_source, graph, native
+from integrators.lowering import c_source, graph, native, operators
 from integrators.lowering.c_source import HEADER, c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
@@ -67,7 +67,7 @@ def differences(scene, formulation, sparse=False):
             sundials_equations.evaluate(compiled, name, p, *state, *last, out=found)
             known = np.isfinite(right)
             assert (np.isfinite(found) == known).all()
-            gap = np.abs(found - right)[known].max(initial=0.0)
+            gap = np.abs(found[known] - right[known]).max(initial=0.0)
             worst.append(gap / (np.abs(right)[known].max(initial=0.0) or 1.0))
     return worst
 
@@ -94,8 +94,8 @@ def test_entries_of_a_sparse_jacobian_are_those_of_jax():
 
 @pytest.mark.parametrize(("name", "other"), [("add", "sub"), ("sin", "cos"), ("mul", "add")])
 def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
-    spoiled = graph.OPERATORS[name]._replace(c=graph.OPERATORS[other].c)
-    monkeypatch.setitem(graph.OPERATORS, name, spoiled)
+    spoiled = operators.OPERATORS[name]._replace(c=operators.OPERATORS[other].c)
+    monkeypatch.setitem(operators.OPERATORS, name, spoiled)
     sundials_equations.compiled_equations.cache_clear()
     try:
         assert max(differences(Registry([]).problem("slider_crank"), "index1")) > 1e-6
@@ -141,24 +141,37 @@ def test_every_operation_is_the_one_of_jax():
         assert found == pytest.approx(right, rel=4e-14, abs=4e-14, nan_ok=True), seed
 
 
-def test_a_linear_system_is_solved_with_pivots():
-    def solution(u):
-        return jnp.linalg.solve(u[:16].reshape(4, 4) * (1 - jnp.eye(4)), u[16:])
+@pytest.mark.parametrize("n", [4, 7])  # written out, or by a function
+def test_a_linear_system_is_solved_with_pivots(n):
+    def matrix(u):
+        return u[: n * n].reshape(n, n) * (1 - jnp.eye(n))
 
-    u = np.random.default_rng(2).normal(size=20)
+    u = np.random.default_rng(2).normal(size=n * (n + 1))
     u[1] = 1e-14  # a first pivot that would lose all digits
-    matrix = u[:16].reshape(4, 4) * (1 - np.eye(4))
-    right = np.linalg.solve(matrix, u[16:])
-    assert in_c(solution, 20)(u) == pytest.approx(right, rel=1e-11)
+    right = np.linalg.solve(matrix(u), u[n * n :])
+    found = in_c(lambda u: jnp.linalg.solve(matrix(u), u[n * n :]), len(u))(u)
+    assert found == pytest.approx(right, rel=1e-11)
 
 
-def test_systems_with_one_matrix_are_solved_one_by_one():
-    def solutions(u):
-        return jnp.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
+@pytest.mark.parametrize("n", [3, 6])
+def test_systems_with_one_matrix_are_solved_together(n):
+    def parts(u):
+        return u[: n * n].reshape(n, n), u[n * n :].reshape(n, 20)
 
-    u = np.random.default_rng(4).normal(size=69)
-    right = np.linalg.solve(u[:9].reshape(3, 3), u[9:].reshape(3, 20))
-    assert in_c(solutions, 69)(u) == pytest.approx(right, rel=1e-11)
+    u = np.random.default_rng(4).normal(size=n * (n + 20))
+    found = in_c(lambda u: jnp.linalg.solve(*parts(u)), len(u))(u)
+    assert found == pytest.approx(np.linalg.solve(*parts(u)), rel=1e-10)
+
+
+def test_independent_parts_of_a_system_are_solved_apart():
+    def solution(u):
+        blocks = [u[: 9 * k][-9:].reshape(3, 3) for k in (1, 2)]
+        return jnp.linalg.solve(jax.scipy.linalg.block_diag(*blocks), u[18:])
+
+    u = np.random.default_rng(6).normal(size=24)
+    program = lowered(solution, (24,))
+    assert not any(isinstance(operator, graph.Solve) for operator, _ in program.graph.nodes)
+    assert in_c(solution, 24)(u) == pytest.approx(np.asarray(solution(u)), rel=1e-11)
 
 
 def test_programs_in_pieces_compute_the_same(monkeypatch):
@@ -166,6 +179,64 @@ def test_programs_in_pieces_compute_the_same(monkeypatch):
     whole = in_c(many, 12)(u)
     monkeypatch.setattr(c_source, "_PIECE", 7)
     assert in_c(many, 12)(u).tobytes() == whole.tobytes()
+
+
+# ---- loops and branches ----------------------------------------------------------------
+def root(u):
+    """Newton's method for x^3 + x = u, as an inner solve of equations."""
+    return jax.lax.while_loop(
+        lambda at: (jnp.abs(at[1]).max() > 1e-14) & (at[2] < 50),
+        lambda at: (at[0] - at[1], (at[0] ** 3 + at[0] - u) / (3 * at[0] ** 2 + 1), at[2] + 1),
+        (u, jnp.ones_like(u), 0),
+    )
+
+
+def nested(u):
+    """Turns in turns, as many as the values say."""
+
+    def halved(x):
+        return jax.lax.while_loop(lambda x: jnp.abs(x) > u[0] ** 2 + 0.1, lambda x: x / 2, x)
+
+    return jax.lax.while_loop(
+        lambda at: at[1] < 3 + u[1], lambda at: (halved(at[0]) * 3 + at[1], at[1] + 1), (u[2], 0)
+    )[0]
+
+
+LOOPS = {
+    "newton": lambda u: root(u)[0],
+    "turns": lambda u: root(u)[2] + 0.0,
+    "derivative": jax.jacfwd(lambda u: jnp.sin(root(u)[0])),
+    "nested": nested,
+    "side by side": lambda u: jax.vmap(lambda k: nested(u + k))(jnp.arange(4.0)),
+    "none": lambda u: jax.lax.while_loop(lambda x: x[0] > x[0], lambda x: 2 * x, u),
+    "a known flag": lambda u: jax.lax.while_loop(
+        lambda at: at[1] | (at[0][0] < 5), lambda at: (at[0] + 1, at[0][1] < -9), (u, True)
+    )[0],
+    "known turns": lambda u: jax.lax.fori_loop(0, 5, lambda k, x: jnp.sin(x) * k + u[k % 3], u),
+    "rows": lambda u: jnp.concatenate(
+        [r.ravel() for r in jax.lax.scan(lambda x, row: (x + row, x * row), u, jnp.outer(u, u))]
+    ),
+    "rows from the end": lambda u: jax.lax.scan(
+        lambda x, row: (jnp.cos(x) + row, x[::-1]), u, jnp.outer(u, u), reverse=True
+    )[1],
+    "branches": lambda u: jax.lax.switch(
+        jnp.int32(u[0] > 0) + (u[1] > 0), [jnp.sin, jnp.cos, lambda u: u[::-1]], u
+    ),
+    "a known branch": lambda u: jax.lax.cond(True, jnp.sin, jnp.cos, u),
+    "large systems": lambda u: jax.lax.while_loop(
+        lambda x: jnp.abs(x).max() > 0.1,
+        lambda x: jnp.linalg.solve(jnp.eye(6) * 9 + jnp.outer(x, x) + u[0], x),
+        jnp.tile(u, 2),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_take_the_turns_that_they_take_in_jax(name):
+    function, traced = in_c(LOOPS[name], 3), jax.jit(LOOPS[name])
+    for seed in range(10):
+        u = np.random.default_rng(seed).normal(size=3) * (1 + seed % 3)
+        assert function(u) == pytest.approx(np.asarray(traced(u)), rel=1e-13, abs=1e-13), seed
 
 
 # ---- simplification --------------------------------------------------------------------
@@ -189,13 +260,21 @@ def test_only_operations_that_matter_remain():
 @pytest.mark.parametrize(
     ("function", "reason"),
     [
-        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, lambda x: 2 * x, u), "'while'"),
+        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, jnp.sort, u), "'sort'"),
+        (
+            lambda u: jax.lax.while_loop(
+                lambda x: x[0] < 9, lambda x: x[::-1] * x[jnp.argmax(x)], u
+            ),
+            "'",
+        ),
+        (lambda u: jax.lax.cond(u[0] > 0, LOOPS["none"], jnp.sin, u), "'cond'"),
+        (lambda u: jax.lax.fori_loop(0, 2000, lambda k, x: x + k, u), "'scan'"),
         (lambda u: u[jnp.argmax(u)], "'argmax'|'dynamic_slice'|'gather'"),
         (lambda u: jnp.sort(u), "'sort'"),
         (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
         (lambda u: u.astype(jnp.float32) * 2, "64-bit"),
         (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
-        (lambda u: jnp.sin(jnp.arange(12_000) + u[0]), "operations"),
+        (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
     ],
 )
 def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):

@@ -7,13 +7,16 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from problems.plain_text import named, said, text_of
+from problems.plain_text import named, said, shortened, text_of
 from problems.spec import SpecError
 
 #: Folders of code that is not to blame for an exception.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 #: XLA and NumPy say how much memory they did not get.
 _BYTES, _AMOUNT = r"RESOURCE_EXHAUSTED\D*(\d+) bytes", r"Unable to allocate ([\d.]+ \w+)"
+
+#: A frame in what JAX says of an exception in a function of Python that a program calls.
+_FRAME = re.compile(r'^ *File "(.+)", line (\d+), in .+$', re.MULTILINE)
 
 
 class PluginError(SpecError):
@@ -22,6 +25,12 @@ class PluginError(SpecError):
 
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code that is no library's."""
+    text = text_of(error).strip()
+    if "CpuCallback" in text and (told := _FRAME.findall(text)):
+        frames = [f for f in told if not f[0].startswith(_LIBRARIES)] or told
+        file, line = frames[-1]
+        reason = shortened(text.splitlines()[-1]).rstrip(".")
+        return f"{reason} ({shortened(Path(file).name)}, line {line})."
     # A syntax error says its own line; it came from the importer's.
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames

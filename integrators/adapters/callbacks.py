@@ -78,26 +78,28 @@ class PackedFunction:
         The compiled function of one array, in which all arguments stand side by side.
     lengths
         Lengths of its arguments.
+    places, size
+        Places of the arguments in the array, and its length.
     """
 
     def __init__(self, function: Callable[..., Any], *lengths: int | None) -> None:
         ends = np.cumsum([0, *(1 if n is None else n for n in lengths)]).tolist()
         between = zip(pairwise(ends), lengths, strict=True)
-        self._places = [a if n is None else slice(a, b) for (a, b), n in between]
-        self._size, self.function, self.lengths = ends[-1], function, lengths
-        self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self._places)))
+        self.places = [a if n is None else slice(a, b) for (a, b), n in between]
+        self.size, self.function, self.lengths = ends[-1], function, lengths
+        self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self.places)))
 
     @cached_property
     def operations(self) -> Operations:
         """Floating-point operations of a call."""
-        return operations(self.program, jax.ShapeDtypeStruct((self._size,), float))
+        return operations(self.program, jax.ShapeDtypeStruct((self.size,), float))
 
     def bind(self, *first: np.ndarray) -> Callable[..., Any]:
         """Return the function of the remaining arguments, for one thread: it has its own memory."""
-        memory = _aligned(self._size)
-        for place, value in zip(self._places, first, strict=False):
+        memory = _aligned(self.size)
+        for place, value in zip(self.places, first, strict=False):
             memory[place] = value
-        places, program = self._places[len(first) :], self.program
+        places, program = self.places[len(first) :], self.program
         shared = memory_is_shared()
         numbers = jax.dlpack.from_dlpack(memory, copy=False) if shared else None
 
@@ -193,7 +195,7 @@ class CountedEquations:
         """The Jacobian, counted."""
         self._jacobians += 1
         # Now, as the next call overwrites its arguments.
-        return jax.block_until_ready(self._jacobian(t, *vectors))
+        return np.asarray(self._jacobian(t, *vectors))
 
     def count_linear_algebra(self, solver: Any) -> None:
         """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change.

@@ -9,11 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.adapters.callbacks import advice
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option
 from integrators.adapters.ode import ODEMethod, packed_columns, packed_parameters, packed_rate
 from integrators.adapters.sundials_equations import Compiled, Equations
 from integrators.adapters.sundials_native import NativeCVODE, NativeSolver
 from integrators.adapters.sundials_python import Callbacks, new_cvode
-from integrators.adapters.sundials_run import SundialsRun, callbacks_option, described
+from integrators.adapters.sundials_run import SundialsRun
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import dense
@@ -25,7 +26,7 @@ _BDF_ORDER = 5
 
 
 @dataclass(frozen=True)
-class CVODE(ODEMethod):
+class CVODE(CallsEquations, ODEMethod):
     """BDF of order 1 to 5, or Adams-Moulton of order 1 to 12, with adaptive steps on the ODE.
 
     CVODE takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -34,8 +35,7 @@ class CVODE(ODEMethod):
     factorisations. Reported q, v and x are the solver's own, at the ends of its own steps; a, lam,
     y and xdot solve the equations of motion there. A projection of every step is not offered.
 
-    CVODE calls equations in C, which are made of the scene's traced equations, or through Python,
-    as on scenes with outputs, for which Newton's method solves in a loop.
+    CVODE calls equations in C, which are made of the scene's traced equations, or through Python.
     ``residuals`` are evaluations of the right-hand side, counted there; a run that uses up
     ``max_calls`` of them ends with status budget_exceeded, and a value that is not finite ends it
     as diverged. Through Python scikit-sundae does not tell how often CVODE factorises, so that no
@@ -43,7 +43,7 @@ class CVODE(ODEMethod):
     """
 
     family: ClassVar[str] = "cvode"
-    controls = "tolerance"
+    loop = "a C library"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     constraints: str = option(
@@ -61,10 +61,6 @@ class CVODE(ODEMethod):
     )
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
     callbacks: str = callbacks_option()
-
-    @property
-    def calls(self) -> str:
-        return described(self.callbacks)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

@@ -10,10 +10,11 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import advice
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option
 from integrators.adapters.sundials_equations import Compiled, Equations
 from integrators.adapters.sundials_native import NativeIDA, NativeSolver
 from integrators.adapters.sundials_python import Callbacks, new_ida
-from integrators.adapters.sundials_run import SundialsRun, callbacks_option, described
+from integrators.adapters.sundials_run import SundialsRun
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import dense, sparse
 from problems import sparsity
@@ -23,7 +24,7 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class IDA(Integrator):
+class IDA(CallsEquations, Integrator):
     """BDF of order 1 to 5 with adaptive steps on the DAE in the chosen formulation.
 
     The Jacobian dF/dw + cj dF/dwdot is exact (automatic differentiation). By default the
@@ -40,7 +41,7 @@ class IDA(Integrator):
     """
 
     family: ClassVar[str] = "ida"
-    controls = "tolerance"
+    loop = "a C library"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(
@@ -66,10 +67,6 @@ class IDA(Integrator):
         "still solves for them to the tolerance; needs callbacks=compiled",
     )
     callbacks: str = callbacks_option()
-
-    @property
-    def calls(self) -> str:
-        return described(self.callbacks)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

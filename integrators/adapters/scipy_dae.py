@@ -11,15 +11,16 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.callbacks import PackedFunction, advice
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option
 from integrators.adapters.scipy_ode import ScipyRun
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
 from problems.formulations import FORMULATIONS, dae_layout
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ScipyDAESolver(Integrator):
+class ScipyDAESolver(CallsEquations, Integrator):
     """Base of the methods of scipy_dae: a method states ``library_class`` and its source.
 
     The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). scipy_dae does not take
@@ -31,14 +32,14 @@ class ScipyDAESolver(Integrator):
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x.
 
-    Everything is counted where it happens: ``residuals`` are evaluations of F;
+    F is called in C, where it has such a form, or by JAX. Everything is counted where it happens:
+    ``residuals`` are evaluations of F;
     ``factorisations`` and ``solves`` count real and complex systems alike. A value that is not
     finite makes the solver take a smaller step; where none helps the run ends as diverged.
     """
 
     family: ClassVar[str] = "scipy_dae"
-    controls = "tolerance"
-    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
+    loop = "its loop is Python, which"
     #: Name of the solver's class in scipy_dae.integrate.
     library_class: ClassVar[str]
 
@@ -52,6 +53,7 @@ class ScipyDAESolver(Integrator):
         False, "test the errors of multipliers like those of q, v and x"
     )
     max_calls: int = option(50_000, "most residual calls in a run", low=1)
+    callbacks: str = callbacks_option()
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if find_spec("scipy_dae") is None:
@@ -86,9 +88,10 @@ class BDFDAE(ScipyDAESolver):
 
 @cache
 def packed_jacobians(template: MechatronicSystem, formulation: str) -> PackedFunction:
-    """(dF/dw, dF/dwdot) at (p, t, w, wdot), compiled; shapes ``(n, n)``."""
+    """(dF/dw, dF/dwdot) at (p, t, w, wdot), compiled; one array ``(2, n, n)``."""
     residual, lengths = dae.equations(template, formulation)
-    return PackedFunction(jax.jacfwd(residual, argnums=(2, 3)), *lengths)
+    jacobians = jax.jacfwd(residual, argnums=(2, 3))
+    return PackedFunction(lambda *given: jnp.stack(jacobians(*given)), *lengths)
 
 
 class _DAERun(ScipyRun):
@@ -104,6 +107,7 @@ class _DAERun(ScipyRun):
         super().__init__(
             getattr(integrate, method.library_class),
             method.max_calls,
+            method.callbacks,
             scene,
             t_end,
             (dae.packed_residual(*key), packed_jacobians(*key)),

@@ -17,6 +17,7 @@ from integrators.adapters.callbacks import (
     PackedFunction,
     advice,
 )
+from integrators.adapters.called_in_c import CallsEquations, callbacks_option, functions_in_c
 from integrators.adapters.ode import (
     ODEMethod,
     packed_parameters,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ScipySolver(ODEMethod):
+class ScipySolver(CallsEquations, ODEMethod):
     """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -45,7 +46,8 @@ class ScipySolver(ODEMethod):
     solver's own, at the ends of its own steps; a, lam, y and xdot solve the equations of motion
     there.
 
-    Everything is counted where it happens: ``residuals`` are evaluations of the right-hand side,
+    The equations are called in C, where they have such a form, or by JAX. Everything is counted
+    where it happens: ``residuals`` are evaluations of the right-hand side,
     those of the choice of the first step included; ``factorisations`` and ``solves`` count real and
     complex systems alike. After a projection Radau evaluates the right-hand side once more, and BDF
     moves its whole history along, which does not change the differences in it. A value that is not
@@ -53,12 +55,12 @@ class ScipySolver(ODEMethod):
     """
 
     family: ClassVar[str] = "scipy"
-    controls = "tolerance"
-    calls: ClassVar[str] = "its loop is Python, which calls compiled equations one by one"
+    loop = "its loop is Python, which"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
 
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
+    callbacks: str = callbacks_option()
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
@@ -90,6 +92,7 @@ class ScipyRun(PreparedRun):
         self,
         solver: type,
         max_calls: int,
+        callbacks: str,
         scene: MechatronicSystem,
         t_end: float,
         packed: tuple[PackedFunction, PackedFunction],
@@ -108,6 +111,9 @@ class ScipyRun(PreparedRun):
         self.functions = packed[0].bind(p), packed[1].bind(p)
         for function in self.functions:
             function(*self.start)  # compiles
+        if callbacks == "compiled":
+            about = f"{solver.__name__} calls {scene.name}"
+            self.functions = functions_in_c(about, packed, p, self.functions, self.start)
 
     def counted_equations(self) -> CountedEquations:
         """The equations, with all counters at zero."""
@@ -205,6 +211,7 @@ class _ODERun(ScipyRun):
         super().__init__(
             getattr(integrate, method.library_class),
             method.max_calls,
+            method.callbacks,
             scene,
             t_end,
             packed_rate_and_jacobian(scene.template(), baumgarte is not None),

@@ -19,7 +19,7 @@ from integrators.adapters.sundials_equations import (
 from integrators.adapters.sundials_native import NativeSolver
 from integrators.adapters.sundials_python import PythonSolver, python_solver
 from integrators.adapters.trajectories import early_end_message
-from integrators.contract import PreparedRun, Trajectory, Work, option
+from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
 from integrators.operations import Algebra, bill
@@ -40,23 +40,6 @@ _ENDINGS = {
     -7: ("newton_failed", "the linear solver failed"),
     -8: ("diverged", "the equations could not be evaluated"),
 }
-
-
-def callbacks_option() -> Any:
-    """The option that chooses how equations are called."""
-    return option(
-        "compiled",
-        "compiled: SUNDIALS calls equations in C, where there is a C compiler; python: it calls "
-        "compiled functions through Python",
-        choices=("compiled", "python"),
-    )
-
-
-def described(callbacks: str) -> str:
-    """How a solver with this option calls its equations."""
-    if callbacks == "compiled":
-        return "a C library calls equations in C, where they have such a form, one by one"
-    return "a C library calls compiled equations through Python, one by one"
 
 
 class SundialsRun(PreparedRun):

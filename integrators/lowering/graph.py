@@ -9,10 +9,16 @@ may turn infinite.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from functools import reduce
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from integrators.lowering.operators import OPERATORS
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000
@@ -22,74 +28,16 @@ class NotLowered(Exception):
     """A program that has no form in C here; the message is a clause that says why."""
 
 
-class Operator(NamedTuple):
-    """An operation on numbers: how C and NumPy write it, and the kind of its result.
+class Entry(NamedTuple):
+    """The operator that takes one of the values that a loop or a solve leaves."""
 
-    ``kind`` is "f" for a float, "b" for true or false.
-    """
-
-    c: str
-    numpy: Callable[..., Any]
-    kind: str = "f"
+    place: int
 
 
-def _like_c(name: str, numpy: Any = None, arguments: int = 1) -> Operator:
-    places = ", ".join(["{}"] * arguments)
-    return Operator(f"{name}({places})", numpy or getattr(np, name))
-
-
-OPERATORS = {
-    "add": Operator("{} + {}", np.add),
-    "sub": Operator("{} - {}", np.subtract),
-    "mul": Operator("{} * {}", np.multiply),
-    "div": Operator("{} / {}", np.divide),
-    "rem": _like_c("fmod", arguments=2),
-    "neg": Operator("-{}", np.negative),
-    "abs": _like_c("fabs"),
-    # As in JAX, NaN wins.
-    "max": Operator("{0} > {1} || {0} != {0} ? {0} : {1}", np.maximum),
-    "min": Operator("{0} < {1} || {0} != {0} ? {0} : {1}", np.minimum),
-    "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
-    "sqrt": _like_c("sqrt"),
-    "cbrt": _like_c("cbrt"),
-    "pow": _like_c("pow", np.power, 2),
-    "atan2": _like_c("atan2", np.arctan2, 2),
-    "floor": _like_c("floor"),
-    "ceil": _like_c("ceil"),
-    "exp": _like_c("exp"),
-    "exp2": _like_c("exp2"),
-    "expm1": _like_c("expm1"),
-    "log": _like_c("log"),
-    "log1p": _like_c("log1p"),
-    "sin": _like_c("sin"),
-    "cos": _like_c("cos"),
-    "tan": _like_c("tan"),
-    "asin": _like_c("asin", np.arcsin),
-    "acos": _like_c("acos", np.arccos),
-    "atan": _like_c("atan", np.arctan),
-    "sinh": _like_c("sinh"),
-    "cosh": _like_c("cosh"),
-    "tanh": _like_c("tanh"),
-    "asinh": _like_c("asinh", np.arcsinh),
-    "acosh": _like_c("acosh", np.arccosh),
-    "atanh": _like_c("atanh", np.arctanh),
-    "eq": Operator("{} == {}", np.equal, "b"),
-    "ne": Operator("{} != {}", np.not_equal, "b"),
-    "lt": Operator("{} < {}", np.less, "b"),
-    "le": Operator("{} <= {}", np.less_equal, "b"),
-    "gt": Operator("{} > {}", np.greater, "b"),
-    "ge": Operator("{} >= {}", np.greater_equal, "b"),
-    "and": Operator("{} & {}", np.bitwise_and, "b"),
-    "or": Operator("{} | {}", np.bitwise_or, "b"),
-    "xor": Operator("{} ^ {}", np.bitwise_xor, "b"),
-    "not": Operator("!{}", np.invert, "b"),
-    "is_finite": Operator("isfinite({}) != 0", np.isfinite, "b"),
-    #: 1.0 for true, 0.0 for false.
-    "number": Operator("(double){}", float),
-    #: The second value where the first is true, else the third.
-    "choose": Operator("{} ? {} : {}", lambda which, yes, no: yes if which else no),
-}
 _ARITHMETIC = {"neg", "add", "sub", "mul", "div"}
+#: Operators on whole numbers, which C keeps as floats: as counters they stay exact.
+_COUNT = {"add", "sub", "max", "min", "number", "choose", "eq", "ne", "lt", "le", "gt", "ge"}
+_LARGEST_COUNT = 10**6
 _COMMUTE = {"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"}
 
 
@@ -100,11 +48,12 @@ class Graph:
     ----------
     nodes
         ``(operator, arguments)``; of an input ("input", (argument, entry)), of a constant
-        ("constant", value), of an operation without a form in C ("unknown", its name).
+        ("constant", value), of an operation without a form in C ("unknown", its name). `Loop`
+        and `Solve` are operators that leave several values, each of which an `Entry` takes.
     """
 
     def __init__(self) -> None:
-        self.nodes: list[tuple[str, Any]] = []
+        self.nodes: list[tuple[Any, Any]] = []
         self._kinds: list[str] = []
         self._known: dict[Any, int] = {}
         self.zero, self.one = self.constant(0.0), self.constant(1.0)
@@ -119,9 +68,21 @@ class Graph:
         key = kind, struct.pack("d", plain) if kind == "f" else plain
         return self._node(key, "constant", plain, kind)
 
-    def input(self, argument: int, entry: int) -> int:
+    def input(self, argument: int, entry: int, kind: str = "f") -> int:
         """The node of an entry of an argument of the function."""
-        return self._node(("input", argument, entry), "input", (argument, entry), "f")
+        return self._node(("input", argument, entry), "input", (argument, entry), kind)
+
+    def fresh(self) -> int:
+        """A new node for which any value may stand."""
+        return self._node(("fresh", len(self.nodes)), "input", (-1, len(self.nodes)), "f")
+
+    def left_by(
+        self, operator: Loop | Solve, given: tuple[int, ...], kinds: Iterable[str]
+    ) -> list[int]:
+        """The nodes of what an operator leaves: a value of each of these kinds."""
+        key = (operator, given) if isinstance(operator, Solve) else ("loop", len(self.nodes))
+        node = self._node(key, operator, given, "f")
+        return [self._node((node, k), Entry(k), (node,), kind) for k, kind in enumerate(kinds)]
 
     def unknown(self, name: str, kind: str) -> int:
         """A new node of an operation without a form in C, which no result may need."""
@@ -152,12 +113,9 @@ class Graph:
             known = self._known[key] = self._simplest(operator, given, key)
         return known
 
-    def sum(self, nodes: Iterable[int]) -> int:
-        """The node of a sum, added up from the left."""
-        total = self.zero
-        for node in nodes:
-            total = self.apply("add", total, node)
-        return total
+    def any(self, nodes: Iterable[int]) -> int:
+        """The node that is true if one of the nodes is."""
+        return reduce(lambda a, b: self.apply("or", a, b), nodes)
 
     def needed(self, results: Iterable[int]) -> list[int]:
         """The operations that the results need; each stands shortly before its first use.
@@ -183,11 +141,30 @@ class Graph:
                 waiting.extend((x, False) for x in reversed(given))
         return list(order)
 
+    def origins(self, results: Iterable[int], nodes: Iterable[int]) -> list[set[int]]:
+        """For each result the numbers of those among the nodes on which it depends."""
+        found = {node: {k} for k, node in enumerate(nodes)}
+        first, results = min(found, default=0), list(results)
+        waiting = [(node, False) for node in results]
+        while waiting:
+            node, ready = waiting.pop()
+            operator, given = self.nodes[node]
+            if node in found:
+                continue
+            if node < first or operator in ("constant", "input", "unknown"):
+                found[node] = set()
+            elif ready:
+                found[node] = set().union(*(found[x] for x in given))
+            else:
+                waiting.append((node, True))
+                waiting.extend((x, False) for x in given)
+        return [found[node] for node in results]
+
     def kind(self, node: int) -> str:
         """The kind of a value: "f" for a float, "b" for true or false, "i" for a whole number."""
         return self._kinds[node]
 
-    def _node(self, key: Any, operator: str, content: Any, kind: str) -> int:
+    def _node(self, key: Any, operator: Any, content: Any, kind: str) -> int:
         known = self._known.get(key)
         if known is None:
             known = self._known[key] = len(self.nodes)
@@ -208,10 +185,18 @@ class Graph:
         if simple is not None:
             return simple
         kinds = [self._kinds[node] for node in given]
-        if "i" in kinds:
-            return self.unknown("arithmetic of whole numbers", "i")
         kind = kinds[1] if operator == "choose" else OPERATORS[operator].kind
+        if "i" in kinds:
+            if operator not in _COUNT or any(map(self._is_large, given)):
+                return self.unknown("arithmetic of whole numbers", "i")
+            if operator in _ARITHMETIC or operator in ("max", "min"):
+                kind = "i"
         return self._node(key, operator, given, kind)
+
+    def _is_large(self, node: int) -> bool:
+        """Whether it is a whole number with which counters might overflow."""
+        constant = self.is_constant(node) and self._kinds[node] == "i"
+        return constant and abs(self.value(node)) > _LARGEST_COUNT
 
     def _computed(self, operator: str, given: tuple[int, ...]) -> Any:
         values = [np.asarray(self.value(node)) for node in given]
@@ -251,3 +236,45 @@ class Graph:
         if node < 0 or self.nodes[node][0] != "neg":
             return None
         return self.nodes[node][1][0]
+
+
+class Program(NamedTuple):
+    """A graph, and the nodes of the entries of its only result."""
+
+    graph: Graph
+    results: Int[np.ndarray, ...]
+
+
+class Loop(NamedTuple):
+    """An operator that goes round as long as a test says so.
+
+    Both programs have two arguments: given values, and the values u that a turn changes. The
+    operator's arguments are the given values and the first u.
+
+    Attributes
+    ----------
+    test
+        Whether there is another turn.
+    turn
+        The next u.
+    """
+
+    test: Program
+    turn: Program
+
+    @property
+    def left(self) -> int:
+        """The number of values that it leaves in the places of its last arguments."""
+        return self.turn.results.size
+
+
+class Solve(NamedTuple):
+    """An operator that solves linear systems with one matrix, for given matrix and right sides."""
+
+    unknowns: int
+    systems: int
+
+    @property
+    def left(self) -> int:
+        """The number of values that it leaves in the places of its last arguments."""
+        return self.unknowns * self.systems

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from integrators.lowering.graph import OPERATORS, Graph, NotLowered
+from integrators.lowering.graph import Graph, NotLowered
 from integrators.lowering.indexing import dynamic_slice, gather, scatter
+from integrators.lowering.operators import OPERATORS
 
 RULES: dict[str, Callable[..., Any]] = {
     "dynamic_slice": dynamic_slice,
@@ -99,8 +100,10 @@ def _convert(graph: Graph, equation: Any, x: np.ndarray) -> np.ndarray:
         kind = {"b": bool, "f": float}.get(target, int)
         nodes = [graph.constant(kind(graph.value(node))) for node in x.flat]
         return np.array(nodes).reshape(x.shape)
-    if (source, target) == ("b", "f"):
+    if target == "f":
         return entrywise(graph, "number", x)
+    if (source, target) == ("b", "i"):
+        return entrywise(graph, "count", x)
     if (source, target) == ("f", "b"):
         return entrywise(graph, "ne", x, np.array(graph.zero))
     raise NotLowered("whole numbers depend on the state")

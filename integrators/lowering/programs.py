@@ -2,35 +2,28 @@
 
 A program is followed operation by operation. Its arrays are arrays of nodes: whatever moves numbers
 moves nodes here, once and for all, and what computes with numbers adds nodes
-(`integrators.lowering.primitives`). Indices have to be known beforehand, loops cannot be followed.
-An operation without a rule spoils only the results that need it.
+(`integrators.lowering.primitives`). Indices have to be known beforehand. A loop with a known number
+of turns is written out; any other one is an operator with programs of its own. An operation
+without a rule spoils only the results that need it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from integrators.lowering.elimination import refuse_many, solve
-from integrators.lowering.graph import Graph, NotLowered
-from integrators.lowering.primitives import RULES
+from integrators.lowering.elimination import solve
+from integrators.lowering.graph import Graph, Loop, NotLowered, Program
+from integrators.lowering.primitives import RULES, entrywise
 from integrators.operations import CALLS
 from problems.runtime import jax
 
-if TYPE_CHECKING:
-    from jaxtyping import Int
-
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
-
-
-class Program(NamedTuple):
-    """A graph, and the nodes of the entries of its only result."""
-
-    graph: Graph
-    results: Int[np.ndarray, ...]
+#: Turns of loops that are written out one after the other, as their number is known.
+_MOST_TURNS = 1000
 
 
 def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
@@ -44,8 +37,8 @@ def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Pro
     Raises
     ------
     NotLowered
-        If it has an operation without a rule, an index that depends on an argument, a loop, or too
-        many operations.
+        If it has an operation without a rule, an index that depends on an argument, or too many
+        operations.
     """
     sizes = [1 if n is None else n for n in lengths]
     traced = jax.make_jaxpr(program)(jax.ShapeDtypeStruct((sum(sizes),), float))
@@ -62,7 +55,7 @@ def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Pro
 
 class _Follower:
     def __init__(self, graph: Graph) -> None:
-        self._graph, self._entries = graph, 0
+        self._graph, self._entries, self._turns = graph, 0, 0
 
     def called(self, program: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         """The results of a program, with its constants or without any, on arrays of nodes."""
@@ -97,36 +90,98 @@ class _Follower:
         types = [var.aval.dtype for var in equation.outvars]
         if any(kind.kind == "c" or (kind.kind == "f" and kind != np.float64) for kind in types):
             raise NotLowered("it computes with numbers that are no 64-bit floats")
-        if name in RULES:
-            try:
+        try:
+            if name in RULES:
                 results = RULES[name](self._graph, equation, *given)
-            except NotLowered:
-                results = None
-        else:
-            results = self._known_beforehand(equation, given)
+            else:
+                results = self._known_beforehand(equation, given)
+                if results is None and name in _FLOW:
+                    results = _FLOW[name](self, params, given)
+        except NotLowered:
+            results = None
         if results is None:
             return [self._unknown(name, var.aval) for var in equation.outvars]
         results = results if isinstance(results, list) else [results]
         return [np.asarray(r, int).reshape(s) for r, s in zip(results, shapes, strict=True)]
 
     def _solved(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
-        """The solution of a linear system; its matrix are products with unit vectors."""
-        graph, lengths = self._graph, params["const_lengths"]
+        """The solution of a linear system; its matrix stands in a program of products."""
+        lengths = params["const_lengths"]
         right, consts = given[sum(lengths) :], given[: lengths.matvec]
-        sizes = [part.size for part in right]
-        refuse_many(sum(sizes))
 
-        def parts(column: np.ndarray) -> list[np.ndarray]:
-            pieces = np.split(column, np.cumsum(sizes)[:-1])
-            return [piece.reshape(part.shape) for piece, part in zip(pieces, right, strict=True)]
+        def product(x: np.ndarray) -> np.ndarray:
+            return _joined(self.called(params["jaxprs"].matvec, [*consts, *_parts(x, right)]))
 
-        def joined(pieces: list[np.ndarray]) -> np.ndarray:
-            return np.concatenate([piece.ravel() for piece in pieces])
+        return _parts(solve(self._graph, product, _joined(right)), right)
 
-        units = np.where(np.eye(sum(sizes), dtype=bool), graph.one, graph.zero)
-        program = params["jaxprs"].matvec
-        columns = [joined(self.called(program, [*consts, *parts(unit)])) for unit in units]
-        return parts(solve(graph, np.array(columns).T, joined(right)))
+    def _written_out(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of a loop with a known number of turns."""
+        turns, same, carried = params["length"], params["num_consts"], params["num_carry"]
+        self._turns += turns
+        if self._turns > _MOST_TURNS:
+            raise NotLowered(f"its loops have more than {_MOST_TURNS} turns")
+        consts, values = given[:same], given[same : same + carried]
+        order = range(turns)[:: -1 if params["reverse"] else 1]
+        rows: list[list[np.ndarray]] = [[] for _ in params["jaxpr"].jaxpr.outvars[carried:]]
+        for k in order:
+            sliced = [array[k] for array in given[same + carried :]]
+            found = self.called(params["jaxpr"], [*consts, *values, *sliced])
+            values = found[:carried]
+            for row, value in zip(rows, found[carried:], strict=True):
+                row.append(value)
+        return [*values, *(np.array(row[:: -1 if params["reverse"] else 1]) for row in rows)]
+
+    def _looped(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of a loop whose number of turns is found in the loop."""
+        graph, outer, inner = Graph(), self._graph, {}
+        follower = _Follower(graph)
+        follower._entries, follower._turns = self._entries, self._turns
+        tested, kept = params["cond_nconsts"], params["body_nconsts"]
+        first = given[tested + kept :]
+
+        def inside(array: np.ndarray) -> np.ndarray:
+            """Given values as the loop's programs see them; known ones stay known."""
+            for node in array.ravel().tolist():
+                if node not in inner:
+                    known, place = outer.is_constant(node), len(inner)
+                    inner[node] = (
+                        graph.constant(outer.value(node))
+                        if known
+                        else graph.input(0, place, outer.kind(node))
+                    )
+            return np.array([inner[node] for node in array.flat], int).reshape(array.shape)
+
+        consts = [inside(array) for array in given[: tested + kept]]
+        kinds = [outer.kind(node) for array in first for node in array.flat]
+        nodes = np.array([graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
+        values = _parts(nodes, first)
+        (goes_on,) = follower.called(params["cond_jaxpr"], [*consts[:tested], *values])
+        after = follower.called(params["body_jaxpr"], [*consts[tested:], *values])
+        if goes_on.ndim:  # loops side by side, of which each keeps its values after its end
+            after = [
+                entrywise(graph, "choose", _along(goes_on, new.ndim), new, old)
+                for new, old in zip(after, values, strict=True)
+            ]
+            goes_on = np.array(graph.any(goes_on.ravel().tolist()))
+        self._entries, self._turns = follower._entries, follower._turns
+        loop = Loop(Program(graph, goes_on), Program(graph, _joined(after)))
+        return _parts(
+            np.array(outer.left_by(loop, (*inner, *_joined(first).tolist()), kinds)), first
+        )
+
+    def _chosen(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of one of several programs, all of which are computed."""
+        (index,), graph, before = given[0].ravel().tolist(), self._graph, len(self._graph.nodes)
+        if graph.is_constant(index):
+            return self.called(params["branches"][graph.value(index)], given[1:])
+        *others, chosen = (self.called(branch, given[1:]) for branch in params["branches"])
+        if any(isinstance(operator, Loop) for operator, _ in graph.nodes[before:]):
+            raise NotLowered("a loop of a branch that is not taken might go on for ever")
+        for k, results in reversed([*enumerate(others)]):
+            taken = np.array(graph.apply("eq", index, graph.constant(k)))
+            pairs = zip(results, chosen, strict=True)
+            chosen = [entrywise(graph, "choose", taken, yes, no) for yes, no in pairs]
+        return chosen
 
     def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
         """The results of an operation on constants, computed by JAX; None if others take part."""
@@ -149,3 +204,25 @@ class _Follower:
         kind = {"b": "b", "f": "f"}.get(aval.dtype.kind, "i")
         nodes = [self._graph.unknown(name, kind) for _ in range(int(np.prod(aval.shape)))]
         return np.array(nodes, int).reshape(aval.shape)
+
+
+_FLOW = {
+    "scan": _Follower._written_out,
+    "while": _Follower._looped,
+    "cond": _Follower._chosen,
+}
+
+
+def _parts(nodes: np.ndarray, like: list[np.ndarray]) -> list[np.ndarray]:
+    """Nodes that stand side by side, as arrays of the shapes of others."""
+    pieces = np.split(nodes, np.cumsum([part.size for part in like])[:-1])
+    return [piece.reshape(part.shape) for piece, part in zip(pieces, like, strict=True)]
+
+
+def _along(which: np.ndarray, axes: int) -> np.ndarray:
+    """Nodes for the first axes, as an array of more axes."""
+    return which.reshape(*which.shape, *[1] * (axes - which.ndim))
+
+
+def _joined(pieces: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([piece.ravel() for piece in pieces])

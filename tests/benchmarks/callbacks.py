@@ -37,7 +37,7 @@ _CASES = (
     (Pendulum(), IDA(callbacks="python"), 1.0, 1e-6),
     (SliderCrank(), IDA(callbacks="python"), 0.5, 1e-6),
     (Chain(links=1000), IDA(callbacks="python"), 0.02, 1e-6),
-    (SliderCrank(), Radau(), 0.2, 1e-6),
+    (SliderCrank(), Radau(callbacks="python"), 0.2, 1e-6),
 )
 _KINDS = ("now", "before")
 #: Turns of the loop that measures arithmetic without calls.

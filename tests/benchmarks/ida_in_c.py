@@ -1,9 +1,9 @@
 """IDA with equations in C against IDA that calls them through Python: the same solver and settings.
 
-A second table tells what Python costs: IDA and CVODE either way, and backward differences of our
-own, in processor seconds. ``make bench`` prints both and writes them as JSON. Contestants run in
-turn, round after round; ratios are taken within a round. Times are not checked. A run that fails is
-left out, with its message.
+A second table tells what Python costs: IDA, CVODE and Radau of scipy either way, and backward
+differences of our own, in processor seconds. ``make bench`` prints both and writes them as JSON.
+Contestants run in turn, round after round; ratios are taken within a round. Times are not checked.
+A run that fails is left out, with its message.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from integrators.lowering.native import load
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
+from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
 from problems.system import MechatronicSystem
 
@@ -37,13 +38,16 @@ _CONTESTANTS = {
     "in C, `suppress_algebraic`": IDA(suppress_algebraic=True, max_calls=500_000),
 }
 #: Scenes and relative tolerance of the table that tells what Python costs.
-_COSTS, _RTOL = (SliderCrank(), CarAxis(), SliderCrankMinimal()), 1e-6
+_COSTS, _RTOL = (SliderCrank(), CarAxis(), SliderCrankMinimal(), QuarterCar()), 1e-6
+_RADAU = "Radau of scipy with C"
 #: Their contestants: specification, and the one whose time its own is divided by.
 _SOLVERS = {
     "IDA through Python": ("ida[callbacks=python,max_calls=500000]", "IDA in C"),
     "IDA in C": ("ida[max_calls=500000]", "IDA in C"),
     "CVODE through Python": ("cvode[callbacks=python,max_calls=500000]", "CVODE in C"),
     "CVODE in C": ("cvode[max_calls=500000]", "CVODE in C"),
+    "Radau of scipy through JAX": ("radau[callbacks=python,max_calls=500000]", _RADAU),
+    _RADAU: ("radau[max_calls=500000]", _RADAU),
     "`bdf_adaptive`, our own": ("bdf_adaptive[newton=modified]", "IDA in C"),
 }
 _REPEAT = """
@@ -128,7 +132,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def costs(scene: MechatronicSystem, rounds: int) -> list[dict[str, Any]]:
-    """One scene: IDA and CVODE through Python and in C, and backward differences of our own."""
+    """One scene: solvers through Python and in C, and backward differences of our own."""
     reference = Reference(scene, scene.interval[1])
     found = {}
     for name, (spec, _) in _SOLVERS.items():

@@ -1,0 +1,133 @@
+"""Packed functions in C, called from Python; the option that chooses between C and JAX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import c_void_p
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from integrators.adapters.callbacks import PackedFunction
+from integrators.contract import option
+from integrators.lowering.c_source import HEADER, c_function
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.native import load
+from integrators.lowering.programs import lowered
+from problems.runtime import slower
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+#: C and JAX may differ by so much of the largest entry, as both round.
+_ROUNDING = 1e-12
+
+
+class CallsEquations:
+    """What methods with `callbacks_option` say of their calls."""
+
+    controls = "tolerance"
+    #: A solver, as a clause that goes on with "calls ...".
+    loop: ClassVar[str]
+    callbacks: str
+
+    @property
+    def calls(self) -> str:
+        """How the method calls its equations."""
+        if self.callbacks == "compiled":
+            return f"{self.loop} calls equations in C, where they have such a form, one by one"
+        return f"{self.loop} calls compiled equations through Python, one by one"
+
+
+def callbacks_option() -> Any:
+    """The option that chooses how equations are called."""
+    return option(
+        "compiled",
+        "compiled: the solver calls equations in C, where there is a C compiler; python: it calls "
+        "JAX's compiled functions through Python",
+        choices=("compiled", "python"),
+    )
+
+
+def same_to_rounding(found: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]) -> bool:
+    """Whether values of C are those of JAX."""
+    known = np.isfinite(found) & np.isfinite(right)
+    scale = np.abs(right[known]).max(initial=0.0)
+    close = np.abs(found[known] - right[known]) <= _ROUNDING * scale
+    return bool(close.all()) and np.array_equal(found[~known], right[~known], equal_nan=True)
+
+
+def near(vectors: list[np.ndarray]) -> list[np.ndarray]:
+    """Vectors at which C is compared with JAX, so near the start that a run might come there."""
+    shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(vectors), len(vectors[0])))
+    return [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
+
+
+@cache
+def _compiled(packed: PackedFunction) -> Any:
+    """The C of a function of one array, in which all arguments stand side by side."""
+    try:
+        program = lowered(packed.program, (packed.size,))
+        function = load(HEADER + c_function("function", program, 1)).function
+    except NotLowered as reason:
+        return reason
+    function.restype, function.argtypes = None, [c_void_p, c_void_p]
+    return function, program.results.shape
+
+
+def bound_in_c(packed: PackedFunction, *first: np.ndarray) -> Callable[..., np.ndarray]:
+    """The C of a function as `PackedFunction.bind` gives that of JAX.
+
+    Raises
+    ------
+    NotLowered
+        If it has no form in C, or there is no compiler.
+    """
+    found = _compiled(packed)
+    if isinstance(found, NotLowered):
+        raise found
+    (function, shape), memory = found, np.zeros(packed.size)
+    for place, value in zip(packed.places, first, strict=False):
+        memory[place] = value
+    out = np.empty(shape)
+    given, results = c_void_p(memory.ctypes.data), c_void_p(out.ctypes.data)
+    places = packed.places[len(first) :]
+
+    def call(*arguments: Any) -> np.ndarray:
+        for place, value in zip(places, arguments):  # noqa: B905
+            memory[place] = value
+        function(given, results)
+        return out.copy()
+
+    return call
+
+
+def functions_in_c(
+    about: str,
+    packed: tuple[PackedFunction, PackedFunction],
+    p: np.ndarray,
+    functions: tuple[Callable[..., Any], Callable[..., Any]],
+    start: tuple[Any, ...],
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """A solver's functions in C; those of JAX, and a sentence, where there are none or they differ.
+
+    Parameters
+    ----------
+    about
+        The solver and the scene, as a clause that begins the sentence.
+    functions
+        Those of JAX, with the parameters p.
+    start
+        t and the vectors at the start of the run.
+    """
+    try:
+        value, jacobian = (bound_in_c(one, p) for one in packed)
+        at = start[0], *near([*start[1:]])
+        for found, right in zip((value, jacobian), functions, strict=True):
+            if not same_to_rounding(found(*at).ravel(), np.asarray(right(*at)).ravel()):
+                raise NotLowered("its equations in C are not those of JAX")
+    except NotLowered as reason:
+        slower(f"{about} through JAX, which takes longer: {reason}.")
+        return functions
+    return value, jacobian

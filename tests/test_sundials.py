@@ -1,0 +1,185 @@
+"""IDA and CVODE with equations in C: the runs of scikit-sundae, and the way back to Python."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from probe import Probe
+
+from integrators import Tolerances
+from integrators.adapters import sundials, sundials_equations, sundials_native
+from integrators.adapters.cvode import CVODE
+from integrators.adapters.ida import IDA
+from integrators.lowering import native, operators
+from problems import jnp
+from problems.runtime import slower
+from problems.scenes.chain import Chain
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.slider_crank import SliderCrank
+
+every_method = pytest.mark.parametrize("method", [IDA, CVODE])
+GROUPS = ("t", "q", "v", "a", "lam")
+
+
+@pytest.fixture
+def forgotten(caplog):
+    """Compiled equations and sentences are made anew, and forgotten after the test."""
+
+    def forget():
+        for kept in (sundials_equations.compiled_equations, sundials.library, native.load, slower):
+            kept.cache_clear()
+
+    forget()
+    yield caplog
+    forget()
+
+
+def prepared(method, scene, length, /, **options):
+    return method(**options).prepare(scene, scene.interval[0] + length, Tolerances(1e-6))
+
+
+# ---- the same runs ---------------------------------------------------------------------
+def through_python(run):
+    """Let a prepared run call its equations in C through Python, one by one."""
+    compiled, p, n = run.native, run._p, run._equations.size
+
+    def function(name, shape):
+        def call(*state):
+            out = np.empty(shape)
+            sundials_equations.evaluate(compiled, name, p, *state, out=out.ravel())
+            return out
+
+        return call
+
+    entries = (n, n) if compiled.entries is None else (compiled.entries,)
+    run.functions, run.native = (function("residual", n), function("jacobian", entries)), None
+    return run
+
+
+@pytest.mark.parametrize(
+    ("method", "scene", "options"),
+    [
+        (IDA, Pendulum(), {"formulation": "index1", "max_order": 3}),
+        (IDA, SliderCrank(), {}),
+        (IDA, Chain(links=5), {"linear_solver": "sparse"}),
+        (CVODE, Pendulum(), {}),
+        (CVODE, Pendulum(), {"method": "adams", "max_order": 9}),
+    ],
+    ids=["options", "dense", "sparse", "bdf", "adams"],
+)
+def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit(method, scene, options):
+    if "linear_solver" in options:
+        pytest.importorskip("asdex")
+    run = prepared(method, scene, 1.0 if method is CVODE else 0.1, **options)
+    assert run.native is not None
+    own = run.measure()
+    other = through_python(run).measure()
+    assert own.status == other.status == "ok"
+    assert own.work.steps > 20
+    for name in ("steps", "residuals", "jacobians"):
+        assert getattr(own.work, name) == getattr(other.work, name), name
+    if method is IDA:  # CVODE's factorisations are not told by scikit-sundae
+        assert own.work.factorisations == other.work.factorisations
+    for name in GROUPS:
+        assert getattr(own, name).tobytes() == getattr(other, name).tobytes(), name
+
+
+@every_method
+def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(method, monkeypatch):
+    run = prepared(method, SliderCrank(), 0.1)
+    whole = run.execute()
+    monkeypatch.setattr(sundials_native, "_STEPS_IN_A_CALL", 7)
+    cut = run.execute()
+    assert (whole.t, whole.nfev, whole.njev) == (cut.t, cut.nfev, cut.njev)
+    assert whole.y.tobytes() == cut.y.tobytes()
+
+
+@every_method
+def test_other_parameters_compile_nothing_new(method):
+    prepared(method, Pendulum(), 0.1)
+    before = sundials_equations.compiled_equations.cache_info().misses
+    run = prepared(method, replace(Pendulum(), length=2.0), 0.1).measure()
+    assert sundials_equations.compiled_equations.cache_info().misses == before
+    assert np.linalg.norm(run.q, axis=1) == pytest.approx(2.0, abs=1e-5)
+
+
+# ---- ways to end -----------------------------------------------------------------------
+@every_method
+def test_a_flag_of_a_call_that_fails_ends_the_run(method, monkeypatch):
+    run = prepared(method, Pendulum(), 0.2)
+    step = -99, 0.0, np.zeros(len(run.start[1]))
+    monkeypatch.setattr(sundials_native.NativeSolver, "step", lambda self: step)
+    ended = run.measure()
+    assert ended.status == "crashed"
+    assert f"{method.__name__} returned the flag -99" in ended.message
+
+
+@every_method
+@pytest.mark.parametrize("callbacks", ["compiled", "python"])
+def test_a_jacobian_that_is_not_finite_ends_the_run(method, callbacks):
+    @dataclass(frozen=True)
+    class Kinked(Probe):
+        """Its force has no derivative after t = 0.5 s, where it is finite."""
+
+        def force(self, q, v, t):
+            return -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2)
+
+    ended = prepared(method, Kinked(), 2.0, callbacks=callbacks).measure()
+    assert ended.status == "diverged"
+    assert 0.4 < ended.t[-1] < 0.7
+
+
+# ---- the way back to Python ------------------------------------------------------------
+def falls_back(method, forgotten, reason, scene=None):
+    run = prepared(method, scene or Pendulum(), 0.2)
+    assert run.native is None
+    (sentence,) = [text for text in forgotten.messages if "through Python" in text]
+    assert sentence.startswith(f"{method.__name__} calls")
+    assert reason in sentence
+    assert run.measure().status == "ok"
+
+
+@every_method
+def test_without_a_compiler_equations_are_called_through_python(method, forgotten, monkeypatch):
+    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
+    falls_back(method, forgotten, "there is no C compiler named no-such-compiler")
+
+
+@every_method
+def test_an_unknown_release_is_left_alone(method, forgotten, monkeypatch):
+    monkeypatch.setattr(sundials, "_MAJOR", 6)
+    falls_back(method, forgotten, "is not the release 6 that is known")
+
+
+@every_method
+def test_a_missing_function_leads_to_python(method, forgotten, monkeypatch):
+    monkeypatch.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,))
+    falls_back(method, forgotten, "has no function CVodeGone")
+
+
+@every_method
+def test_a_jax_with_other_programs_leads_to_python(method, forgotten, monkeypatch):
+    monkeypatch.delattr("jax.extend.core.Literal")
+    falls_back(method, forgotten, "programs of this JAX are not as known")
+
+
+@every_method
+def test_an_operation_without_a_form_in_c_leads_to_python(method, forgotten):
+    @dataclass(frozen=True)
+    class Sorted(Probe):
+        """Its force needs an order of numbers."""
+
+        def force(self, q, v, t):
+            return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
+
+    falls_back(method, forgotten, "it has the operation 'sort'", Sorted())
+
+
+@every_method
+def test_functions_that_differ_from_those_of_jax_are_not_used(method, forgotten, monkeypatch):
+    flipped = operators.OPERATORS["sub"]._replace(c="{} + {}")
+    monkeypatch.setitem(operators.OPERATORS, "sub", flipped)
+    falls_back(method, forgotten, "in C is not the one of JAX")

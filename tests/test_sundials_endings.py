@@ -1,0 +1,95 @@
+"""Forces that go wrong within compiled equations end runs of IDA and CVODE as any others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import odd_forces
+import pytest
+from helpers import long
+
+from bench.running.inventory import Inventory
+from bench.running.plan import Cell
+from bench.running.session import solve_cells
+from integrators import Tolerances
+from integrators.adapters.cvode import CVODE
+from integrators.adapters.ida import IDA
+
+PLUGINS = Path(odd_forces.__file__)
+every_method = pytest.mark.parametrize("method", [IDA, CVODE])
+
+
+def prepared(method, scene, **options):
+    return method(**options).prepare(scene, scene.interval[1], Tolerances(1e-6))
+
+
+@every_method
+def test_a_loop_of_a_scene_runs_in_c_with_the_work_of_python(method):
+    runs = [
+        prepared(method, odd_forces.CeasingSearch(breaks_at=9.0), callbacks=callbacks)
+        for callbacks in ("compiled", "python")
+    ]
+    assert runs[0].native is not None
+    ours, other = (run.measure() for run in runs)
+    assert ours.status == other.status == "ok"
+    exact = np.cos(2 * ours.t)
+    assert ours.q[:, 0] == pytest.approx(exact, abs=2e-4)
+    for name in ("steps", "residuals", "jacobians"):
+        assert getattr(ours.work, name) == getattr(other.work, name) > 0
+
+
+@every_method
+@pytest.mark.parametrize("callbacks", ["compiled", "python"])
+@pytest.mark.parametrize("force", [odd_forces.CeasingForce, odd_forces.CeasingSearch])
+def test_a_value_that_is_not_finite_keeps_what_was_before(method, callbacks, force):
+    whole = prepared(method, force(breaks_at=9.0), callbacks=callbacks).measure()
+    run = prepared(method, force(), callbacks=callbacks)
+    assert (run.native is None) == (callbacks == "python")
+    ended = run.measure()
+    assert ended.status == "diverged"
+    assert ended.message.startswith(f"Ended at t={ended.t[-1]:.6g} s of 1 s: ")
+    rows = len(ended.t)
+    assert ended.work.steps == rows - 1 > 20
+    assert 0.45 < ended.t[-1] <= 0.5 < whole.t[rows + 1]
+    assert ended.q.tobytes() == whole.q[:rows].tobytes()
+    assert run.execute() is None
+
+
+FATES = {
+    "ceasing_search": ("diverged", "a value that is not finite"),
+    "endless_force": ("budget_exceeded", "while running because it took more than 2 s"),
+    "long_force": ("budget_exceeded", "while running because it took more than 2 s"),
+    "raising_force": ("crashed", "ValueError: no force is known here (odd_forces.py, line"),
+}
+
+
+@pytest.mark.parametrize(
+    ("method", "callbacks"),
+    long(*((m, c) for m in ("ida", "cvode") for c in ("compiled", "python"))),
+)
+def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callbacks):
+    integrator = f"{method}[callbacks={callbacks}]"
+    names = (*FATES, "ceasing_force")
+    cells = [Cell(name, integrator, 1.0, Tolerances(1e-6)) for name in names]
+    cells.append(Cell("ceasing_force[breaks_at=9]", integrator, 1.0, Tolerances(1e-6)))
+    results, _ = solve_cells(cells, Inventory([PLUGINS]), samples=1, budget_s=2.0)
+    records = {record.problem: record for record, _ in results}
+    for name, (status, words) in FATES.items():
+        assert (records[name].status, name) == (status, name)
+        assert words in records[name].message
+        assert "\n" not in records[name].message
+    for name in ("ceasing_search", "ceasing_force"):
+        assert records[name].rows == records[name].work["steps"] > 20
+    # The cells after those that hang, in a new process, are not disturbed.
+    good = results[-1].record
+    assert good.status == "ok"
+    assert len(good.run_s) == 1
+
+
+@every_method
+@pytest.mark.parametrize("force", [odd_forces.EndlessForce, odd_forces.LongForce])
+def test_a_loop_that_may_hang_is_one_in_c(method, force):
+    run = prepared(method, force(breaks_at=9.0))
+    assert run.native is not None
+    assert run.measure().status == "ok"
