@@ -162,7 +162,7 @@ class Batch:
         """
         order = self._times.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
-        jobs = jobs or _processors()
+        jobs = jobs or processors()
         pool = ThreadPoolExecutor(jobs)
         try:
             # Blocks that are not submitted yet take no memory.
@@ -270,7 +270,8 @@ def _lanes(sizes: Sizes, count: int) -> int:
     return lanes
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return how many processors this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
