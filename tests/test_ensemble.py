@@ -291,7 +291,7 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "h:0.1..0.2", "--step", "0.1"],
          "leave --step out"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:1..2", "-o", "x.txt"],
-         "ends in .csv or .json"),
+         "ends in .csv, .json or .parquet"),
         (["spring_mass", "ida", "--ensemble", "3", "--vary", "k:1..2"],
          "cannot run many members in one program"),
         (["spring_mass", "kvaerno5", "--ensemble", "3", "--vary", "k:1..2"],
