@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
 #: little time and overflow the caches; a GPU needs thousands.
-_MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
+_MOST_LANES, _MOST_BYTES = {"cpu": 64}, {"cpu": 2**27}
 _MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
 #: Approximate number of rows in a kernel's memory.
 _ROWS = 256

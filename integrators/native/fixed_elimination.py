@@ -101,9 +101,17 @@ class Plan:
 
         def again(a: _Numbers, b: Sequence[Array], x: Array) -> Array:
             zero = jnp.zeros_like(b[0])
-            full = [[a.get((i, j), zero) for j in range(len(b))] for i in range(len(b))]
-            by_pivots = jax.vmap(small_matrices.solve, in_axes=-1, out_axes=-1)
-            return jnp.where(pivots, by_pivots(jnp.array(full), jnp.stack(b)), x)
+            full = jnp.array([[a.get((i, j), zero) for j in range(len(b))] for i in range(len(b))])
+            sides = jnp.stack(b)
+
+            def one(k: Array, x: Array) -> Array:
+                def by_pivots(x: Array) -> Array:
+                    return x.at[:, k].set(small_matrices.solve(full[:, :, k], sides[:, k]))
+
+                return jax.lax.cond(pivots[k], by_pivots, lambda x: x, x)
+
+            # Seldom, and one by one: so the program of all members stays small.
+            return jax.lax.fori_loop(0, len(zero), one, x)
 
         return jax.lax.cond(pivots.any(), again, lambda a, b, x: x, a, b, jnp.stack(x))
 
