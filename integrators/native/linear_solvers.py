@@ -167,12 +167,20 @@ def _linearised(
 def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | None:
     """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
     the residual's program cannot be followed number by number."""
-    shapes = [(var.aval.shape, var.aval.dtype) for var in program.jaxpr.invars]
-    shapes += [(jnp.shape(x), jnp.result_type(x)) for x in program.consts]
+    from jax.core import Tracer
+
+    u, *_ = program.jaxpr.invars
+    differs = [isinstance(x, Tracer) for x in program.consts]
+    traced = [x for x, differ in zip(program.consts, differs, strict=True) if differ]
+    shapes = [(x.shape, x.dtype) for x in (u.aval, *traced)]
     linear: list[ClosedJaxpr] = []
 
     def coefficients(numbers: Array) -> Array:
-        u, *constants = _parts(numbers, shapes)
+        u, *others = _parts(numbers, shapes)
+        given = iter(others)
+        constants = [
+            next(given) if differ else x for x, differ in zip(program.consts, differs, strict=True)
+        ]
         r, product = jax.linearize(partial(_evaluated, program, constants), u)
         linear.append(jax.make_jaxpr(product)(u))
         return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
@@ -191,7 +199,8 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
     except NotLowered:
         return None
 
-    def many(*given: Array) -> Array:
+    def many(u: Array, *constants: Array) -> Array:
+        given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
         numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
         found = small_matrices.apart(lambda *x: evaluated(first, x).tolist(), *numbers)
         entries = small_matrices.apart(lambda *x: evaluated(second, x).tolist(), *found[n:])
