@@ -239,7 +239,10 @@ def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
         follows = base.atol == Tolerances(base.rtol).atol
         return replace(base, **({"atol": None} if follows else {}) | dict(settings))
     now = {name: getattr(base, name) for name in options_of(type(base))}
-    return build(type(base), now | dict(settings), base.name)
+    made = build(type(base), now | dict(settings), base.name)
+    if isinstance(base, MechatronicSystem):
+        vars(made)["sizes"] = base.sizes  # no float changes them, and tracing takes a millisecond
+    return made
 
 
 def _default_range(
