@@ -68,8 +68,8 @@ class DenseSolver(LinearSolver):
     """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
 
     Full Newton reads the tangent's entries from the residual's program, takes them by a few
-    products, and eliminates in an order that is fixed; not so in many runs side by side, where the
-    work of a full matrix is shared by the lanes of the processor.
+    products, and eliminates in an order that is fixed. In many runs side by side each number is an
+    array of the runs; full matrices are eliminated where a program cannot be followed so.
 
     Parameters
     ----------
