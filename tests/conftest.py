@@ -106,7 +106,9 @@ def stepbench():
 def without_processes(monkeypatch):
     """Do jobs of commands in this process; for commands that are refused before they compute."""
     from bench.guard import process
+    from bench.guard.process import Refused
     from bench.running import worker
+    from bench.running.runner import Runner
     from problems.plain_text import said
     from problems.spec import SpecError
 
@@ -116,5 +118,14 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
+    def run_here(self, groups):
+        for (task,) in groups:
+            try:
+                state = worker.start_worker(lambda phase, words: None, task.sources)
+                yield task, task.job(state, *task.arguments)
+            except SpecError as error:
+                yield task, Refused(status="crashed", message=f"{said(error)}.")
+
+    monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)

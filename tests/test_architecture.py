@@ -22,7 +22,8 @@ LAYERS = [
     {"integrators.multistep", "integrators.kept_rows"},
     {"integrators.contract"},
     {"integrators.operations"},
-    {"integrators.native", "integrators.lowering"},
+    {"integrators.lowering"},
+    {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need
     {"bench"},

@@ -3,27 +3,49 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench.commands import options
-from bench.results.csv_text import csv_export
+from bench.commands.paths import ClusterAddress
+from bench.guard.interrupts import remark
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
     from bench.plugins.facts import Sources
-    from bench.sweeps.jobs import SweepRequest
+    from bench.sweeps.jobs import EnsembleRequest
+    from bench.sweeps.parts import Results
+    from bench.sweeps.shards import ShardRun
 
-_MOST_MEMBERS = 1_000_000
+_MOST_MEMBERS = 100_000_000
+#: Worker processes if their number is not given.
+_JOBS = 2
 
 
 def with_ensemble(command: Callable) -> Callable:
     """Add the options of an ensemble to `stepbench solve`."""
     for option in (
-        options.with_file("File for the members, .csv or .json, a flat row each, for pandas."),
+        options.with_file(
+            "File for the members, .csv, .json or .parquet, a flat row each, for pandas. What is "
+            "finished is kept beside it meanwhile; the same command goes on there."
+        ),
+        click.option(
+            "--cluster",
+            type=ClusterAddress(),
+            metavar="ADDRESS",
+            help="Run the members on the workers of a dask scheduler, such as tcp://host:8786.",
+        ),
+        click.option(
+            "--jobs",
+            type=click.IntRange(1, options.MOST_JOBS),
+            help=f"Worker processes that run members; {_JOBS} if not given.",
+        ),
         click.option(
             "--seed", type=click.IntRange(min=0), help="Seed of the random draw; 0 if not given."
         ),
@@ -38,16 +60,23 @@ def with_ensemble(command: Callable) -> Callable:
             "--ensemble",
             type=click.IntRange(1, _MOST_MEMBERS),
             metavar="N",
-            help="Run N members in one compiled program; needs --vary.",
+            help="Run N members, in shards of some 1000 in one compiled program; needs --vary. "
+            "The budget is that of a shard.",
         ),
     ):
         command = option(command)
     return command
 
 
-def refuse_alone(vary: tuple[str, ...], seed: int | None, out: Path | None) -> None:
+def refuse_alone(
+    vary: tuple[str, ...],
+    seed: int | None,
+    jobs: int | None,
+    cluster: str | None,
+    out: Path | None,
+) -> None:
     """Refuse the options of an ensemble for a single run."""
-    given = {"vary": vary, "seed": seed, "out": out}
+    given = {"vary": vary, "seed": seed, "jobs": jobs, "cluster": cluster, "out": out}
     for name, value in given.items():
         if value not in (None, ()):
             raise SpecError(f"--{name} is for an ensemble; give --ensemble N, too.")
@@ -55,45 +84,109 @@ def refuse_alone(vary: tuple[str, ...], seed: int | None, out: Path | None) -> N
 
 def solve_ensemble(
     sources: Sources,
-    request: SweepRequest,
-    count: int,
-    vary: tuple[str, ...],
-    seed: int | None,
+    request: EnsembleRequest,
+    fingerprint: str,
+    jobs: int | None,
+    cluster: str | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Draw the members, run them, and show or write the results."""
-    from bench.sweeps.jobs import ensemble_job
+    """Draw the members, run them in shards, and show or write the results."""
+    from bench.sweeps.member_files import check_name, write_members
+    from bench.sweeps.parts import KeptParts, NamelessParts, Results
 
-    if not vary:
+    if not request.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if out and out.suffix not in (".csv", ".json"):
-        raise SpecError(f"{out.name} is no table; give a name that ends in .csv or .json.")
-    task = request, count, vary, seed or 0
-    about = f"{request.integrator} on {request.problem}"
-    result = options.guarded(about, ensemble_job, sources, request.budget, task, threads=True)
-    rows, statuses = result.rows(), result.statuses()
+    if out:
+        check_name(out)
+        remark("Finished members are stored; the same command goes on.")
+
+    def parts_of(about: dict[str, Any]) -> KeptParts | NamelessParts:
+        if not out:
+            return NamelessParts()
+        return KeptParts(out.with_name(f"{out.name}.parts"), about | {"sources": fingerprint})
+
+    run, parts = _run(sources, request, parts_of, jobs, cluster)
+    results = Results((parts, run.lost), run.plan.shards, run.plan.ranges)
     if as_json:
-        answer = {
-            "problem": result.problem,
-            "integrator": result.integrator,
-            "t_end": result.t_end,
-            "statuses": statuses,
-            "summary": result.summary(),
-            "compile_s": result.compile_s,
-            "run_s": result.run_s,
-            "members": rows,
-        }
-        click.echo(json.dumps(answer, indent=1, allow_nan=False))
+        _print_json(run, results)
     else:
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import ensemble_table
 
-        show(ensemble_table(result))
+        show(ensemble_table(run, results))
     if out:
-        as_json_file = out.suffix == ".json"
-        text = json.dumps(rows, indent=1, allow_nan=False) if as_json_file else csv_export(rows)
-        out.write_text(text, encoding="utf-8")
-        click.echo(f"{len(rows)} members in {out}", err=as_json)
-    if "ok" not in statuses:
-        raise click.ClickException(f"No member succeeded. The first: {result.message[0]}")
+        write_members(out, results.parts())
+        click.echo(f"{request.count} members in {out}", err=as_json)
+    if lost := len(run.lost.numbers()):
+        again = "; the same command runs them again, with a larger --budget, too" if out else ""
+        click.echo(f"{lost} of {run.plan.shards} shards were lost{again}.", err=True)
+    elif isinstance(parts, KeptParts):
+        parts.remove()
+    if not results.statuses["ok"]:
+        _, message = results.first[next(iter(results.statuses))]
+        raise click.ClickException(f"No member succeeded. The first: {message}")
+
+
+def _run(
+    sources: Sources,
+    request: EnsembleRequest,
+    parts_of: Callable[[dict[str, Any]], Any],
+    jobs: int | None,
+    cluster: str | None,
+) -> tuple[ShardRun, Any]:
+    """Run the members that the parts lack; return them, and what is known of the run."""
+    from bench.commands.terminal import RunProgress
+    from bench.guard.limits import Limits
+    from bench.running.cluster import ClusterRunner
+    from bench.running.runner import Runner
+    from bench.running.session import teller
+    from bench.sweeps.batch import processors
+    from bench.sweeps.jobs import shards_of
+    from bench.sweeps.shards import ShardRun
+
+    processes = min(jobs or _JOBS, shards_of(request.count))
+    threads = max(1, processors() // processes)
+    # A shard watches its budget itself, and has half as much again to end by it.
+    limits = Limits(1.5 * request.sweep.budget, processors=threads)
+    with _threads(threads), RunProgress() as progress:
+        printed = teller(progress)
+        with Runner(processes, limits, printed) as here:
+            run = ShardRun(here, request, sources, progress)
+            parts = parts_of(run.about)
+            if not cluster:
+                run.complete(here, parts, threads)
+                return run, parts
+        with ClusterRunner(cluster, replace(limits, processors=1), printed) as there:
+            run.complete(there, parts, 1)
+    return run, parts
+
+
+def _print_json(run: ShardRun, results: Results) -> None:
+    from bench.sweeps.member_files import json_texts
+
+    answer = {
+        "problem": run.plan.problem,
+        "integrator": run.plan.integrator,
+        "t_end": run.plan.t_end,
+        "statuses": results.statuses,
+        "summary": results.summary(),
+        "compile_s": run.compile_s,
+        "run_s": run.run_s,
+    }
+    click.echo(json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": ', nl=False)
+    for text in json_texts(results.parts()):
+        click.echo(text, nl=False)
+    click.echo("}")
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """Have processes that are started now give JAX so many threads; a user's setting wins."""
+    before = os.environ.get("NPROC")
+    os.environ.setdefault("NPROC", str(count))
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["NPROC"]

@@ -26,7 +26,7 @@ from problems.spec import SpecError, suggest
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 #: Most worker processes that can be asked for.
-_MOST_JOBS = 1000
+MOST_JOBS = 1000
 
 
 class ShortErrors(click.Group):
@@ -219,7 +219,7 @@ def with_integrators(words: str) -> Callable:
 def with_jobs(words: str) -> Callable:
     """Add --jobs."""
     return click.option(
-        "--jobs", type=click.IntRange(1, _MOST_JOBS), default=2, show_default=True, help=words
+        "--jobs", type=click.IntRange(1, MOST_JOBS), default=2, show_default=True, help=words
     )
 
 

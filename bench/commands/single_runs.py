@@ -43,6 +43,8 @@ def solve(
     ensemble: int | None,
     vary: tuple[str, ...],
     seed: int | None,
+    jobs: int | None,
+    cluster: str | None,
     out: Path | None,
     budget: float,
     plugins: tuple[str, ...],
@@ -57,19 +59,22 @@ def solve(
       stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
+      stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.parquet
     """
     registry = options.usable_registry(plugins)
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
     if ensemble is not None:
-        from bench.sweeps.jobs import SweepRequest
+        from bench.sweeps.jobs import EnsembleRequest, SweepRequest
 
         given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-        request = SweepRequest(scene.spec, {}, method.spec, given, t_end, budget)
+        sweep = SweepRequest(scene.spec, {}, method.spec, given, t_end, budget)
+        request = EnsembleRequest(sweep, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
-        ensembles.solve_ensemble(sources, request, ensemble, vary, seed, out, as_json)
+        made_by = f"{scene.fingerprint}-{method.fingerprint}"
+        ensembles.solve_ensemble(sources, request, made_by, jobs, cluster, out, as_json)
         return
-    ensembles.refuse_alone(vary, seed, out)
+    ensembles.refuse_alone(vary, seed, jobs, cluster, out)
     end = options.end_time(scene, t_end)
     resolution = resolution_of(scene, method, step, pattern, rtol, atol)
     if isinstance(resolution, Steps):

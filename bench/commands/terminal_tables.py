@@ -19,7 +19,8 @@ from bench.results.records import Record, Rows, median
 
 if TYPE_CHECKING:
     from bench.atlas.experiments import Experiment
-    from bench.sweeps.ensemble import Ensemble
+    from bench.sweeps.parts import Results
+    from bench.sweeps.shards import ShardRun
 
 
 def _number(value: float | None, form: str = ".3e", nothing: str = "-") -> str:
@@ -118,26 +119,32 @@ def order_table(records: list[Record], orders: dict[str, Any]) -> Table:
     return table
 
 
-def ensemble_table(result: Ensemble) -> Group:
+def ensemble_table(run: ShardRun, results: Results) -> Group:
     """Least, median and largest end values; then statuses, work and times."""
-    count = len(result.status)
-    title = f"{result.integrator} on {result.problem}: {count} members at t={result.t_end:g} s"
+    plan, count = run.plan, results.statuses.total()
+    title = f"{plan.integrator} on {plan.problem}: {count} members at t={plan.t_end:g} s"
     table = new_table(title)
     table.add_column("value", style="cyan")
     _add_numbers(table, ("min", "median", "max"))
-    for name, numbers in result.summary().items():
+    for name, numbers in results.summary().items():
         table.add_row(name, *(f"{numbers[head]:.9g}" for head in ("min", "median", "max")))
-    lines = [", ".join(f"{number} {status}" for status, number in result.statuses().items())]
-    for status in result.statuses():
+    lines = [", ".join(f"{number} {status}" for status, number in results.statuses.items())]
+    for status, (member, message) in results.first.items():
         if status != "ok":
-            first = result.status.index(status)
-            lines.append(escape(f"{status}, first member {first}: {result.message[first]}"))
-    work = ", ".join(f"{name} {sum(counts.tolist())}" for name, counts in result.work.items())
+            lines.append(escape(f"{status}, first member {member}: {message}"))
+    work = ", ".join(f"{name} {counts}" for name, counts in results.work.items())
     lines.append(f"work of all: {work}")
-    rate = count / result.run_s
-    lines.append(
-        f"prepared in {result.compile_s:.2g} s, run in {result.run_s:.3g} s: {rate:.3g} members/s"
-    )
+    if run.members == count and plan.shards == 1:
+        lines.append(
+            f"prepared in {run.compile_s:.2g} s, run in {run.run_s:.3g} s: "
+            f"{count / run.run_s:.3g} members/s"
+        )
+    elif run.members:
+        lines.append(
+            f"{run.members} members run now, in {run.wall_s:.3g} s: "
+            f"{run.members / run.wall_s:.3g} members/s (shards together: prepared in "
+            f"{run.compile_s:.2g} s, run in {run.run_s:.3g} s)"
+        )
     return Group(table, *lines)
 
 

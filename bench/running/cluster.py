@@ -86,8 +86,9 @@ class ClusterRunner(Runner):
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
                 sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group
-        for future in as_completed(sent, loop=self._client.loop):
-            yield from self._collect(future, sent[future])
+        for future in as_completed(list(sent), loop=self._client.loop):
+            # Nobody else may keep it: the cluster holds an answer as long as its future is there.
+            yield from self._collect(future, sent.pop(future))
 
     def _collect(self, future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:

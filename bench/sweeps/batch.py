@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
 #: little time and overflow the caches; a GPU needs thousands.
-_MOST_LANES, _MOST_BYTES = {"cpu": 128}, {"cpu": 2**27}
+_MOST_LANES, _MOST_BYTES = {"cpu": 64}, {"cpu": 2**27}
 _MOST_LANES_GPU, _MOST_BYTES_GPU = 8192, 2**32
 #: Approximate number of rows in a kernel's memory.
 _ROWS = 256
@@ -162,7 +162,7 @@ class Batch:
         """
         order = self._times.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
-        jobs = jobs or _processors()
+        jobs = jobs or processors()
         pool = ThreadPoolExecutor(jobs)
         try:
             # Blocks that are not submitted yet take no memory.
@@ -270,7 +270,8 @@ def _lanes(sizes: Sizes, count: int) -> int:
     return lanes
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return how many processors this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 

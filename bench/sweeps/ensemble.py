@@ -17,6 +17,8 @@ from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
+#: Begins the names of columns with work counts.
+WORK = "work_"
 _OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
 
 
@@ -57,43 +59,27 @@ class Ensemble:
     compile_s: float
     run_s: float
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return a flat row per member for pandas; None stands for NaN.
-
-        Columns are ``member, h, k, status, message, t, q1, q2, ..., work_steps, ...``.
-        """
-        columns: dict[str, Sequence[Any] | np.ndarray] = {
-            "member": range(len(self.status)),
+    def columns(self, first: int = 0) -> dict[str, np.ndarray]:
+        """Return ``member, h, k, status, message, t, q1, q2, ..., work_steps, ...``, one entry per
+        member; ``first`` is the number of the first one."""
+        return {
+            "member": first + np.arange(len(self.status)),
             **self.vary,
-            "status": self.status,
-            "message": self.message,
+            "status": np.array(self.status),
+            "message": np.array(self.message),
             "t": self.t,
             **self._end_columns(),
-            **{f"work_{name}": counts for name, counts in self.work.items()},
+            **{f"{WORK}{name}": counts for name, counts in self.work.items()},
         }
-        lists = [v.tolist() if isinstance(v, np.ndarray) else v for v in columns.values()]
-        # A value that is not a number differs from itself.
-        return [
-            {
-                name: None if value != value else value
-                for name, value in zip(columns, row, strict=True)
-            }
-            for row in zip(*lists, strict=True)
-        ]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a flat row per member for pandas, with the names of the columns."""
+        return rows_of(self.columns())
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return "min", "median" and "max" of each end value over the members that are ok."""
-        good = np.array([status == "ok" for status in self.status])
-        if not good.any():
-            return {}
-        return {
-            name: {
-                "min": float(v[good].min()),
-                "median": float(np.median(v[good])),
-                "max": float(v[good].max()),
-            }
-            for name, v in self._end_columns().items()
-        }
+        good = np.array(self.status) == "ok"
+        return {name: spread(v[good]) for name, v in self._end_columns().items() if good.any()}
 
     def statuses(self) -> dict[str, int]:
         """Return the number of members by status."""
@@ -105,6 +91,25 @@ class Ensemble:
             for group, table in self.ends.items()
             for k, column in enumerate(table.T)
         }
+
+
+def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Return a row per entry of the columns; None stands for NaN."""
+    lists = [column.tolist() for column in columns.values()]
+    # A value that is not a number differs from itself.
+    return [
+        {name: None if value != value else value for name, value in zip(columns, row, strict=True)}
+        for row in zip(*lists, strict=True)
+    ]
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    """Return the least, median and largest of some numbers."""
+    return {
+        "min": float(values.min()),
+        "median": float(np.median(values)),
+        "max": float(values.max()),
+    }
 
 
 def ensemble(

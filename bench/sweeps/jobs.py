@@ -6,20 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from bench.guard.limits import PREPARING, RUNNING
+from bench.running.plan import check_end
 from bench.running.worker import Worker
 from bench.sweeps.batch import refuse
 from bench.sweeps.ensemble import Ensemble, ensemble
 from bench.sweeps.outcome_map import outcome_map
-from bench.sweeps.variation import Range, find_range, read_ranges, unvaried_resolution
+from bench.sweeps.variation import (
+    Range,
+    drawn,
+    find_range,
+    read_ranges,
+    spec_without,
+    unvaried_resolution,
+)
 from integrators.contract import Integrator, Steps, Tolerances
+from problems.runtime import check_runtime, jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Points of a range; fewer along a parameter each value of which needs a reference of its own.
 POINTS, POINTS_INTEGRATED = 100, 25
+#: Most members of a shard of an ensemble: they are lost, and run again, together. A GPU needs many.
+_OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 16384
 
 
 @dataclass(frozen=True)
@@ -100,22 +109,82 @@ def map_job(
     ).as_dict()
 
 
-def ensemble_job(
-    worker: Worker, request: SweepRequest, count: int, vary: tuple[str, ...], seed: int
+@dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
+class EnsembleRequest:
+    """An ensemble of ``count`` members as the user asked for it; ``vary`` are texts."""
+
+    sweep: SweepRequest
+    count: int
+    vary: tuple[str, ...]
+    seed: int
+
+    def ranges(self, scene: MechatronicSystem, method: Integrator) -> dict[str, Range]:
+        """Return the range of each quantity that varies, by name."""
+        spans = read_ranges(self.vary, "--vary")
+        return {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
+
+
+@dataclass(frozen=True)
+class EnsemblePlan:
+    """What an ensemble's request means.
+
+    Attributes
+    ----------
+    problem, integrator
+        Printed names, without the quantities that vary.
+    t_end
+        End time in s.
+    ranges
+        What varies, by name.
+    shards
+        Number of parts into which the members are divided, whoever runs them.
+    """
+
+    problem: str
+    integrator: str
+    t_end: float
+    ranges: dict[str, Range]
+    shards: int
+
+
+def shards_of(count: int, backend: str = "cpu") -> int:
+    """Return into how many shards so many members are divided on a kind of device."""
+    return -(-count // _OF_SHARD.get(backend, _OF_SHARD_GPU))
+
+
+def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
+    """Read an ensemble's request; refuse what cannot be run."""
+    try:
+        backend = jax.default_backend()
+    except Exception:  # of whatever kind: JAX has none for a platform that is missing
+        raise SpecError(check_runtime()) from None
+    sweep = request.sweep
+    scene, method = sweep.ready(worker)
+    ranges = request.ranges(scene, method)
+    sweep.resolution(scene, method, [*ranges.values()])
+    quantities = [drawn.quantity for drawn in ranges.values()]
+    return EnsemblePlan(
+        spec_without(scene, quantities),
+        spec_without(method, quantities),
+        check_end(scene.interval[0], scene.interval[1] if sweep.t_end is None else sweep.t_end),
+        ranges,
+        shards_of(request.count, backend),
+    )
+
+
+def shard_job(
+    worker: Worker, request: EnsembleRequest, first: int, count: int, threads: int
 ) -> Ensemble:
-    """Draw the members of an ensemble and run them; ``vary`` are texts of the user."""
-    scene, method = request.ready(worker)
-    spans = read_ranges(vary, "--vary")
-    ranges = {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
-    resolution = request.resolution(scene, method, [*ranges.values()])
-    generator = np.random.default_rng(seed)
-    values = {name: drawn.random(count, generator) for name, drawn in ranges.items()}
+    """Run ``count`` members of an ensemble from the ``first`` on."""
+    scene, method = request.sweep.ready(worker)
+    ranges = request.ranges(scene, method)
     return ensemble(
         scene,
         method,
-        values,
-        resolution,
-        request.t_end,
-        request.budget,
+        drawn(ranges, request.seed, first, count),
+        request.sweep.resolution(scene, method, [*ranges.values()]),
+        request.sweep.t_end,
+        request.sweep.budget,
+        threads,
         begun=lambda: worker.notify(RUNNING, "running the members"),
     )

@@ -24,6 +24,8 @@ _TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}
 _TOLERANCES = {"rtol": (1e-6, 1e-1), "atol": (1e-8, 1e-2)}
 #: A range whose ends differ by this factor is divided evenly in its logarithm.
 _LOGARITHMIC = 10.0
+#: Numbers that Philox's generator gives for each count.
+_OF_ONE_COUNT = 4
 _RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
 
 
@@ -61,11 +63,28 @@ class Range:
             return values
         return np.linspace(self.low, self.high, count)
 
-    def random(self, count: int, generator: np.random.Generator) -> Float[np.ndarray, " count"]:
-        """Return values of a uniform random draw."""
-        if self.logarithmic:
-            return np.exp(generator.uniform(math.log(self.low), math.log(self.high), count))
-        return generator.uniform(self.low, self.high, count)
+    def draw(self, seed: int, place: int, first: int, count: int) -> Float[np.ndarray, " count"]:
+        """Return values of a uniform random draw for ``count`` members from the ``first`` on.
+
+        The number of a member decides its value, with the seed and the ``place`` of the quantity
+        among those that vary: a generator that counts (Salmon et al. 2011,
+        doi:10.1145/2063384.2063405) begins anywhere.
+        """
+        key = np.random.SeedSequence([seed, place]).generate_state(2, np.uint64)
+        counted, before = divmod(first, _OF_ONE_COUNT)
+        generator = np.random.Generator(np.random.Philox(key=key, counter=counted))
+        part = generator.random(before + count)[before:]
+        if not self.logarithmic:
+            return self.low + (self.high - self.low) * part
+        low, high = math.log(self.low), math.log(self.high)
+        return np.clip(np.exp(low + (high - low) * part), self.low, self.high)
+
+
+def drawn(ranges: Mapping[str, Range], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+    """Draw the values of ``count`` members of an ensemble from the ``first`` on."""
+    return {
+        name: of.draw(seed, place, first, count) for place, (name, of) in enumerate(ranges.items())
+    }
 
 
 def find_quantity(name: str, scene: MechatronicSystem, method: Integrator) -> Quantity:
@@ -220,7 +239,10 @@ def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
         follows = base.atol == Tolerances(base.rtol).atol
         return replace(base, **({"atol": None} if follows else {}) | dict(settings))
     now = {name: getattr(base, name) for name in options_of(type(base))}
-    return build(type(base), now | dict(settings), base.name)
+    made = build(type(base), now | dict(settings), base.name)
+    if isinstance(base, MechatronicSystem):
+        vars(made)["sizes"] = base.sizes  # no float changes them, and tracing takes a millisecond
+    return made
 
 
 def _default_range(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 from integrators.contract import option
@@ -86,11 +87,16 @@ class AlphaMethod(NewtonOptions):
         return AlphaStep(self.formulation == "stabilised_index2")
 
     def multistep_form(self) -> MultistepForm:
-        return recurrence_of(self.scheme()).form
+        return _form(self.scheme())
 
     def radius_at_infinity(self) -> float:
         """Return the growth per step at infinite frequency, of q and v; infinite if beta is 0."""
         return self.multistep_form().q.infinity_radius
+
+
+@lru_cache(256)  # asked for each member of an ensemble
+def _form(scheme: Scheme) -> MultistepForm:
+    return recurrence_of(scheme).form
 
 
 #: The ways in which gamma and theta follow the steps, for the lists of options.

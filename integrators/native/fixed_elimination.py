@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 from operator import add, and_, sub
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -87,11 +87,52 @@ class Plan:
         solved = firm & small_matrices.apart(self._solved, a, b, x)
         return jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
 
-    def _forward(self, products: Sequence[Array], b: Array) -> tuple[_Numbers, list[Array], Array]:
+    def solve_many(
+        self, products: Sequence[Sequence[Float[Array, " k"]]], b: Sequence[Float[Array, " k"]]
+    ) -> Float[Array, "n k"]:
+        """Solve a x = b for k matrices side by side, given number by number; what one of them needs
+        changes no other."""
+        triangle, right, firm = small_matrices.apart(self._forward, products, b)
+        x = small_matrices.apart(self._backward, triangle, right)
+        solved = firm & small_matrices.apart(self._all_solved, products, b, x)
+        # Members that have failed have no numbers, and wait for the others.
+        a = self._numbers(products)
+        pivots = ~solved & jnp.isfinite(reduce(add, [*a.values(), *b]))
+
+        def again(a: _Numbers, b: Sequence[Array], x: Array) -> Array:
+            zero = jnp.zeros_like(b[0])
+            full = jnp.array([[a.get((i, j), zero) for j in range(len(b))] for i in range(len(b))])
+            sides = jnp.stack(b)
+
+            def one(k: Array, x: Array) -> Array:
+                def by_pivots(x: Array) -> Array:
+                    return x.at[:, k].set(small_matrices.solve(full[:, :, k], sides[:, k]))
+
+                return jax.lax.cond(pivots[k], by_pivots, lambda x: x, x)
+
+            # Seldom, and one by one: so the program of all members stays small.
+            return jax.lax.fori_loop(0, len(zero), one, x)
+
+        return jax.lax.cond(pivots.any(), again, lambda a, b, x: x, a, b, jnp.stack(x))
+
+    def _numbers(self, products: Sequence[Any]) -> _Numbers:
+        return {(i, j): products[self.colours[j]][i] for i, j in np.argwhere(self.entries).tolist()}
+
+    def _all_solved(
+        self, products: Sequence[Sequence[Array]], b: Sequence[Array], x: Sequence[Array]
+    ) -> Array:
+        """`_solved` of many, number by number."""
+        a, solved = self._numbers(products), jnp.asarray(True)
+        for i, row in enumerate(self.entries):
+            terms = [a[i, j] * x[j] for j in np.flatnonzero(row).tolist()]
+            gap, size = reduce(sub, terms, b[i]), reduce(add, map(jnp.abs, terms), jnp.abs(b[i]))
+            solved &= jnp.abs(gap) <= _BACKWARD * size
+        return solved
+
+    def _forward(self, products: Sequence[Any], b: Any) -> tuple[_Numbers, list[Array], Array]:
         """Rows of the triangle with inverted pivots, right-hand sides, and whether each pivot is
         more than rounding of the terms that it is the sum of."""
-        w = {(i, j): products[self.colours[j]][i] for i, j in np.argwhere(self.entries).tolist()}
-        right, firm = list(b), []
+        w, right, firm = self._numbers(products), list(b), []
         terms: dict[tuple[int, int], list[Array]] = {
             (one.row, one.column): [] for one in self.pivots
         }

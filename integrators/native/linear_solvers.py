@@ -7,14 +7,18 @@ factorisation.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.programs import lowered
+from integrators.lowering.side_by_side import evaluated
 from integrators.native import klu, small_matrices
 from integrators.native.dependencies import pattern
 from integrators.native.fixed_elimination import Plan, planned
@@ -64,8 +68,8 @@ class DenseSolver(LinearSolver):
     """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
 
     Full Newton reads the tangent's entries from the residual's program, takes them by a few
-    products, and eliminates in an order that is fixed; not so in many runs side by side, where the
-    work of a full matrix is shared by the lanes of the processor.
+    products, and eliminates in an order that is fixed. In many runs side by side each number is an
+    array of the runs; full matrices are eliminated where a program cannot be followed so.
 
     Parameters
     ----------
@@ -94,8 +98,16 @@ class DenseSolver(LinearSolver):
 
         @alone.def_vmap
         def _(size: int, batched: list[bool], *args: Array) -> tuple[Array, bool]:
-            axes = [0 if one else None for one in batched]
-            return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), True
+            many = _side_by_side(program, order)
+            if many is None:
+                axes = [0 if one else None for one in batched]
+                return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), True
+            # Runs are along the last axis, so that the processor works with several at once.
+            each = (
+                jnp.moveaxis(x if one else jnp.broadcast_to(x, (size, *jnp.shape(x))), 0, -1)
+                for x, one in zip(args, batched, strict=True)
+            )
+            return jnp.moveaxis(many(*each), -1, 0), True
 
         return alone(u, *program.consts)
 
@@ -150,6 +162,58 @@ def _linearised(
     if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
         return r, list(jax.vmap(product)(jnp.asarray(seeds)))
     return r, [product(jnp.asarray(seed)) for seed in seeds]
+
+
+def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | None:
+    """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
+    the residual's program cannot be followed number by number."""
+    from jax.core import Tracer
+
+    u, *_ = program.jaxpr.invars
+    differs = [isinstance(x, Tracer) for x in program.consts]
+    traced = [x for x, differ in zip(program.consts, differs, strict=True) if differ]
+    shapes = [(x.shape, x.dtype) for x in (u.aval, *traced)]
+    linear: list[ClosedJaxpr] = []
+
+    def coefficients(numbers: Array) -> Array:
+        u, *others = _parts(numbers, shapes)
+        given = iter(others)
+        constants = [
+            next(given) if differ else x for x, differ in zip(program.consts, differs, strict=True)
+        ]
+        r, product = jax.linearize(partial(_evaluated, program, constants), u)
+        linear.append(jax.make_jaxpr(product)(u))
+        return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
+
+    def products(numbers: Array) -> Array:
+        given = _parts(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
+        product = partial(_evaluated, linear[-1], given)
+        return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
+
+    try:
+        first = lowered(coefficients, (sum(math.prod(shape) for shape, _ in shapes),))
+        n = len(order.entries)
+        second = lowered(products, (len(first.results) - n,))
+        for part in (first, second):
+            part.graph.needed(part.results.ravel())
+    except NotLowered:
+        return None
+
+    def many(u: Array, *constants: Array) -> Array:
+        given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
+        numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
+        found = small_matrices.apart(lambda *x: evaluated(first, x).tolist(), *numbers)
+        entries = small_matrices.apart(lambda *x: evaluated(second, x).tolist(), *found[n:])
+        return order.solve_many(entries, found[:n])
+
+    return many
+
+
+def _parts(numbers: Array, shapes: Sequence[tuple[tuple[int, ...], Any]]) -> list[Array]:
+    """Arrays of the shapes and types, of the numbers one after the other."""
+    cuts = np.cumsum([math.prod(shape) for shape, _ in shapes])[:-1]
+    parts = zip(jnp.split(numbers, cuts), shapes, strict=True)
+    return [part.reshape(shape).astype(dtype) for part, (shape, dtype) in parts]
 
 
 @dataclass(frozen=True)

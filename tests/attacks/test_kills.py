@@ -184,7 +184,7 @@ def test_a_killed_inventory_costs_nothing(folder, seed):
 
 @attack
 @pytest.mark.parametrize("role", ["worker", "keeper"])
-@pytest.mark.parametrize("name", ["map", "ensemble", "solve", "stability"])
+@pytest.mark.parametrize("name", ["map", "solve", "stability"])
 def test_a_command_whose_worker_is_killed_says_so(folder, role, name):
     from test_signals import ENDLESS
 

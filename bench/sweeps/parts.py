@@ -1,0 +1,225 @@
+"""Members of an ensemble in parts on the disk: many more than memory holds.
+
+A part holds the members of a shard, in the format ``npz``: `numpy.load` gives an array for each
+column. A part is put in place whole, so that those that are there can be read at any time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import tempfile
+import zipfile
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from bench.results.store_file import locked
+from bench.sweeps.ensemble import WORK, spread
+from problems.spec import SpecError
+
+_ABOUT = "ensemble.json"
+#: Bytes of the columns that are in memory together; a column is not divided.
+_MOST_BYTES = 2**26
+#: Columns that are no end values, beside what varies and the counts of work.
+_OWN = ("member", "status", "message", "t")
+
+Columns = Mapping[str, np.ndarray]
+
+
+class Parts(ABC):
+    """The parts of an ensemble by their numbers."""
+
+    @abstractmethod
+    def put(self, k: int, columns: Columns) -> None:
+        """Keep a part."""
+
+    @abstractmethod
+    def numbers(self) -> set[int]:
+        """Return which parts there are."""
+
+    @abstractmethod
+    def opened(self, k: int) -> Path | IO[bytes]:
+        """Return a part for `numpy.load`."""
+
+    def read(self, k: int) -> dict[str, np.ndarray]:
+        """Return all columns of a part."""
+        with np.load(self.opened(k)) as columns:
+            return dict(columns)
+
+
+class NamelessParts(Parts):
+    """Parts in a file that has no name, and ends with this process however it ends."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - it lasts as long as the parts
+        self._places: dict[int, tuple[int, int]] = {}
+
+    def put(self, k: int, columns: Columns) -> None:
+        content = _encoded(columns)
+        self._places[k] = self._file.seek(0, io.SEEK_END), len(content)
+        self._file.write(content)
+
+    def numbers(self) -> set[int]:
+        return set(self._places)
+
+    def opened(self, k: int) -> IO[bytes]:
+        start, length = self._places[k]
+        self._file.seek(start)
+        return io.BytesIO(self._file.read(length))
+
+
+class KeptParts(Parts):
+    """Parts in a folder, where another call of the same command finds them.
+
+    Parameters
+    ----------
+    folder
+        Is made if it is not there. One command writes into it at a time.
+    about
+        What decides the members, as values of JSON.
+
+    Raises
+    ------
+    SpecError
+        If there are parts of another ensemble.
+    StoreError
+        If another command writes there.
+    """
+
+    def __init__(self, folder: Path, about: dict[str, Any]) -> None:
+        self._folder = folder
+        folder.mkdir(exist_ok=True)
+        self._lock = locked(folder)
+        file, text = folder / _ABOUT, json.dumps(about, indent=1)
+        if not file.exists():
+            _put(file, text.encode())
+        elif file.read_text(encoding="utf-8", errors="replace") != text:
+            raise SpecError(
+                f"{folder} holds members of another ensemble, of other sources, or of another "
+                f"release; give the same command again, or remove this folder."
+            )
+        self._sound = {k for k in self._found() if self._is_sound(k)}
+
+    def put(self, k: int, columns: Columns) -> None:
+        _put(self.opened(k), _encoded(columns))
+        self._sound.add(k)
+
+    def numbers(self) -> set[int]:
+        return set(self._sound)
+
+    def opened(self, k: int) -> Path:
+        return self._folder / f"part-{k:06d}.npz"
+
+    def remove(self) -> None:
+        """Remove the folder: its members are elsewhere."""
+        if self._lock:
+            self._lock.release()
+        shutil.rmtree(self._folder)
+
+    def _found(self) -> Iterator[int]:
+        for path in self._folder.glob("part-*.npz"):
+            if (number := path.stem.removeprefix("part-")).isdecimal():
+                yield int(number)
+
+    def _is_sound(self, k: int) -> bool:
+        """Whether a part can be read: a power cut may have left an empty one."""
+        try:
+            with zipfile.ZipFile(self.opened(k)) as file:
+                return file.testzip() is None
+        except (OSError, zipfile.BadZipFile, EOFError):
+            return False
+
+
+class Results:
+    """What the parts 0 to ``count - 1`` of an ensemble say, a few columns in memory at a time.
+
+    Parameters
+    ----------
+    parts
+        Where they are; the first that has a part gives it.
+    count
+        Their number.
+    varied
+        Names of what varies.
+
+    Attributes
+    ----------
+    statuses
+        Number of members by status.
+    first
+        For each status the number of its first member, and this member's message.
+    work
+        Counts of work of all members together.
+    """
+
+    def __init__(self, parts: tuple[Parts, ...], count: int, varied: Collection[str]) -> None:
+        held = [(of, of.numbers()) for of in parts]
+        self._of = [next(of for of, numbers in held if k in numbers) for k in range(count)]
+        self.statuses: Counter[str] = Counter()
+        self.first: dict[str, tuple[int, str]] = {}
+        self.work: Counter[str] = Counter()
+        ends: dict[str, None] = {}
+        for part in self.parts():
+            for status in np.unique(part["status"]).tolist():
+                where = np.flatnonzero(part["status"] == status)
+                self.statuses[status] += len(where)
+                one = where[0]
+                self.first.setdefault(status, (int(part["member"][one]), str(part["message"][one])))
+            for name, column in part.items():
+                if name.startswith(WORK):
+                    self.work[name.removeprefix(WORK)] += int(column.sum())
+                elif name not in (*_OWN, *varied):
+                    ends[name] = None
+        self._ends = list(ends)
+
+    def parts(self) -> Iterator[dict[str, np.ndarray]]:
+        """Yield the columns of each part, in the order of the members."""
+        for k, of in enumerate(self._of):
+            yield of.read(k)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return "min", "median" and "max" of each end value over the members that are ok."""
+        good = self.statuses["ok"]
+        if not good:
+            return {}
+        together = max(1, _MOST_BYTES // (8 * good))
+        found = {}
+        for start in range(0, len(self._ends), together):
+            names = self._ends[start : start + together]
+            columns = {name: np.empty(good) for name in names}
+            filled = 0
+            for k, of in enumerate(self._of):
+                with np.load(of.opened(k)) as part:
+                    ok = part["status"] == "ok"
+                    more = np.count_nonzero(ok)
+                    for name, column in columns.items():
+                        column[filled : filled + more] = part[name][ok]
+                filled += more
+            found |= {name: spread(column) for name, column in columns.items()}
+        return found
+
+
+def _encoded(columns: Columns) -> bytes:
+    """Columns as the content of a file ``npz``, whatever their names."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        for name, column in columns.items():
+            with file.open(f"{name}.npy", "w") as entry:
+                np.lib.format.write_array(entry, column, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _put(path: Path, content: bytes) -> None:
+    new = path.with_suffix(".new")
+    try:
+        new.write_bytes(content)
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,179 @@
+"""Shards of an ensemble: run by worker processes, or by a cluster, and kept as they come.
+
+How the members are divided depends on their number alone, and a member's values on its own number:
+whoever runs a shard, and when, gives the same bits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.guard.process import NoAnswer, Refused
+from bench.plugins.facts import Sources
+from bench.results.environment import library_versions
+from bench.running.runner import Runner, Task
+from bench.running.session import Progress
+from bench.sweeps.jobs import EnsemblePlan, EnsembleRequest, plan_job, shard_job
+from bench.sweeps.parts import Columns, NamelessParts, Parts
+from bench.sweeps.variation import drawn
+from problems.spec import SpecError
+
+#: A shard that something ended from outside is begun so many times.
+_TRIES = 3
+#: Said of the answer of a plugin that writes into the rows of others.
+_OTHER = "Its answer is about something else than it was asked."
+
+
+class ShardRun:
+    """The shards of an ensemble that one command runs.
+
+    Parameters
+    ----------
+    runner
+        Plans the ensemble in a process of this machine.
+    request, sources
+        What is run.
+    progress
+        Told how many shards are done.
+
+    Attributes
+    ----------
+    plan
+        What the request means.
+    lost
+        Members of shards that have no answer, with the reason.
+    members, compile_s, run_s, wall_s
+        Number of members that were run now, and seconds that their shards took to prepare and to
+        run, added up, and by the clock.
+
+    Raises
+    ------
+    SpecError
+        If the request is refused.
+    """
+
+    def __init__(
+        self, runner: Runner, request: EnsembleRequest, sources: Sources, progress: Progress
+    ) -> None:
+        self._request, self._sources, self._progress = request, sources, progress
+        self._about = f"{request.sweep.integrator} on {request.sweep.problem}"
+        task = Task(plan_job, (request,), self._about, sources=sources)
+        ((_, answer),) = runner.run([[task]])
+        self.plan: EnsemblePlan = self._answered(answer)
+        self.lost = NamelessParts()
+        self.members, self.compile_s, self.run_s, self.wall_s = 0, 0.0, 0.0, 0.0
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What decides the members, but for the sources, as values of JSON."""
+        sweep = self._request.sweep
+        given = {name: repr(value) for name, value in sweep.given.items()}
+        return {
+            "problem": sweep.problem,
+            "integrator": sweep.integrator,
+            "t_end": self.plan.t_end,
+            **given,
+            "vary": list(self._request.vary),
+            "seed": self._request.seed,
+            "members": self._request.count,
+            "shards": self.plan.shards,
+            "versions": library_versions(),
+        }
+
+    def complete(self, runner: Runner, parts: Parts, threads: int) -> None:
+        """Run the shards that are missing among the parts, and put each there when it comes.
+
+        A shard that is ended from outside is run again. One that ends its process itself, or uses
+        up its budget, costs its own members alone, unless none has succeeded before.
+
+        Parameters
+        ----------
+        runner
+            Runs the shards.
+        parts
+            Where the results are kept.
+        threads
+            Threads of each worker.
+
+        Raises
+        ------
+        SpecError
+            If no shard can be run, or one is ended from outside again and again.
+        """
+        tries, began = Counter[int](), time.perf_counter()
+        have = parts.numbers()
+        pattern = parts.read(min(have)) if have else {}
+        missing = [k for k in range(self.plan.shards) if k not in have]
+        if len(missing) > 1:
+            self._progress.phase("running shards", len(missing))
+        while missing:
+            tasks = {self._task(k, threads): k for k in missing}
+            missing = []
+            for task, answer in runner.run([task] for task in tasks):
+                k, (_, first, count, _) = tasks[task], task.arguments
+                tries[k] += 1
+                columns = {} if isinstance(answer, NoAnswer) else answer.columns(first)
+                if columns and not _alike(columns, pattern, count):
+                    answer = NoAnswer(status="crashed", message=_OTHER)
+                if not isinstance(answer, NoAnswer):
+                    pattern = pattern or columns
+                    parts.put(k, columns)
+                    self.members += count
+                    self.compile_s += answer.compile_s
+                    self.run_s += answer.run_s
+                elif answer.status == "interrupted" and tries[k] < _TRIES:
+                    missing.append(k)
+                    continue
+                elif answer.status == "interrupted" or not pattern or isinstance(answer, Refused):
+                    self._answered(answer)
+                else:
+                    values = drawn(self.plan.ranges, self._request.seed, first, count)
+                    self.lost.put(k, _nothing(pattern, answer, first, values))
+                self._progress.advance()
+        self.wall_s = time.perf_counter() - began
+
+    def _task(self, k: int, threads: int) -> Task:
+        count, shards = self._request.count, self.plan.shards
+        first, after = (number * count // shards for number in (k, k + 1))
+        given = self._request, first, after - first, threads
+        label = f"{self._about}, members {first} to {after - 1}"
+        return Task(shard_job, given, label, sources=self._sources)
+
+    def _answered(self, answer: Any) -> Any:
+        if isinstance(answer, Refused):
+            raise SpecError(answer.message)
+        if isinstance(answer, NoAnswer):
+            raise SpecError(f"{self._about}: {answer.message}")
+        return answer
+
+
+def _alike(columns: Columns, pattern: Columns, count: int) -> bool:
+    """Whether columns have an entry for each member, and those of another shard."""
+    kinds = [
+        {name: column.dtype.kind for name, column in one.items()} for one in (columns, pattern)
+    ]
+    whole = all(column.shape == (count,) for column in columns.values())
+    return whole and (not pattern or kinds[0] == kinds[1])
+
+
+def _nothing(
+    pattern: Columns, answer: NoAnswer, first: int, values: Mapping[str, np.ndarray]
+) -> Columns:
+    """The columns of members that are lost."""
+    count = len(next(iter(values.values())))
+    empty = {"f": np.nan, "i": 0}
+    columns = {
+        name: np.full(count, empty.get(column.dtype.kind, ""), column.dtype)
+        for name, column in pattern.items()
+    }
+    return columns | {
+        "member": first + np.arange(count),
+        **values,
+        "status": np.full(count, answer.status),
+        "message": np.full(count, answer.message),
+    }

@@ -1,0 +1,63 @@
+"""A graph computed for many runs side by side: each number is an array with an entry for each run.
+
+XLA works with several runs at once only where an array has nothing but runs. In a loop over vectors
+of many runs it decides anew for each entry which part of a program it comes from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from integrators.lowering.graph import OPERATORS
+from integrators.lowering.programs import Program
+from problems.runtime import jnp
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jaxtyping import Float
+
+#: Operators that NumPy writes in another way than JAX.
+_OWN = {
+    "number": lambda x: x.astype(float),
+    "choose": lambda which, yes, no: jnp.where(which, yes, no),
+}
+
+
+def evaluated(program: Program, numbers: Sequence[Float[Array, " k"]]) -> np.ndarray:
+    """Return the results of a program for k runs, as an array of arrays ``(k,)``.
+
+    Parameters
+    ----------
+    program
+        Of one argument.
+    numbers
+        The entries of the argument.
+
+    Raises
+    ------
+    NotLowered
+        If a result needs an operation that has no rule.
+    """
+    graph, nodes = program.graph, program.results.ravel().tolist()
+    known: dict[int, Any] = {}
+
+    def value(node: int) -> Any:
+        operator, content = graph.nodes[node]
+        if operator == "constant":
+            return content
+        if operator == "input":
+            return numbers[content[1]]
+        return known[node]
+
+    for node in graph.needed(nodes):
+        operator, arguments = graph.nodes[node]
+        function = _OWN.get(operator) or getattr(jnp, OPERATORS[operator].numpy.__name__)
+        known[node] = function(*map(value, arguments))
+    shape = numbers[0].shape
+    results = np.empty(len(nodes), object)
+    for k, node in enumerate(nodes):
+        results[k] = jnp.broadcast_to(jnp.asarray(value(node), float), shape)
+    return results.reshape(program.results.shape)

@@ -1,0 +1,100 @@
+"""Full Newton of many runs in one program: each as if it were alone; times are in `make bench`."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_fixed_elimination import fallbacks  # noqa: F401 - a fixture
+
+from integrators.lowering.programs import lowered
+from integrators.lowering.side_by_side import evaluated
+from integrators.native import linear_solvers
+from integrators.native.fixed_elimination import Plan
+
+
+def bordered(pivot):
+    """Residual whose tangent is [[pivot, 0, 1], [0, 3, 1], [1, 2, 0]], linear so that one update
+    solves it."""
+    return lambda u: jnp.stack(
+        [pivot * u[0] + u[2] - 1.0, 3 * u[1] + u[2] - 2.0, u[0] + 2 * u[1] - 3.0]
+    )
+
+
+def updates(residual_of, u, p):
+    """Updates of runs side by side, with unknowns and a parameter each."""
+    program = jax.jit(jax.vmap(lambda u, p: linear_solvers.DENSE.once(residual_of(p), u)))
+    return np.asarray(program(u, p))
+
+
+def switched(p):
+    """Functions, a switch by the parameter, a vector and numbers that are no floats."""
+    signs = jnp.asarray([1, -1, 1])
+    return lambda u: jnp.where(p > 1, jnp.exp(u / 4), u * u * p) + signs * u[::-1] * p + u**3
+
+
+@pytest.mark.parametrize(("residual_of", "n"), [(bordered, 3), (switched, 3)])
+def test_updates_of_many_are_those_of_each(residual_of, n):
+    random = np.random.default_rng(1)
+    u, p = random.uniform(0.5, 1.5, (9, n)), random.uniform(0.5, 1.5, 9)
+    for found, at, value in zip(updates(residual_of, u, p), u, p, strict=True):
+        residual = residual_of(value)
+        wanted = np.linalg.solve(jax.jacfwd(residual)(at), residual(at))
+        assert found == pytest.approx(wanted, rel=1e-12)
+    program = jax.make_jaxpr(switched(jnp.asarray(1.0)))(jnp.ones(3))
+    order = linear_solvers._order(program, 3)
+    assert order is not None
+    assert linear_solvers._side_by_side(program, order) is not None
+
+
+def test_a_pivot_that_vanishes_in_one_run_changes_no_other(fallbacks):  # noqa: F811
+    u, p = np.zeros((6, 3)), np.array([2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+    before = updates(bordered, u, p)
+    jax.effects_barrier()
+    assert not fallbacks
+    p[[1, 4]] = 1e-9, np.nan
+    after = updates(bordered, u, p)
+    jax.effects_barrier()
+    assert len(fallbacks) == 1  # a run without numbers waits
+    assert (after[[0, 2, 3, 5]] == before[[0, 2, 3, 5]]).all()
+    a = np.array([[1e-9, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
+    assert after[1] == pytest.approx(np.linalg.solve(a, bordered(1e-9)(u[1])), rel=1e-14)
+    assert np.isnan(after[4]).any()
+
+
+def test_without_the_test_of_a_solution_it_would_be_wrong(monkeypatch):
+    monkeypatch.setattr(Plan, "_all_solved", lambda *_: jnp.asarray(True))
+    a = np.array([[1e-9, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
+    found = updates(bordered, np.zeros((2, 3)), np.array([1e-9, 2.0]))
+    assert found[0] != pytest.approx(np.linalg.solve(a, bordered(1e-9)(np.zeros(3))), rel=1e-14)
+
+
+def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks):  # noqa: F811
+    def looped(p):
+        return lambda u: jax.lax.fori_loop(0, 2, lambda _, x: x * u, u) + p * u - 1
+
+    u, p = np.linspace(0.5, 1.5, 8).reshape(4, 2), np.arange(1.0, 5.0)
+    for found, at, value in zip(updates(looped, u, p), u, p, strict=True):
+        wanted = np.linalg.solve(jax.jacfwd(looped(value))(at), looped(value)(at))
+        assert found == pytest.approx(wanted, rel=1e-12)
+    jax.effects_barrier()
+    assert fallbacks
+
+
+def test_a_graph_of_every_operator_is_computed_side_by_side():
+    def function(x):
+        y = jnp.abs(x) + 1.5
+        parts = [
+            jnp.stack([f(y[0]) for f in (jnp.sqrt, jnp.exp, jnp.log, jnp.sin, jnp.tanh, jnp.cbrt)]),
+            jnp.stack([jnp.maximum(x[0], x[1]), jnp.minimum(x[0], x[1]), jnp.sign(x[0])]),
+            jnp.stack([jnp.arctan2(x[0], y[1]), y[0] ** y[1], x[0] % y[1], -x[0] / y[1]]),
+            jnp.stack([jnp.where((x[0] > 0) & ~(x[1] >= 1), x[0], x[1]), jnp.floor(x[0])]),
+            (x > 0).astype(float) * jnp.isfinite(x),
+            jnp.array([2.0, 0.0]),
+        ]
+        return jnp.concatenate(parts)
+
+    x = np.random.default_rng(0).normal(size=(2, 7))
+    found = np.array(evaluated(lowered(function, (2,)), list(jnp.asarray(x))).tolist())
+    assert found == pytest.approx(np.asarray(jax.vmap(function, 1, 1)(x)), rel=1e-14)
