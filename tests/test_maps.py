@@ -102,6 +102,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
     assert "grew beyond all bounds" in found.reasons["diverged"]
 
 
+@pytest.mark.long
 def test_undamped_index_3_spoils_the_multiplier():
     found = made(
         "pendulum", "generalized_alpha", {"h": (0.005, 0.01), "rho_inf": (0.8, 1.0)}, (3, 2),
