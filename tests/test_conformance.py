@@ -25,7 +25,7 @@ def registry():
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
-        ("problems", "spring_mass"),
+        *long(("problems", "spring_mass")),
         ("problems", "pendulum[th0=2.0]"),
         *long(("integrators", "newmark")),
         *long(("integrators", "generalized_alpha[rho_inf=0.5]"), ("integrators", "kvaerno5")),

@@ -132,6 +132,7 @@ def test_newton_failures_and_unsupported_points_are_told():
     assert "constraints act like infinite frequencies" in partly.reasons["not_run"]
 
 
+@pytest.mark.long
 def test_steps_that_are_used_up_are_told_apart_from_points_that_were_not_begun():
     method = "generalized_alpha_adaptive[max_steps=100]"
     found = made("pendulum", method, {"rtol": (1e-6, 1e-2), "th0": (1.0, 1.1)}, (2, 2))
