@@ -156,7 +156,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
 
 
 def test_the_counted_run_takes_the_timed_steps_and_more_of_them_than_max_steps():
-    method = replace(Kvaerno3(max_steps=1), steps="constant")
+    method = replace(Dopri8(max_steps=1), steps="constant")
     prepared = method.prepare(SpringMass(), 5.0, Steps(0.1))
     trajectory, ((rows, _), counts) = prepared.measure(), run_counted(prepared.execute)
     assert counts == (0, 0)  # what is timed counts nothing
