@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +19,12 @@ def long(*parameters: object) -> list:
     return [pytest.param(*values, marks=pytest.mark.long) for values in each]
 
 
+@cache
+def reference(scene: MechatronicSystem, t_end: float) -> Reference:
+    """The reference of a scene, integrated once in a process."""
+    return Reference(scene, t_end)
+
+
 def errors_at(
     integrator: Integrator,
     scene: MechatronicSystem,
@@ -28,7 +35,7 @@ def errors_at(
     """Absolute error (Euclidean) per group at every row of a fixed-step run."""
     run = integrator.prepare(scene, t_end, Steps(h, pattern)).measure()
     assert run.status == "ok", run.message
-    exact = Reference(scene, t_end)(run.t)
+    exact = reference(scene, t_end)(run.t)
     return {
         group: np.linalg.norm(getattr(run, group) - exact[group], axis=1)
         for group in ("q", "v", "a", "lam", "x", "y")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from helpers import reference
 
 from integrators import Trajectory
 from problems import MechatronicSystem, State, jnp, parameter
-from problems.reference import Reference
 
 
 @dataclass(frozen=True)
@@ -34,5 +34,5 @@ class Probe(MechatronicSystem):
 
 def worst(trajectory: Trajectory, scene: MechatronicSystem, group: str) -> float:
     """Largest error over the rows, relative to the largest value."""
-    exact = Reference(scene, trajectory.t[-1])(trajectory.t)[group]
+    exact = reference(scene, float(trajectory.t[-1]))(trajectory.t)[group]
     return np.abs(getattr(trajectory, group) - exact).max() / np.abs(exact).max()

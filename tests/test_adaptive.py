@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long, slope
+from helpers import long, reference, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
@@ -21,7 +21,6 @@ from integrators.native.constant_steps import ROW_SLOTS
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
-from problems.reference import Reference
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
@@ -41,7 +40,7 @@ def run_of(method, scene, rtol):
 
 
 def errors_of(run, scene):
-    exact = Reference(scene, run.t[-1])(run.t)
+    exact = reference(scene, float(run.t[-1]))(run.t)
     return {
         g: np.linalg.norm(getattr(run, g) - exact[g], axis=1).max()
         / np.linalg.norm(exact[g], axis=1).max()
@@ -52,7 +51,7 @@ def errors_of(run, scene):
 
 @pytest.mark.parametrize("error_test", ["states", *long("all")])
 @pytest.mark.parametrize(
-    "scene", [Duffing(), Pendulum(), *long(SpringMass(), SWING)], ids=lambda s: s.spec
+    "scene", [Pendulum(), *long(Duffing(), SpringMass(), SWING)], ids=lambda s: s.spec
 )
 def test_the_achieved_error_follows_the_tolerance(scene, error_test):
     method = GeneralizedAlphaAdaptive(error_test=error_test)
@@ -99,7 +98,7 @@ RATIOS = [1.0, 1.0, 1.3, 0.8, 1.6, 0.4, 1.0, 0.7, 1.2]  # 0.4 restarts gamma and
 @pytest.mark.parametrize("scene", [Duffing(), *long(SpringMass())], ids=lambda s: s.name)
 @pytest.mark.parametrize(
     ("gamma", "rho_inf"),
-    [("guarded", 0.8), ("fixed", 0.8), *long(("guarded", 0.2), ("updated", 0.8))],
+    [("guarded", 0.8), *long(("fixed", 0.8), ("guarded", 0.2), ("updated", 0.8))],
 )
 def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
     method = GeneralizedAlphaAdaptive(rho_inf=rho_inf, gamma=gamma)
@@ -180,7 +179,7 @@ def test_rows_do_not_grow_with_the_number_of_steps():
     assert (np.diff(run.t) > 0).all()
     assert np.diff(run.t).max() < 1.0  # spread over all of the interval
     np.testing.assert_allclose(np.diff(run.t[:FIRST_ROWS]), run.notes["h"][1:FIRST_ROWS])
-    exact = Reference(scene, 20.0)(run.t)
+    exact = reference(scene, 20.0)(run.t)
     assert np.abs(run.q - exact["q"]).max() < 1e-6
 
 
@@ -254,8 +253,9 @@ def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
 
 
 def test_new_tolerances_and_schemes_compile_nothing():
-    scene = Duffing()
+    scene = Pendulum()
     first = GeneralizedAlphaAdaptive().prepare(scene, 3.0, Tolerances(1e-3))
+    assert first.measure().status == "ok"
     compilations = first.kernel.compilations
     for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
         run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from helpers import errors_at, local_slopes, slope
+from helpers import errors_at, local_slopes, long, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -95,6 +95,7 @@ def test_figure_6_updated_gamma_and_theta_win_it_back():
         assert 1.98 < order < 2.02
 
 
+@pytest.mark.long
 def test_figure_6_is_missed_with_the_step_ratio_upside_down(mutant):
     errors, steps = [], FINE_MACRO_STEPS[::3]
     for macro in steps:
@@ -152,7 +153,7 @@ def test_a_flipped_sign_of_the_constraint_force_spoils_lambda(mutant):
     assert errors[0]["lam"][-1] > 1.0
 
 
-@pytest.mark.parametrize("method", [HHT(alpha=0.1), WBZ(rho_inf=0.8), Newmark()])
+@pytest.mark.parametrize("method", [HHT(alpha=0.1), *long(WBZ(rho_inf=0.8), Newmark())])
 def test_every_member_is_second_order_on_the_spring_mass(method):
     steps = [0.02, 0.01, 0.005, 0.0025]
     errors = [errors_at(method, SpringMass(), 5.0, h) for h in steps]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import errors_at, slope
+from helpers import errors_at, long, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -187,7 +187,9 @@ def test_without_the_guard_gamma_has_a_pole():
 
 
 # ---- classical forms -------------------------------------------------------------------
-@pytest.mark.parametrize("method", [GeneralizedAlphaClassical(), HHTClassical(), WBZClassical()])
+@pytest.mark.parametrize(
+    "method", [GeneralizedAlphaClassical(), *long(HHTClassical(), WBZClassical())]
+)
 def test_the_classical_acceleration_is_first_order_and_spares_q_and_v(method):
     found = orders(method, Duffing(), 3.0)
     for group, order in {"q": 2.0, "v": 2.0, "a": 1.0}.items():

@@ -30,7 +30,11 @@ def run_of(method, scene, h, pattern=(1.0,)):
 @pytest.mark.parametrize("formulation", ["index3", "stabilised_index2"])
 @pytest.mark.parametrize(
     ("scene", "h", "within"),
-    [(SpringMass(), 0.02, 1e-9), (Pendulum(), 0.001, 1e-8), *long((SoftImpact(), 1e-4, 1e-9))],
+    [
+        *long((SpringMass(), 0.02, 1e-9)),
+        (Pendulum(), 0.001, 1e-8),
+        *long((SoftImpact(), 1e-4, 1e-9)),
+    ],
     ids=["spring_mass", "pendulum", "soft_impact"],
 )
 def test_modified_newton_solves_the_same_equations_with_few_tangents(formulation, scene, h, within):

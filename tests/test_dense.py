@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import long
 
 from integrators.native import small_matrices
 from problems import jax, jnp
@@ -53,7 +54,7 @@ def test_large_matrices_in_a_batch_go_to_lapack(n, called):
     assert np.allclose(batched(many), np.linalg.inv(many))
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, small_matrices.MOST_OF_MANY])
+@pytest.mark.parametrize("n", [1, 2, 7, *long(small_matrices.MOST_OF_MANY)])
 def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
     a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(50)])
     a += 1e-3 * RANDOM.normal(size=a.shape)

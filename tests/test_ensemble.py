@@ -178,9 +178,9 @@ def test_ok_means_finite_values_in_every_group(monkeypatch):
         table, end = plain(self, packed, rows, row_count)
         return np.array(table) * np.where(np.arange(table.shape[2]) == 5, np.nan, 1.0), end
 
-    scene, method = REGISTRY.problem("spring_mass"), REGISTRY.integrator("newmark")
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     monkeypatch.setattr(Kernel, "batched", spoiled)
-    found = ensemble(scene, method, {"k": [1.0, 2.0]}, t_end=1.0)  # [n, t, q, v, a, x, ...]
+    found = ensemble(scene, method, {"g": [9.0, 10.0]}, t_end=1.0)  # [n, t, q1, q2, v1, v2, ...]
     assert found.status == ["diverged"] * 2
     assert found.message[0] == "It ended with values that are not finite."
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import long
 from scipy.sparse import csc_matrix
 
 from bench.plugins.registry import Registry
@@ -27,7 +28,7 @@ from problems.spec import SpecError
 pytest.importorskip("asdex")
 pytest.importorskip("klujax")
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
-SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)]
+SCENES = [*long(SliderCrank(), QuarterCar()), SpringMass(), Chain(links=5)]
 PARTS = ("q", "v", "a", "lam", "x", "y")
 every_scene = pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 
@@ -134,7 +135,7 @@ def test_a_wrong_entry_costs_calls_that_the_dense_run_does_not_make(factor):
 
 
 def test_the_timed_solve_takes_the_same_steps():
-    run = prepared(Chain(links=60), 0.02)
+    run = prepared(Chain(links=12), 0.02, linear_solver="sparse")
     assert is_sparse(run)
     trajectory, timed = run.measure(), run.execute()
     assert (trajectory.work.residuals, trajectory.work.jacobians) == (timed.nfev, timed.njev)
@@ -208,8 +209,10 @@ def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
 
 
 def test_without_the_libraries_sparse_is_refused_and_auto_is_dense(monkeypatch):
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
+    assert is_sparse(prepared(Chain(links=12), 0.1))
     monkeypatch.setattr(sparsity, "_NEEDED", ("no_such_library",))
-    assert not is_sparse(prepared(Chain(links=40), 0.1))
+    assert not is_sparse(prepared(Chain(links=12), 0.1))
     with pytest.raises(SpecError, match=r"stepbench\[sparse\]"):
         prepared(Chain(links=5), 0.1, linear_solver="sparse")
 

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import pytest
 import vl_convert
+from helpers import long
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -125,7 +126,7 @@ def test_lines_of_a_suite_with_near_colours_differ_in_mark_and_dash(name):
     assert [(a, b) for a, b in pairs if a.shape == b.shape or a.dash == b.dash] == []
 
 
-@pytest.mark.parametrize("name", ["methods", "paper"])
+@pytest.mark.parametrize("name", ["methods", *long("paper")])
 def test_many_variants_of_a_method_differ_in_mark_or_dash(name):
     """Of the 96 of "methods", no two of one colour have one mark; on a scene two of near ones."""
     pairs = alike(suite(name))

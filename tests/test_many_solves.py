@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import long
 
 from integrators.native import small_matrices
 from problems import jax
 
 
 @pytest.mark.parametrize("n", [1, 5, small_matrices.MOST_OF_MANY, small_matrices.MOST_OF_MANY + 1])
-@pytest.mark.parametrize("shared", [None, 0, 1])
+@pytest.mark.parametrize("shared", [None, *long(0, 1)])
 def test_side_by_side_gives_what_each_gives(n, shared):
     random = np.random.default_rng(n)
     a, b = random.normal(size=(9, n, n)), random.normal(size=(9, n))

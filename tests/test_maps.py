@@ -102,6 +102,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
     assert "grew beyond all bounds" in found.reasons["diverged"]
 
 
+@pytest.mark.long
 def test_undamped_index_3_spoils_the_multiplier():
     found = made(
         "pendulum", "generalized_alpha", {"h": (0.005, 0.01), "rho_inf": (0.8, 1.0)}, (3, 2),
@@ -131,6 +132,7 @@ def test_newton_failures_and_unsupported_points_are_told():
     assert "constraints act like infinite frequencies" in partly.reasons["not_run"]
 
 
+@pytest.mark.long
 def test_steps_that_are_used_up_are_told_apart_from_points_that_were_not_begun():
     method = "generalized_alpha_adaptive[max_steps=100]"
     found = made("pendulum", method, {"rtol": (1e-6, 1e-2), "th0": (1.0, 1.1)}, (2, 2))

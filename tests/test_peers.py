@@ -90,7 +90,7 @@ def test_a_model_with_another_gravity_is_refused(engine, name, monkeypatch):
 
 # ---- the same answer -------------------------------------------------------------------
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("options", ["rho_inf=0.5", "method=trapezoidal_index2"])
+@pytest.mark.parametrize("options", ["rho_inf=0.5", *long("method=trapezoidal_index2")])
 def test_exudyn_is_of_second_order_in_all_groups(name, options):
     pytest.importorskip("exudyn")
     found = settled_slopes(f"exudyn[{options},newton_tol=1e-12]", name)

@@ -10,6 +10,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from helpers import long
 from scipy.spatial.transform import Rotation
 
 from problems import MechatronicSystem, formulations, jax, jnp
@@ -332,6 +333,7 @@ def check_chain(scene):
     assert along == pytest.approx(-(scene.length**2) * w**2, rel=1e-10)
 
 
+#: Scenes with their own parameters, and with others, which the long tests take.
 CHECKS = [
     (Duffing(), check_duffing),
     (Duffing(m=2.0, c=-0.4, k=3.0, k3=-0.2, amplitude=1.7, w=0.6), check_duffing),
@@ -380,7 +382,11 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("scene", "check"), CHECKS, ids=lambda part: getattr(part, "spec", ""))
+@pytest.mark.parametrize(
+    ("scene", "check"),
+    [(s, c) if s == type(s)() else long((s, c))[0] for s, c in CHECKS],
+    ids=lambda part: getattr(part, "spec", ""),
+)
 def test_the_scene_satisfies_its_identities(scene, check):
     check(scene)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import errors_at, slope
+from helpers import errors_at, long, slope
 from test_scenes_identities import flipped, solved
 
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -83,9 +83,9 @@ def test_a_spring_that_pushes_is_caught():
 @pytest.mark.parametrize(
     "scene",
     [
-        Oscillator(omega=2.0, q0=-0.3),
+        *long(Oscillator(omega=2.0, q0=-0.3)),
         DrivenSprings(k1=400.0, c1=3.0, k2=2.0, m1=0.5, m2=2.0),
-        DrivenSprings(k1=900.0, c1=0.0, omega=5.0),
+        *long(DrivenSprings(k1=900.0, c1=0.0, omega=5.0)),
     ],
     ids=lambda scene: scene.spec,
 )
@@ -129,9 +129,9 @@ def test_dry_friction_takes_the_same_amplitude_at_every_turn():
 @pytest.mark.parametrize(
     ("scene", "t_end", "coarsest"),
     [
-        (Oscillator(), 5.0, 0.1),
+        *long((Oscillator(), 5.0, 0.1)),
         (Friction(eps=1.0), 5.0, 0.02),
-        (DrivenSprings(k1=100.0), 2.0, 4e-3),
+        *long((DrivenSprings(k1=100.0), 2.0, 4e-3)),
     ],
     ids=lambda p: getattr(p, "name", ""),
 )

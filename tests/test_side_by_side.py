@@ -72,7 +72,11 @@ def test_without_the_test_of_a_solution_it_would_be_wrong(monkeypatch):
 
 def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks):  # noqa: F811
     def looped(p):
-        return lambda u: jax.lax.fori_loop(0, 2, lambda _, x: x * u, u) + p * u - 1
+        # As many turns as a number of the run asks for.
+        def turns(u):
+            return jax.lax.while_loop(lambda x: x[0] < p, lambda x: (x[0] + 1, x[1] * u), (-1.0, u))
+
+        return lambda u: turns(u)[1] + p * u - 1
 
     u, p = np.linspace(0.5, 1.5, 8).reshape(4, 2), np.arange(1.0, 5.0)
     for found, at, value in zip(updates(looped, u, p), u, p, strict=True):

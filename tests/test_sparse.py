@@ -59,7 +59,7 @@ class ControlledBead(MechatronicSystem):
         return State(q=np.array([0.6, -0.8]), v=np.array([0.4, 0.3]), x=np.array([0.2]))
 
 
-SCENES = [SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5), ControlledBead()]
+SCENES = [*long(SliderCrank(), QuarterCar(), SpringMass()), Chain(links=5), ControlledBead()]
 
 
 def end(method, scene, steps, h):
@@ -114,9 +114,9 @@ def test_the_pattern_holds_every_entry():
 
 
 def test_colours_do_not_grow_with_the_chain():
-    ten, hundred = (pattern_of(Chain(links=n)) for n in (10, 100))
-    assert ten.products == hundred.products
-    assert len(hundred.rows) <= 14 * 100
+    ten, fifty = (pattern_of(Chain(links=n)) for n in (10, 50))
+    assert ten.products == fifty.products
+    assert len(fifty.rows) <= 14 * 50
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
@@ -200,7 +200,7 @@ def test_a_thousand_links_keep_their_length_and_energy():
 
 
 def test_work_is_counted_as_with_dense_tangents():
-    run = end(GeneralizedAlpha(), Chain(links=60), 10, 1e-3)
+    run = end(GeneralizedAlpha(linear_solver="sparse"), Chain(links=12), 10, 1e-3)
     work = run.work
     assert work.steps == 10
     assert work.newton == work.residuals == work.jacobians == work.factorisations == work.solves

@@ -94,7 +94,7 @@ def test_without_damping_any_ratio_is_neutral():
         assert radius == pytest.approx(1.0, abs=1e-11)
 
 
-@pytest.mark.parametrize("gamma", ["fixed", "updated"])
+@pytest.mark.parametrize("gamma", [*long("fixed"), "updated"])
 @pytest.mark.parametrize(("rho_inf", "fixed", "updated"), SAFE)
 def test_runs_confirm_a_stable_and_an_unstable_point(rho_inf, fixed, updated, gamma):
     method = method_of(rho_inf, gamma)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.stability.matrices import matrices
 from bench.stability.spectra import eigenvalues, nearest, radii, spectrum
@@ -145,8 +146,7 @@ def test_members_of_the_family_coincide():
     ("true", "classical"),
     [
         (GeneralizedAlpha(), GeneralizedAlphaClassical()),
-        (HHT(), HHTClassical()),
-        (WBZ(), WBZClassical()),
+        *long((HHT(), HHTClassical()), (WBZ(), WBZClassical())),
     ],
 )
 def test_classical_forms_move_alike_and_react_to_feedback_otherwise(true, classical):

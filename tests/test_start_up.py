@@ -126,7 +126,7 @@ def test_an_amplification_matrix_traces_its_step_once():
     assert len(calls) == 1
 
 
-@pytest.mark.parametrize("kind", ["Kvaerno3", "KenCarp3"])
+@pytest.mark.parametrize("kind", ["Kvaerno3", *long("KenCarp3")])
 def test_an_adaptive_program_traces_its_step_once(kind, monkeypatch):
     calls, step = [], getattr(diffrax, kind).step
 

@@ -129,9 +129,8 @@ def test_modified_newton_and_sparse_tangents_need_no_line_of_the_method(method):
         with pytest.raises(SpecError, match="linear_solver=dense"):  # its equations have a solve
             replace(method, linear_solver="sparse").prepare(scene, 1.0, Steps(0.1))
         return
-    for newton in ("full", "modified"):
-        sparse = end_of(replace(method, newton=newton, linear_solver="sparse"), scene, 0.02)
-        assert sparse.q == pytest.approx(full.q, abs=1e-9 * size)
+    sparse = end_of(replace(method, newton="modified", linear_solver="sparse"), scene, 0.02)
+    assert sparse.q == pytest.approx(full.q, abs=1e-9 * size)
 
 
 def test_a_method_with_an_estimate_follows_the_tolerance():

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from integrators.lowering.graph import OPERATORS
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.operators import OPERATORS
 from integrators.lowering.programs import Program
 from problems.runtime import jnp
 
@@ -26,20 +27,28 @@ _OWN = {
 }
 
 
+def check(program: Program) -> None:
+    """Find out whether `evaluated` has a rule for all that a program needs.
+
+    Raises
+    ------
+    NotLowered
+        If it has a loop, a solve, or an operation that has no form.
+    """
+    for node in program.graph.needed(program.results.ravel().tolist()):
+        if not isinstance(program.graph.nodes[node][0], str):
+            raise NotLowered("a loop or a solve of many runs side by side has no rule")
+
+
 def evaluated(program: Program, numbers: Sequence[Float[Array, " k"]]) -> np.ndarray:
     """Return the results of a program for k runs, as an array of arrays ``(k,)``.
 
     Parameters
     ----------
     program
-        Of one argument.
+        Of one argument, which `check` lets pass.
     numbers
         The entries of the argument.
-
-    Raises
-    ------
-    NotLowered
-        If a result needs an operation that has no rule.
     """
     graph, nodes = program.graph, program.results.ravel().tolist()
     known: dict[int, Any] = {}

@@ -18,7 +18,7 @@ import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
-from integrators.lowering.side_by_side import evaluated
+from integrators.lowering.side_by_side import check, evaluated
 from integrators.native import klu, small_matrices
 from integrators.native.dependencies import pattern
 from integrators.native.fixed_elimination import Plan, planned
@@ -195,7 +195,7 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
         n = len(order.entries)
         second = lowered(products, (len(first.results) - n,))
         for part in (first, second):
-            part.graph.needed(part.results.ravel())
+            check(part)
     except NotLowered:
         return None
 

@@ -195,11 +195,16 @@ def assert_refused(result: Result) -> str:
     return sentences[0]
 
 
+#: Commands that start a process for most of their values.
+COSTLY = ("map", "solve", "stability")
+
+
 def some(lines: dict[str, list[str]]) -> list:
-    """All lines, of which `make test` takes every fifth."""
+    """All lines, of which `make test` takes every fifth, and of costly commands a quarter of it."""
     return [
-        pytest.param(line, id=name, marks=[pytest.mark.attack] if number % 5 else [])
+        pytest.param(line, id=name, marks=[pytest.mark.attack] if number % every else [])
         for number, (name, line) in enumerate(lines.items())
+        for every in [20 if line[0] in COSTLY else 5]
     ]
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, reference
 from proofs import SWING, TWO_RODS
 
 from bench.conformance.trials import ForcedOscillator
@@ -14,7 +14,6 @@ from integrators import Tolerances
 from integrators.methods.bdf_adaptive import BDFAdaptive, _respaced
 from problems import jax, jnp
 from problems.initial_values import consistent_start
-from problems.reference import Reference
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.spring_mass import SpringMass
 
@@ -22,7 +21,7 @@ from problems.scenes.spring_mass import SpringMass
 def _largest_errors(method, scene, t_end, rtol):
     run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
     assert run.status == "ok", run.message
-    exact = Reference(scene, t_end)(run.t)
+    exact = reference(scene, t_end)(run.t)
     found = {}
     for group in ("q", "v", "a", "lam", "x"):
         if exact[group].shape[1]:

@@ -86,6 +86,7 @@ def test_chronos_rule_halves_on_failure_and_doubles_after_five_quick_steps():
     assert (ratios <= 2.0 + 1e-9).all()
 
 
+@pytest.mark.long
 def test_chronos_rule_does_not_know_of_errors():
     run = HHTI3(control="chrono").prepare(Pendulum(), 1.35, Steps(0.1)).measure()
     assert run.status == "ok"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import errors_at, local_slopes, long
+from helpers import errors_at, local_slopes, long, reference
 from proofs import OMEGA_H, SWING, TWO_RODS, damping_and_period, orders, radii
 
 from integrators import Steps, Tolerances
@@ -15,7 +15,6 @@ from integrators.methods.radau_iia import RadauIIA, collocation
 from integrators.native.step_work import EquationsFinder
 from problems import MechatronicSystem, State, jax, jnp
 from problems.initial_values import consistent_start
-from problems.reference import Reference
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum
@@ -77,7 +76,7 @@ def test_errors_on_the_swing_are_those_of_another_program(stages, formulation):
     method = constant(stages, formulation=formulation)
     scene, t_end = SWING
     run = method.prepare(scene, t_end, Steps(1 / (400 if stages == 2 else 80))).measure()
-    exact = Reference(scene, t_end)(run.t)
+    exact = reference(scene, t_end)(run.t)
     found = [abs(getattr(run, group)[-1] - exact[group][-1]).max() for group in ("q", "v", "lam")]
     assert [*found, abs(run.lam - exact["lam"]).max()] == pytest.approx(
         ERRORS[stages, formulation], rel=5e-3
@@ -231,7 +230,7 @@ def test_errors_follow_the_tolerance(scene, t_end, formulation, stages):
     for rtol in (1e-3, 1e-5, 1e-7):
         run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
         assert run.status == "ok", run.message
-        exact = Reference(scene, t_end)(run.t)["q"]
+        exact = reference(scene, t_end)(run.t)["q"]
         errors.append(abs(run.q - exact).max() / abs(exact).max())
         assert errors[-1] < 100 * rtol
     # Far below the tolerance the phase of a vibration that no step resolves remains.
