@@ -137,3 +137,5 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)
+    # In this process tests patch functions: what is traced here must not be kept.
+    monkeypatch.setattr(worker, "use_exports", lambda: None)

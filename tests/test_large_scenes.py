@@ -105,7 +105,7 @@ def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
         return call
 
     monkeypatch.setattr(compiled.jax, "jit", noted)
-    sums = compiled._over_rows(lambda p, q: q.sum())
+    sums = compiled._over_rows(lambda p, q: q.sum(), ("sums",))
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
     monkeypatch.setattr(compiled, "_MOST_NUMBERS", 30)  # three rows of eight numbers
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
@@ -128,7 +128,7 @@ def test_memory_that_is_not_there_is_a_sentence(make):
 
 def test_other_errors_keep_their_words():
     assert why(ValueError("no memory of it")) == "ValueError: no memory of it."
-    assert "more memory at once" in why(MemoryError())
+    assert "MemoryError" in why(MemoryError())
 
 
 # ---- memory ----------------------------------------------------------------------------

@@ -44,11 +44,10 @@ def _lack_of_memory(error: BaseException) -> str:
     if found := re.search(_BYTES, text):
         size = int(found[1]) / 2**30
         amount = f"{size:.3g} GiB" if size < 1000 else f"{size / 1024:.3g} TiB"
-    elif not isinstance(error, MemoryError):
-        return ""
+    elif found := isinstance(error, MemoryError) and re.search(_AMOUNT, text):
+        amount = found[1].replace(". ", " ")
     else:
-        found = re.search(_AMOUNT, text)
-        amount = found[1].replace(". ", " ") if found else "more memory"
+        return ""
     return (
         f"It asks for {amount} at once, which the machine does not have. Full matrices grow with "
         f"the square of the number of unknowns: take a smaller scene, or a method with sparse "

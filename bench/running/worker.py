@@ -36,7 +36,7 @@ from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: A timing sample repeats short runs until it has lasted this long.
-SAMPLE_SECONDS = 2e-3
+SAMPLE_SECONDS = 1e-3
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.
 _GARBAGE = 100_000
