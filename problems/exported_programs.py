@@ -104,7 +104,7 @@ def _file(*about: Any) -> Path:
 
 @cache
 def _ours() -> str:
-    """Digest of the sources of this project, of the libraries' versions and of the flags."""
+    """Digest of this project's sources, the libraries' versions, the flags and the device."""
     digest = hashlib.sha256(sys.version.encode())
     for package in _PACKAGES:
         for source in sorted((_PROJECT / package).rglob("*.py")):
@@ -112,7 +112,8 @@ def _ours() -> str:
     for library in _LIBRARIES:
         with suppress(PackageNotFoundError):
             digest.update(f"{library} {version(library)}\n".encode())
-    digest.update(repr([os.environ.get(n) for n in ("XLA_FLAGS", "JAX_ENABLE_X64")]).encode())
+    flags = [os.environ.get(name) for name in ("XLA_FLAGS", "JAX_ENABLE_X64")]
+    digest.update(repr([*flags, jax.default_backend()]).encode())
     return digest.hexdigest()[:16]
 
 
