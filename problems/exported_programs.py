@@ -5,8 +5,8 @@ the program again, which takes longer than all else that is left. So a process t
 this project's own code (`use_exports`) writes what it has traced to the user's cache, and reads
 what others have written. The name of a file is a digest of all that decides the program: the
 sources of the project, the versions of the libraries, the flags of the compiler, and the objects of
-which the program is made. No file is used in a process that has loaded a plugin, or where tests
-patch functions.
+which the program is made. No file is used in a process that has loaded a plugin, or by tests, which
+patch functions of their process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-from problems.runtime import CACHE, jax, jnp
+from problems.runtime import CACHE, jax, jnp, users_settings
 
 if TYPE_CHECKING:
     from jax.export import Exported
@@ -40,6 +40,7 @@ def use_exports() -> None:
     """Read and write exported programs from now on; for a process that runs our code alone."""
     global _used
     _used = True
+    _sources()  # now, as they may change while this process runs
 
 
 class _Foreign(Exception):
@@ -82,9 +83,9 @@ def exported(
         try:
             file = _file(*about(), str(tree), [(s.shape, str(s.dtype)) for s in shapes])
             form, found = _read(file) or _written(file, made(), tree, shapes, calls)
+            return jax.tree.unflatten(jax.tree.structure(form), found.call(*leaves))
         except Exception:
             return made()(*arguments)
-        return jax.tree.unflatten(jax.tree.structure(form), found.call(*leaves))
 
     return jax.jit(program)
 
@@ -104,7 +105,14 @@ def _file(*about: Any) -> Path:
 
 @cache
 def _ours() -> str:
-    """Digest of this project's sources, the libraries' versions, the flags and the device."""
+    """Digest of all that programs of this process have in common."""
+    common = _sources(), os.environ.get("XLA_FLAGS"), users_settings(), jax.default_backend()
+    return hashlib.sha256(repr(common).encode()).hexdigest()[:16]
+
+
+@cache
+def _sources() -> str:
+    """Digest of this project's sources, and of the versions of Python and the libraries."""
     digest = hashlib.sha256(sys.version.encode())
     for package in _PACKAGES:
         for source in sorted((_PROJECT / package).rglob("*.py")):
@@ -112,9 +120,7 @@ def _ours() -> str:
     for library in _LIBRARIES:
         with suppress(PackageNotFoundError):
             digest.update(f"{library} {version(library)}\n".encode())
-    flags = [os.environ.get(name) for name in ("XLA_FLAGS", "JAX_ENABLE_X64")]
-    digest.update(repr([*flags, jax.default_backend()]).encode())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()
 
 
 def _read(file: Path) -> tuple[Any, Exported] | None:
@@ -145,9 +151,13 @@ def _written(
     allowed = [export.DisabledSafetyCheck.custom_call(name) for name in calls]
     found = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
     content = pickle.dumps((form, bytes(found.serialize())))
-    with suppress(OSError):  # a full disk, or a folder that cannot be written
-        file.parent.mkdir(parents=True, exist_ok=True)
-        new = file.with_suffix(f".{os.getpid()}")
-        new.write_bytes(content)
-        new.replace(file)
+    new = file.with_suffix(f".{os.getpid()}")
+    try:
+        if _sources.__wrapped__() == _sources():  # else the sources are not those that were traced
+            file.parent.mkdir(parents=True, exist_ok=True)
+            new.write_bytes(content)
+            new.replace(file)
+    except OSError:  # a full disk, or a folder that cannot be written
+        with suppress(OSError):
+            new.unlink()
     return form, found

@@ -60,6 +60,7 @@ def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, m
     source = tmp_path / "problems" / "scene.py"
     source.write_text("a = 1")
     monkeypatch.setattr(exported_programs, "_PROJECT", tmp_path)
+    monkeypatch.setattr(exported_programs, "_sources", exported_programs._sources.__wrapped__)
     digests = set()
     for change in (
         lambda: None,
@@ -69,6 +70,18 @@ def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, m
         change()
         digests.add(exported_programs._ours.__wrapped__())
     assert len(digests) == 3
+
+
+def test_a_program_of_sources_that_have_changed_since_is_not_written(folder, monkeypatch):
+    def now():
+        return "those that were loaded"
+
+    now.__wrapped__ = lambda: "those of a newer release"
+    monkeypatch.setattr(exported_programs, "_sources", now)
+    exported_programs._ours.cache_clear()
+    assert float(exported(lambda: lambda x: 2 * x, lambda: ("double",))(1.0)) == 2.0
+    assert not files(folder)
+    exported_programs._ours.cache_clear()
 
 
 def test_a_broken_file_is_written_anew(folder):

@@ -35,6 +35,20 @@ def test_a_phase_that_begins_again_goes_on_counting(monkeypatch):
     assert meter.excess(1) is None
 
 
+def test_what_short_jobs_have_used_is_not_charged_to_the_next(monkeypatch):
+    spent = [0.0]
+    monkeypatch.setattr(limits, "usage", lambda process: Usage(computed_s=spent[0]))
+    meter = Meter(Limits(budget_s=3.0))
+    meter.begin(RUNNING, 1)
+    for _ in range(10):  # jobs of 1 s that answer before anybody looks
+        meter.start(1)
+        spent[0] += 1.0
+    meter.start(1)
+    assert meter.excess(1) is None
+    spent[0] += 4.0
+    assert "3 s of processor time" in meter.excess(1).reason
+
+
 def test_a_process_that_halts_itself_is_given_up(monkeypatch):
     times = iter(range(100))
     monkeypatch.setattr(limits, "usage", lambda process: Usage(stopped=True))

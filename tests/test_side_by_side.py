@@ -95,6 +95,7 @@ def test_a_graph_of_every_operator_is_computed_side_by_side():
             jnp.stack([jnp.arctan2(x[0], y[1]), y[0] ** y[1], x[0] % y[1], -x[0] / y[1]]),
             jnp.stack([jnp.where((x[0] > 0) & ~(x[1] >= 1), x[0], x[1]), jnp.floor(x[0])]),
             (x > 0).astype(float) * jnp.isfinite(x),
+            jnp.sum(x > 0) * x,
             jnp.array([2.0, 0.0]),
         ]
         return jnp.concatenate(parts)

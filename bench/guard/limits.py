@@ -101,8 +101,10 @@ class Meter:
         self.phase = LOADING
         self.start()
 
-    def start(self) -> None:
-        """Begin a job, which has used nothing."""
+    def start(self, process: int | None = None) -> None:
+        """Begin a job, which has used nothing: jobs before it may have ended without a look."""
+        if process:
+            self._last = usage(process) or self._last
         self._used: defaultdict[str, _Used] = defaultdict(_Used)
         self._looked = self._compared = time.monotonic()
 

@@ -124,7 +124,7 @@ class GuardedProcess:
     def start(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         """Begin a job."""
         self._job = job
-        self._meter.start()
+        self._meter.start(self.pid)
         self._printed.clear()
         self._send((job, arguments, named))
 

@@ -71,7 +71,7 @@ def _compiled(packed: PackedFunction) -> Any:
         program = lowered(packed.program, (packed.size,))
         function = load(HEADER + c_function("function", program, 1)).function
     except NotLowered as reason:
-        return reason
+        return NotLowered(str(reason))  # without what the first one holds in memory
     function.restype, function.argtypes = None, [c_void_p, c_void_p]
     return function, program.results.shape
 
@@ -86,7 +86,7 @@ def bound_in_c(packed: PackedFunction, *first: np.ndarray) -> Callable[..., np.n
     """
     found = _compiled(packed)
     if isinstance(found, NotLowered):
-        raise found
+        raise NotLowered(str(found))
     (function, shape), memory = found, np.zeros(packed.size)
     for place, value in zip(packed.places, first, strict=False):
         memory[place] = value

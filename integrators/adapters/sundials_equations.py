@@ -162,7 +162,7 @@ def compiled_equations(equations: Equations) -> Compiled | NotLowered:
     try:
         return _compiled_equations(equations)
     except NotLowered as reason:
-        return reason
+        return NotLowered(str(reason))  # without what the first one holds in memory
 
 
 def _compiled_equations(equations: Equations) -> Compiled:

@@ -167,9 +167,9 @@ class Graph:
     def _node(self, key: Any, operator: Any, content: Any, kind: str) -> int:
         known = self._known.get(key)
         if known is None:
-            known = self._known[key] = len(self.nodes)
-            if known == _MOST_NODES:
+            if len(self.nodes) == _MOST_NODES:
                 raise NotLowered(f"it has more than {_MOST_NODES} operations on numbers")
+            known = self._known[key] = len(self.nodes)
             self.nodes.append((operator, content))
             self._kinds.append(kind)
         return known

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 #: Operators that NumPy writes in another way than JAX.
 _OWN = {
     "number": lambda x: x.astype(float),
+    "count": lambda x: x.astype(int),
     "choose": lambda which, yes, no: jnp.where(which, yes, no),
 }
 

@@ -35,13 +35,16 @@ class Kernel:
     def __init__(self, loop: Callable, about: tuple | None = None) -> None:
         self._unpack: Callable | None = None
         self._form: Any = None
+        self._types: tuple[str, ...] = ()
         self._shapes: Any = None
 
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*self.unpacked(packed), *wanted)
 
         self.compiled = (
-            exported(lambda: run, lambda: (about, str(self._form))) if about else jax.jit(run)
+            exported(lambda: run, lambda: (about, str(self._form), self._types))
+            if about
+            else jax.jit(run)
         )
         self._run = run
 
@@ -67,6 +70,7 @@ class Kernel:
                 "A kernel takes arguments of one form; another needs its own program."
             )
         self._form, self._unpack = form, self._unpack or unpack
+        self._types = self._types or tuple(leaf.dtype.str for leaf in leaves)
         return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
 
     def unpacked(self, packed: Float[Array, " n"]) -> Any:
