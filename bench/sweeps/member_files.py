@@ -43,7 +43,7 @@ def write_members(path: Path, parts: Iterator[Columns]) -> None:
             with new.open("w", encoding="utf-8", newline="\n") as file:
                 file.writelines(_TEXTS[path.suffix](parts))
         new.replace(path)
-    except OSError:
+    except BaseException:
         with suppress(OSError):
             new.unlink()
         raise
