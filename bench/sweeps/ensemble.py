@@ -94,13 +94,12 @@ class Ensemble:
 
 
 def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Return a row per entry of the columns; None stands for NaN."""
-    lists = [column.tolist() for column in columns.values()]
-    # A value that is not a number differs from itself.
-    return [
-        {name: None if value != value else value for name, value in zip(columns, row, strict=True)}
-        for row in zip(*lists, strict=True)
-    ]
+    """Return a row per entry of the columns; None stands for what is not finite."""
+    lists = []
+    for column in columns.values():
+        there = np.isfinite(column) if column.dtype.kind == "f" else True
+        lists.append(np.where(there, column.astype(object), None).tolist())
+    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
 def spread(values: np.ndarray) -> dict[str, float]:

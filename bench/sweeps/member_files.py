@@ -73,8 +73,10 @@ def _write_parquet(path: Path, parts: Iterator[Columns]) -> None:
     arrow, parquet = _parquet()
 
     def table(part: Columns) -> Any:
-        # NaN stands for no value.
-        columns = [arrow.array(column, from_pandas=True) for column in part.values()]
+        columns = [
+            arrow.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
+            for column in part.values()
+        ]
         return arrow.table(columns, names=list(part))
 
     first = table(next(parts))
