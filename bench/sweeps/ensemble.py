@@ -81,6 +81,11 @@ class Ensemble:
         good = np.array(self.status) == "ok"
         return {name: spread(v[good]) for name, v in self._end_columns().items() if good.any()}
 
+    @property
+    def whole(self) -> bool:
+        """Whether the budget was enough to run all members."""
+        return _OUT_OF_TIME not in self.message
+
     def statuses(self) -> dict[str, int]:
         """Return the number of members by status."""
         return dict(Counter(self.status))
@@ -97,8 +102,10 @@ def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     """Return a row per entry of the columns; None stands for what is not finite."""
     lists = []
     for column in columns.values():
-        there = np.isfinite(column) if column.dtype.kind == "f" else True
-        lists.append(np.where(there, column.astype(object), None).tolist())
+        values = column.astype(object)
+        if column.dtype.kind == "f":
+            values[~np.isfinite(column)] = None
+        lists.append(values.tolist())
     return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
 
 

@@ -21,7 +21,7 @@ from bench.sweeps.variation import (
     unvaried_resolution,
 )
 from integrators.contract import Integrator, Steps, Tolerances
-from problems.runtime import check_runtime, jax
+from problems.runtime import check_runtime, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -68,7 +68,7 @@ class SweepRequest:
             raise SpecError(check_runtime() or "JAX does not start.") from None
         scene = worker.registry.problem(self.problem, **self.settings)
         method = worker.registry.integrator(self.integrator)
-        if not jax.config.jax_enable_x64:  # a plugin may have changed it
+        if jnp.zeros(1).dtype.itemsize != 8:  # a plugin may have changed it
             raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")
         refuse(method, scene)
         worker.notify(PREPARING, "tracing and compiling")
