@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-from test_shards import REGISTRY, Here, asked, run_all, whole  # noqa: F401 - a fixture
+from test_shards import KILLED, REGISTRY, Here, Quiet, asked, run_all, whole  # noqa: F401 - a fixture
 
+from bench.commands import ensemble as command
 from bench.plugins import fingerprint
+from bench.plugins.facts import Sources
+from bench.running.cluster import ClusterRunner
 from bench.running.worker import Worker
 from bench.sweeps import batch, jobs, variation
 from bench.sweeps.ensemble import rows_of
 from bench.sweeps.member_files import write_members
 from bench.sweeps.parts import KeptParts, NamelessParts
+from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import Quantity, Range
 from problems.runtime import jax
 from problems.spec import SpecError
@@ -76,6 +81,28 @@ def test_answers_about_something_else_are_lost(asked, change):  # noqa: F811
     assert run.lost.numbers() == {1}
     assert results.first["crashed"] == (13, "Its answer is about something else than it was asked.")
     assert len(whole(results)["member"]) == 40
+
+
+def test_shards_come_in_groups_and_again_alone(asked):  # noqa: F811
+    runner = Here([KILLED, None, KILLED])
+    run = ShardRun(runner, asked, Sources(), Quiet())
+    run.complete(runner, store := NamelessParts(), 1, 2)
+    assert runner.sizes == [[1], [2, 1], [1, 1]]
+    assert store.numbers() == {0, 1, 2}
+
+
+@pytest.mark.parametrize(("count", "together"), [(1, 1), (15, 1), (16, 2), (1000, 16)])
+def test_a_cluster_gets_groups_that_all_its_threads_share(count, together):
+    pair = SimpleNamespace(_client=SimpleNamespace(nthreads=lambda: {"a": 1, "b": 1}))
+    assert ClusterRunner.together(pair, count) == together
+
+
+def test_jobs_are_of_this_machine_and_a_gpu_has_one(asked, monkeypatch):  # noqa: F811
+    with pytest.raises(SpecError, match="leave it out with --cluster"):
+        command.solve_ensemble(Sources(), asked, "", 2, "tcp://127.0.0.1:1", None, False)
+    assert [command.processes(jobs, 10_000) for jobs in (None, 1, 3)] == [2, 1, 3]
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    assert [command.processes(jobs, 10_000) for jobs in (None, 1, 3)] == [1, 1, 3]
 
 
 def test_a_worker_may_round_the_draw_differently(asked):  # noqa: F811

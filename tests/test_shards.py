@@ -44,10 +44,11 @@ class Here:
     """A runner in this process; the last group is answered first."""
 
     def __init__(self, faults=()):
-        self.faults, self.asked = list(faults), []
+        self.faults, self.asked, self.sizes = list(faults), [], []
 
     def run(self, groups):
-        for (task,) in [*groups][::-1]:
+        self.sizes.append([len(group) for group in groups])
+        for task in [task for group in groups for task in group][::-1]:
             if task.job is jobs.shard_job:
                 self.asked.append(task.arguments[1])
                 if self.faults:

@@ -90,7 +90,7 @@ class ShardRun:
             "code": fingerprint(ShardRun),  # with the draw, and the versions of libraries
         }
 
-    def complete(self, runner: Runner, parts: Parts, threads: int) -> None:
+    def complete(self, runner: Runner, parts: Parts, threads: int, together: int = 1) -> None:
         """Run the shards that are missing among the parts, and put each there when it comes.
 
         A shard that is ended from outside is run again. One that ends its process itself, or uses
@@ -104,6 +104,8 @@ class ShardRun:
             Where the results are kept.
         threads
             Threads of each worker.
+        together
+            Number of shards that a worker gets at a time.
 
         Raises
         ------
@@ -119,8 +121,10 @@ class ShardRun:
             self._progress.phase("running shards", len(missing))
         while missing:
             tasks = {self._task(k, threads): k for k in missing}
-            missing = []
-            for task, answer in runner.run([task] for task in tasks):
+            missing, due = [], [*tasks]
+            groups = [due[k : k + together] for k in range(0, len(due), together)]
+            together = 1  # whatever ends a worker costs no other shard a second time
+            for task, answer in runner.run(groups):
                 k, (_, first, count, _) = tasks[task], task.arguments
                 tries[k] += 1
                 columns = {}
