@@ -1,7 +1,8 @@
 """Shards of an ensemble: run by worker processes, or by a cluster, and kept as they come.
 
-How the members are divided depends on their number alone, and a member's values on its own number:
-whoever runs a shard, and when, gives the same bits.
+How the members are divided depends on their number and the kind of device alone, and a member's
+values on its own number: whoever runs a shard, and when, gives the same bits, on processors of the
+same kind with the same libraries.
 """
 
 from __future__ import annotations
