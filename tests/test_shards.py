@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import json
 import os
 import signal
 import subprocess
@@ -14,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import psutil
 import pytest
 
@@ -25,7 +22,6 @@ from bench.running.worker import Worker
 from bench.sweeps import jobs, parts
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.jobs import EnsembleRequest, SweepRequest
-from bench.sweeps.member_files import write_members
 from bench.sweeps.parts import KeptParts, NamelessParts, Results
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import drawn, find_range
@@ -48,10 +44,11 @@ class Here:
     """A runner in this process; the last group is answered first."""
 
     def __init__(self, faults=()):
-        self.faults, self.asked = list(faults), []
+        self.faults, self.asked, self.sizes = list(faults), [], []
 
     def run(self, groups):
-        for (task,) in [*groups][::-1]:
+        self.sizes.append([len(group) for group in groups])
+        for task in [task for group in groups for task in group][::-1]:
             if task.job is jobs.shard_job:
                 self.asked.append(task.arguments[1])
                 if self.faults:
@@ -141,8 +138,10 @@ def test_a_shard_that_is_killed_is_run_again_and_one_that_dies_is_lost_alone(ask
     assert (table["work_steps"][:13] == 0).all()
     with pytest.raises(SpecError, match="It was killed"):
         run_all(asked, NamelessParts(), Here([None, None, *3 * [KILLED]]))
-    with pytest.raises(SpecError, match="The process died"):  # nothing has succeeded before
-        run_all(asked, NamelessParts(), Here([dies]))
+    run, _ = run_all(asked, NamelessParts(), Here([dies]))  # before any has succeeded
+    assert (run.lost.numbers(), run.members) == ({2}, 26)
+    with pytest.raises(SpecError, match="The process died"):
+        run_all(asked, NamelessParts(), Here(3 * [dies]))
 
 
 def test_another_call_runs_what_is_missing(asked, tmp_path):
@@ -163,46 +162,6 @@ def test_another_call_runs_what_is_missing(asked, tmp_path):
     assert all(np.array_equal(again[n], before[n], equal_nan=n[0] in "qvaxy") for n in before)
     kept.remove()
     assert not folder.exists()
-
-
-def test_files_hold_the_same_members(asked, tmp_path):
-    pytest.importorskip("pyarrow")
-    _, results = run_all(asked, NamelessParts())
-    names = [tmp_path / f"members{suffix}" for suffix in (".csv", ".json", ".parquet")]
-    for name in names:
-        write_members(name, results.parts())
-    assert sorted(tmp_path.iterdir()) == sorted(names)
-    rows = json.loads(names[1].read_text())
-    assert [row["member"] for row in rows] == list(range(COUNT))
-    table = pd.read_parquet(names[2])
-    assert table["q1"].tolist()[0] == rows[0]["q1"] == pd.read_csv(names[0])["q1"][0]
-    for name, column in whole(results).items():
-        assert [None if v != v else v for v in column.tolist()] == [row[name] for row in rows]
-        shown = table[name].astype(object).where(table[name].notna(), None)
-        assert shown.tolist() == [row[name] for row in rows]
-    assert names[0].read_text().count("\n") == COUNT + 1
-
-
-def test_a_full_disk_leaves_no_half_part(asked, tmp_path, monkeypatch):
-    kept = KeptParts(tmp_path / "parts", {})
-    written = Path.write_bytes
-
-    def full(path, content):
-        written(path, content[:100])
-        raise OSError(errno.ENOSPC, "No space left on device", str(path))
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space left"):
-        run_all(asked, kept)
-    assert not list((tmp_path / "parts").glob("*.n*"))
-    with pytest.raises(OSError, match="No space left"):
-        write_members(tmp_path / "m.csv", _fails())
-    assert not list(tmp_path.glob("m.csv*"))
-
-
-def _fails():
-    yield {"member": np.arange(2)}
-    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 # ---- the command -------------------------------------------------------------------------

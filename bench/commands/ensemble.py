@@ -33,7 +33,8 @@ def with_ensemble(command: Callable) -> Callable:
     for option in (
         options.with_file(
             "File for the members, .csv, .json or .parquet, a flat row each, for pandas. What is "
-            "finished is kept beside it meanwhile; the same command goes on there."
+            "finished is kept beside it meanwhile; the same command goes on there. Without it "
+            "members are in the system's temporary folder, which may be memory."
         ),
         click.option(
             "--cluster",
@@ -44,7 +45,7 @@ def with_ensemble(command: Callable) -> Callable:
         click.option(
             "--jobs",
             type=click.IntRange(1, options.MOST_JOBS),
-            help=f"Worker processes that run members; {_JOBS} if not given.",
+            help=f"Worker processes that run members; {_JOBS} if not given, 1 on a GPU.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), help="Seed of the random draw; 0 if not given."
@@ -97,6 +98,8 @@ def solve_ensemble(
 
     if not request.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
+    if jobs and cluster:
+        raise SpecError("--jobs is for processes of this machine; leave it out with --cluster.")
     if out:
         check_name(out)
         remark("Finished members are stored; the same command goes on.")
@@ -120,7 +123,7 @@ def solve_ensemble(
         click.echo(f"{request.count} members in {out}", err=as_json)
     if lost := len(run.lost.numbers()):
         again = "; the same command runs them again, with a larger --budget, too" if out else ""
-        click.echo(f"{lost} of {run.plan.shards} shards were lost{again}.", err=True)
+        click.echo(f"{lost} of {run.plan.shards} shards are not complete{again}.", err=True)
     elif isinstance(parts, KeptParts):
         parts.remove()
     if not results.statuses["ok"]:
@@ -142,24 +145,33 @@ def _run(
     from bench.running.runner import Runner
     from bench.running.session import teller
     from bench.sweeps.batch import processors
-    from bench.sweeps.jobs import shards_of
     from bench.sweeps.shards import ShardRun
 
-    processes = min(jobs or _JOBS, shards_of(request.count))
-    threads = max(1, processors() // processes)
+    workers = processes(jobs, request.count)
+    threads = max(1, processors() // workers)
     # A shard watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * request.sweep.budget, processors=threads)
     with _threads(threads), RunProgress() as progress:
         printed = teller(progress)
-        with Runner(processes, limits, printed) as here:
+        with Runner(workers, limits, printed) as here:
             run = ShardRun(here, request, sources, progress)
             parts = parts_of(run.about)
             if not cluster:
                 run.complete(here, parts, threads)
                 return run, parts
         with ClusterRunner(cluster, replace(limits, processors=1), printed) as there:
-            run.complete(there, parts, 1)
+            missing = run.plan.shards - len(parts.numbers())
+            run.complete(there, parts, 1, there.together(missing))
     return run, parts
+
+
+def processes(jobs: int | None, members: int) -> int:
+    """Return how many worker processes run members on this machine; ``jobs`` if it is given."""
+    from bench.sweeps.jobs import shards_of
+
+    # A process takes most of a GPU's memory for itself.
+    usual = _JOBS if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu" else 1
+    return min(jobs or usual, shards_of(members))
 
 
 def _print_json(run: ShardRun, results: Results) -> None:

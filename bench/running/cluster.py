@@ -18,6 +18,9 @@ from problems.plain_text import named, said
 from problems.spec import SpecError
 
 CONNECT_SECONDS = 10
+#: Most short tasks in a group, which costs a process of its own, and fewest groups for each thread
+#: of the workers, so that they end together.
+_MOST_TOGETHER, _FEWEST_GROUPS = 16, 4
 
 
 class ClusterRunner(Runner):
@@ -72,6 +75,12 @@ class ClusterRunner(Runner):
 
     def expect(self, groups: list[list[Task]]) -> None:
         """Do nothing: the workers of a cluster are there."""
+
+    def together(self, count: int) -> int:
+        """Return how many of so many short tasks are best sent as a group."""
+        threads: Any = self._client.nthreads()  # of each worker; there may be none yet
+        groups = max(1, _FEWEST_GROUPS * sum(threads.values()))
+        return max(1, min(_MOST_TOGETHER, count // groups))
 
     def run(
         self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None

@@ -81,6 +81,11 @@ class Ensemble:
         good = np.array(self.status) == "ok"
         return {name: spread(v[good]) for name, v in self._end_columns().items() if good.any()}
 
+    @property
+    def whole(self) -> bool:
+        """Whether the budget was enough to run all members."""
+        return _OUT_OF_TIME not in self.message
+
     def statuses(self) -> dict[str, int]:
         """Return the number of members by status."""
         return dict(Counter(self.status))
@@ -94,13 +99,14 @@ class Ensemble:
 
 
 def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Return a row per entry of the columns; None stands for NaN."""
-    lists = [column.tolist() for column in columns.values()]
-    # A value that is not a number differs from itself.
-    return [
-        {name: None if value != value else value for name, value in zip(columns, row, strict=True)}
-        for row in zip(*lists, strict=True)
-    ]
+    """Return a row per entry of the columns; None stands for what is not finite."""
+    lists = []
+    for column in columns.values():
+        values = column.astype(object)
+        if column.dtype.kind == "f":
+            values[~np.isfinite(column)] = None
+        lists.append(values.tolist())
+    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
 def spread(values: np.ndarray) -> dict[str, float]:

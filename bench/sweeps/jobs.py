@@ -21,7 +21,7 @@ from bench.sweeps.variation import (
     unvaried_resolution,
 )
 from integrators.contract import Integrator, Steps, Tolerances
-from problems.runtime import check_runtime, jax
+from problems.runtime import check_runtime, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -60,10 +60,16 @@ class SweepRequest:
         Raises
         ------
         SpecError
-            If they cannot be run side by side.
+            If they cannot be run side by side, or JAX does not compute with 64 bits.
         """
+        try:
+            jax.default_backend()
+        except Exception:  # of whatever kind: JAX has none for a platform that is missing
+            raise SpecError(check_runtime() or "JAX does not start.") from None
         scene = worker.registry.problem(self.problem, **self.settings)
         method = worker.registry.integrator(self.integrator)
+        if jnp.zeros(1).dtype.itemsize != 8:  # a plugin may have changed it
+            raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")
         refuse(method, scene)
         worker.notify(PREPARING, "tracing and compiling")
         return scene, method
@@ -154,10 +160,6 @@ def shards_of(count: int, backend: str = "cpu") -> int:
 
 def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
     """Read an ensemble's request; refuse what cannot be run."""
-    try:
-        backend = jax.default_backend()
-    except Exception:  # of whatever kind: JAX has none for a platform that is missing
-        raise SpecError(check_runtime()) from None
     sweep = request.sweep
     scene, method = sweep.ready(worker)
     ranges = request.ranges(scene, method)
@@ -168,7 +170,7 @@ def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
         spec_without(method, quantities),
         check_end(scene.interval[0], scene.interval[1] if sweep.t_end is None else sweep.t_end),
         ranges,
-        shards_of(request.count, backend),
+        shards_of(request.count, jax.default_backend()),
     )
 
 

@@ -43,7 +43,7 @@ def write_members(path: Path, parts: Iterator[Columns]) -> None:
             with new.open("w", encoding="utf-8", newline="\n") as file:
                 file.writelines(_TEXTS[path.suffix](parts))
         new.replace(path)
-    except OSError:
+    except BaseException:
         with suppress(OSError):
             new.unlink()
         raise
@@ -73,8 +73,10 @@ def _write_parquet(path: Path, parts: Iterator[Columns]) -> None:
     arrow, parquet = _parquet()
 
     def table(part: Columns) -> Any:
-        # NaN stands for no value.
-        columns = [arrow.array(column, from_pandas=True) for column in part.values()]
+        columns = [
+            arrow.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
+            for column in part.values()
+        ]
         return arrow.table(columns, names=list(part))
 
     first = table(next(parts))

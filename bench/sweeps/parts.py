@@ -1,7 +1,8 @@
 """Members of an ensemble in parts on the disk: many more than memory holds.
 
 A part holds the members of a shard, in the format ``npz``: `numpy.load` gives an array for each
-column. A part is put in place whole, so that those that are there can be read at any time.
+column. A part is put in place whole, so that those that are there can be read at any time. Without
+a file to write, parts are in the system's folder for temporary files, which may be memory.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ class Parts(ABC):
 
 
 class NamelessParts(Parts):
-    """Parts in a file that has no name, and ends with this process however it ends."""
+    """Parts in a file that has no name, and ends with this process however it ends.
+
+    It is in the system's folder for temporary files: in memory, where this is a tmpfs.
+    """
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115 - it lasts as long as the parts
@@ -98,6 +102,7 @@ class KeptParts(Parts):
         self._lock = locked(folder)
         file, text = folder / _ABOUT, json.dumps(about, indent=1)
         if not file.exists():
+            self._drop_all()  # nobody knows of which ensemble they are
             _put(file, text.encode())
         elif file.read_text(encoding="utf-8", errors="replace") != text:
             raise SpecError(
@@ -117,10 +122,19 @@ class KeptParts(Parts):
         return self._folder / f"part-{k:06d}.npz"
 
     def remove(self) -> None:
-        """Remove the folder: its members are elsewhere."""
+        """Remove the folder: its members are elsewhere.
+
+        Whoever ends this half-way leaves parts of a known ensemble, or none.
+        """
+        self._drop_all()
+        (self._folder / _ABOUT).unlink()
+        shutil.rmtree(self._folder)
         if self._lock:
             self._lock.release()
-        shutil.rmtree(self._folder)
+
+    def _drop_all(self) -> None:
+        for k in [*self._found()]:
+            self.opened(k).unlink(missing_ok=True)
 
     def _found(self) -> Iterator[int]:
         for path in self._folder.glob("part-*.npz"):
@@ -220,6 +234,6 @@ def _put(path: Path, content: bytes) -> None:
     try:
         new.write_bytes(content)
         new.replace(path)
-    except OSError:
+    except BaseException:
         new.unlink(missing_ok=True)
         raise

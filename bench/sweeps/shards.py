@@ -1,7 +1,8 @@
 """Shards of an ensemble: run by worker processes, or by a cluster, and kept as they come.
 
-How the members are divided depends on their number alone, and a member's values on its own number:
-whoever runs a shard, and when, gives the same bits.
+How the members are divided depends on their number and the kind of device alone, and a member's
+values on its own number: whoever runs a shard, and when, gives the same bits, on processors of the
+same kind with the same libraries.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ import numpy as np
 
 from bench.guard.process import NoAnswer, Refused
 from bench.plugins.facts import Sources
-from bench.results.environment import library_versions
+from bench.plugins.fingerprint import fingerprint
 from bench.running.runner import Runner, Task
 from bench.running.session import Progress
+from bench.sweeps.ensemble import Ensemble
 from bench.sweeps.jobs import EnsemblePlan, EnsembleRequest, plan_job, shard_job
 from bench.sweeps.parts import Columns, NamelessParts, Parts
 from bench.sweeps.variation import drawn
@@ -25,6 +27,10 @@ from problems.spec import SpecError
 
 #: A shard that something ended from outside is begun so many times.
 _TRIES = 3
+#: So many shards that fail, and none that succeeds, end the ensemble.
+_MOST_FAILED = 8
+#: A worker draws the values with its own exponential function, which may round differently.
+_SAME_DRAW = 1e-9
 #: Said of the answer of a plugin that writes into the rows of others.
 _OTHER = "Its answer is about something else than it was asked."
 
@@ -46,7 +52,7 @@ class ShardRun:
     plan
         What the request means.
     lost
-        Members of shards that have no answer, with the reason.
+        Members of shards that have no answer, or whose budget did not last, with the reason.
     members, compile_s, run_s, wall_s
         Number of members that were run now, and seconds that their shards took to prepare and to
         run, added up, and by the clock.
@@ -70,7 +76,7 @@ class ShardRun:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What decides the members, but for the sources, as values of JSON."""
+        """What decides the members, but for scene and integrator's sources, as values of JSON."""
         sweep = self._request.sweep
         given = {name: repr(value) for name, value in sweep.given.items()}
         return {
@@ -82,14 +88,14 @@ class ShardRun:
             "seed": self._request.seed,
             "members": self._request.count,
             "shards": self.plan.shards,
-            "versions": library_versions(),
+            "code": fingerprint(ShardRun),  # with the draw, and the versions of libraries
         }
 
-    def complete(self, runner: Runner, parts: Parts, threads: int) -> None:
+    def complete(self, runner: Runner, parts: Parts, threads: int, together: int = 1) -> None:
         """Run the shards that are missing among the parts, and put each there when it comes.
 
         A shard that is ended from outside is run again. One that ends its process itself, or uses
-        up its budget, costs its own members alone, unless none has succeeded before.
+        up its budget, costs its own members alone, unless none succeeds.
 
         Parameters
         ----------
@@ -99,6 +105,8 @@ class ShardRun:
             Where the results are kept.
         threads
             Threads of each worker.
+        together
+            Number of shards that a worker gets at a time.
 
         Raises
         ------
@@ -106,6 +114,7 @@ class ShardRun:
             If no shard can be run, or one is ended from outside again and again.
         """
         tries, began = Counter[int](), time.perf_counter()
+        failed: dict[int, NoAnswer] = {}
         have = parts.numbers()
         pattern = parts.read(min(have)) if have else {}
         missing = [k for k in range(self.plan.shards) if k not in have]
@@ -113,36 +122,62 @@ class ShardRun:
             self._progress.phase("running shards", len(missing))
         while missing:
             tasks = {self._task(k, threads): k for k in missing}
-            missing = []
-            for task, answer in runner.run([task] for task in tasks):
+            missing, due = [], [*tasks]
+            groups = [due[k : k + together] for k in range(0, len(due), together)]
+            together = 1  # whatever ends a worker costs no other shard a second time
+            for task, answer in runner.run(groups):
                 k, (_, first, count, _) = tasks[task], task.arguments
                 tries[k] += 1
-                columns = {} if isinstance(answer, NoAnswer) else answer.columns(first)
-                if columns and not _alike(columns, pattern, count):
-                    answer = NoAnswer(status="crashed", message=_OTHER)
+                columns = {}
+                if isinstance(answer, Ensemble):
+                    columns = self._columns(answer, first, count, pattern)
+                    answer = answer if columns else NoAnswer(status="crashed", message=_OTHER)
                 if not isinstance(answer, NoAnswer):
                     pattern = pattern or columns
-                    parts.put(k, columns)
+                    (parts if answer.whole else self.lost).put(k, columns)
                     self.members += count
                     self.compile_s += answer.compile_s
                     self.run_s += answer.run_s
                 elif answer.status == "interrupted" and tries[k] < _TRIES:
                     missing.append(k)
                     continue
-                elif answer.status == "interrupted" or not pattern or isinstance(answer, Refused):
+                elif answer.status == "interrupted" or isinstance(answer, Refused):
                     self._answered(answer)
                 else:
-                    values = drawn(self.plan.ranges, self._request.seed, first, count)
-                    self.lost.put(k, _nothing(pattern, answer, first, values))
+                    failed[k] = answer
+                    if not pattern and len(failed) == min(_MOST_FAILED, self.plan.shards):
+                        self._answered(failed[min(failed)])
                 self._progress.advance()
+        for k, answer in failed.items():
+            first, count = self._members(k)
+            values = drawn(self.plan.ranges, self._request.seed, first, count)
+            self.lost.put(k, _nothing(pattern, answer, first, values))
         self.wall_s = time.perf_counter() - began
 
-    def _task(self, k: int, threads: int) -> Task:
+    def _members(self, k: int) -> tuple[int, int]:
+        """Number of the first member of a shard, and of its members."""
         count, shards = self._request.count, self.plan.shards
         first, after = (number * count // shards for number in (k, k + 1))
-        given = self._request, first, after - first, threads
-        label = f"{self._about}, members {first} to {after - 1}"
+        return first, after - first
+
+    def _task(self, k: int, threads: int) -> Task:
+        first, count = self._members(k)
+        given = self._request, first, count, threads
+        label = f"{self._about}, members {first} to {first + count - 1}"
         return Task(shard_job, given, label, sources=self._sources)
+
+    def _columns(self, answer: Ensemble, first: int, count: int, pattern: Columns) -> Columns:
+        """The columns of an answer; none if they are not those of this shard."""
+        values = drawn(self.plan.ranges, self._request.seed, first, count)
+        try:
+            columns = answer.columns(first)
+            alike = _alike(columns, pattern, count) and all(
+                np.allclose(answer.vary[name], asked, rtol=_SAME_DRAW, atol=0.0)
+                for name, asked in values.items()
+            )
+        except (TypeError, ValueError, KeyError):  # a plugin may have made it
+            return {}
+        return columns if alike else {}
 
     def _answered(self, answer: Any) -> Any:
         if isinstance(answer, Refused):
@@ -154,9 +189,7 @@ class ShardRun:
 
 def _alike(columns: Columns, pattern: Columns, count: int) -> bool:
     """Whether columns have an entry for each member, and those of another shard."""
-    kinds = [
-        {name: column.dtype.kind for name, column in one.items()} for one in (columns, pattern)
-    ]
+    kinds = [[(n, column.dtype.kind) for n, column in one.items()] for one in (columns, pattern)]
     whole = all(column.shape == (count,) for column in columns.values())
     return whole and (not pattern or kinds[0] == kinds[1])
 

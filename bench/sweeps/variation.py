@@ -70,7 +70,7 @@ class Range:
         among those that vary: a generator that counts (Salmon et al. 2011,
         doi:10.1145/2063384.2063405) begins anywhere.
         """
-        key = np.random.SeedSequence([seed, place]).generate_state(2, np.uint64)
+        key = np.random.SeedSequence(seed, spawn_key=(place,)).generate_state(2, np.uint64)
         counted, before = divmod(first, _OF_ONE_COUNT)
         generator = np.random.Generator(np.random.Philox(key=key, counter=counted))
         part = generator.random(before + count)[before:]

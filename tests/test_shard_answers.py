@@ -1,0 +1,162 @@
+"""Answers of shards: what is stored, what is run again, and what is about something else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_shards import KILLED, REGISTRY, Here, Quiet, asked, run_all, whole  # noqa: F401 - a fixture
+
+from bench.commands import ensemble as command
+from bench.plugins import fingerprint
+from bench.plugins.facts import Sources
+from bench.running.cluster import ClusterRunner
+from bench.running.worker import Worker
+from bench.sweeps import batch, jobs, variation
+from bench.sweeps.ensemble import rows_of
+from bench.sweeps.member_files import write_members
+from bench.sweeps.parts import KeptParts, NamelessParts
+from bench.sweeps.shards import ShardRun
+from bench.sweeps.variation import Quantity, Range
+from problems.runtime import jax
+from problems.spec import SpecError
+
+
+class Changed(Here):
+    """A runner whose shard of the middle has another answer."""
+
+    def __init__(self, change):
+        super().__init__()
+        self.change = change
+
+    def run(self, groups):
+        for task, answer in super().run(groups):
+            middle = task.job is jobs.shard_job and task.arguments[1] == 13
+            yield task, self.change(answer) if middle else answer
+
+
+def test_a_shard_whose_budget_did_not_last_is_run_again(asked, tmp_path, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(batch, "_MOST_LANES", {"cpu": 8})  # blocks of 8 of the 13 members
+    short = replace(asked, sweep=replace(asked.sweep, budget=0.0))
+    kept = KeptParts(tmp_path / "parts", {})
+    run, results = run_all(short, kept)
+    assert (kept.numbers(), run.lost.numbers()) == (set(), {0, 1, 2})
+    assert results.statuses["budget_exceeded"] == 40 - 3 * 8
+    assert "raise the budget" in results.first["budget_exceeded"][1]
+    run, results = run_all(asked, kept)
+    assert (kept.numbers(), run.lost.numbers()) == ({0, 1, 2}, set())
+    assert "budget_exceeded" not in results.statuses
+
+
+def test_a_member_that_used_up_its_own_steps_is_finished(asked):  # noqa: F811
+    def of_its_own(answer):
+        return replace(
+            answer, status=["budget_exceeded"] * 13, message=["It took all of its max_steps."] * 13
+        )
+
+    run, results = run_all(asked, NamelessParts(), Changed(of_its_own))
+    assert run.lost.numbers() == set()
+    assert results.statuses["budget_exceeded"] == 13
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda answer: replace(answer, vary=answer.vary | {"k": answer.vary["k"] * (1 + 1e-8)}),
+        lambda answer: replace(answer, vary=dict(reversed(answer.vary.items()))),
+        lambda answer: replace(answer, vary={"k": answer.vary["k"], "b": answer.vary["h"]}),
+        lambda answer: replace(answer, vary=answer.vary | {"k": np.array(["1"] * 13)}),
+        lambda answer: replace(answer, ends=answer.ends | {"q": np.array(1.0)}),
+        lambda answer: replace(answer, ends=answer.ends | {"q": np.zeros((12, 1))}),
+        lambda answer: replace(answer, ends=answer.ends | {"p": answer.ends["q"]}),
+        lambda answer: replace(answer, work=dict(reversed(answer.work.items()))),
+    ],
+)
+def test_answers_about_something_else_are_lost(asked, change):  # noqa: F811
+    run, results = run_all(asked, NamelessParts(), Changed(change))
+    assert run.lost.numbers() == {1}
+    assert results.first["crashed"] == (13, "Its answer is about something else than it was asked.")
+    assert len(whole(results)["member"]) == 40
+
+
+def test_shards_come_in_groups_and_again_alone(asked):  # noqa: F811
+    runner = Here([KILLED, None, KILLED])
+    run = ShardRun(runner, asked, Sources(), Quiet())
+    run.complete(runner, store := NamelessParts(), 1, 2)
+    assert runner.sizes == [[1], [2, 1], [1, 1]]
+    assert store.numbers() == {0, 1, 2}
+
+
+@pytest.mark.parametrize(("count", "together"), [(1, 1), (15, 1), (16, 2), (1000, 16)])
+def test_a_cluster_gets_groups_that_all_its_threads_share(count, together):
+    pair = SimpleNamespace(_client=SimpleNamespace(nthreads=lambda: {"a": 1, "b": 1}))
+    assert ClusterRunner.together(pair, count) == together
+
+
+def test_jobs_are_of_this_machine_and_a_gpu_has_one(asked, monkeypatch):  # noqa: F811
+    with pytest.raises(SpecError, match="leave it out with --cluster"):
+        command.solve_ensemble(Sources(), asked, "", 2, "tcp://127.0.0.1:1", None, False)
+    assert [command.processes(jobs, 10_000) for jobs in (None, 1, 3)] == [2, 1, 3]
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    assert [command.processes(jobs, 10_000) for jobs in (None, 1, 3)] == [1, 1, 3]
+
+
+def test_a_worker_may_round_the_draw_differently(asked):  # noqa: F811
+    def rounded(answer):
+        return replace(answer, vary=answer.vary | {"k": np.nextafter(answer.vary["k"], 2.0)})
+
+    assert run_all(asked, NamelessParts(), Changed(rounded))[0].lost.numbers() == set()
+
+
+def test_the_code_of_ensembles_decides_the_members(asked, monkeypatch):  # noqa: F811
+    run, _ = run_all(asked, NamelessParts())
+    before, read = run.about, fingerprint._source
+
+    def edited(file):
+        found = read(file)
+        return found._replace(digest="edited") if file.samefile(variation.__file__) else found
+
+    fingerprint.fingerprint.cache_clear()
+    monkeypatch.setattr(fingerprint, "_source", edited)
+    after = run.about
+    fingerprint.fingerprint.cache_clear()
+    assert {name for name in before if before[name] != after[name]} == {"code"}
+
+
+def test_seeds_and_places_have_different_draws():
+    of = Range(Quantity("k", "scene", "k"), 0.0, 1.0)
+    assert (of.draw(5, 1, 0, 9) != of.draw(5 + 2**32, 0, 0, 9)).all()
+
+
+def test_what_is_not_finite_is_no_value(tmp_path):
+    columns = {"member": np.arange(3), "q1": np.array([1.5, np.inf, np.nan])}
+    wanted = [{"member": 0, "q1": 1.5}, {"member": 1, "q1": None}, {"member": 2, "q1": None}]
+    assert rows_of(columns) == wanted
+    names = [tmp_path / f"members{suffix}" for suffix in (".csv", ".json", ".parquet")]
+    pytest.importorskip("pyarrow")
+    for name in names:
+        write_members(name, iter([columns]))
+    assert json.loads(names[1].read_text()) == wanted
+    for table in (pd.read_csv(names[0]), pd.read_parquet(names[2])):
+        assert table["q1"].isna().tolist() == [False, True, True]
+
+
+def test_jax_computes_with_64_bits_or_the_ensemble_is_refused(asked, monkeypatch):  # noqa: F811
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(SpecError, match="32-bit floats"):
+            jobs.plan_job(Worker(REGISTRY), asked)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+    def fails():
+        raise RuntimeError
+
+    monkeypatch.setattr(jax, "default_backend", fails)
+    monkeypatch.setattr(jobs, "check_runtime", lambda: "")
+    with pytest.raises(SpecError, match="JAX does not start"):
+        jobs.plan_job(Worker(REGISTRY), asked)
