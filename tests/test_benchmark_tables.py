@@ -36,6 +36,18 @@ def test_tables_of_families():
     assert "the library" in families.ida_table(rows)
 
 
+def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeypatch, capsys):
+    import opponents
+
+    if opponents.shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    monkeypatch.setattr(opponents, "_OPTIONS", ("-march=no-such-machine",))
+    with pytest.raises(opponents.NotHere, match=r"The C program was left out: cc .* fails"):
+        opponents.c_program()
+    assert opponents.peak() is None
+    assert "The peak was left out: cc" in capsys.readouterr().out
+
+
 @pytest.mark.long
 def test_the_table_of_what_python_costs():
     import ida_in_c

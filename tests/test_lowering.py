@@ -181,6 +181,19 @@ def test_programs_in_pieces_compute_the_same(monkeypatch):
     assert in_c(many, 12)(u).tobytes() == whole.tobytes()
 
 
+def solves(u):
+    """Systems of 20 unknowns, each with a matrix of its own."""
+    matrix = jnp.outer(u, u) + jnp.eye(20)
+    return jnp.array([jnp.linalg.solve(matrix + k * jnp.eye(20), u)[0] for k in range(5)])
+
+
+@pytest.mark.parametrize("function", [many, solves, lambda u: jnp.arange(1.0, 3000.0)])
+def test_no_piece_is_longer_than_a_compiler_likes(function):
+    source = c_function("f", lowered(function, (20 if function is solves else 12,)), 1)
+    pieces = [body.split("\n}")[0] for body in source.split("\n{\n")[1:]]
+    assert max(piece.count("\n") for piece in pieces) < 2 * c_source._PIECE
+
+
 # ---- loops and branches ----------------------------------------------------------------
 def root(u):
     """Newton's method for x^3 + x = u, as an inner solve of equations."""
@@ -239,6 +252,18 @@ def test_loops_take_the_turns_that_they_take_in_jax(name):
         assert function(u) == pytest.approx(np.asarray(traced(u)), rel=1e-13, abs=1e-13), seed
 
 
+def test_constants_are_no_values_given_to_a_loop():
+    known = jnp.arange(9.0)
+
+    def function(u):
+        return jax.lax.while_loop(lambda x: x[0] < u[1], lambda x: x + known[2:5] * u[0], u)
+
+    program = lowered(function, (3,))
+    (loop,) = (given for operator, given in program.graph.nodes if isinstance(operator, graph.Loop))
+    assert loop
+    assert not any(map(program.graph.is_constant, loop))
+
+
 # ---- simplification --------------------------------------------------------------------
 def test_only_operations_that_matter_remain():
     assert operations(lambda u: 0 * u[0] + 1 * u[1] - (-u[2]) + 0, 3) == ["add"]
@@ -275,6 +300,16 @@ def test_only_operations_that_matter_remain():
         (lambda u: u.astype(jnp.float32) * 2, "64-bit"),
         (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
         (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
+        (lambda u: jnp.arange(24_001) + 1.0, "lines"),
+        (
+            lambda u: sum(
+                jnp.linalg.solve(
+                    k * jnp.eye(40) + u[0] + jnp.diag(u[:1] * jnp.ones(40)), u[:1] * jnp.ones(40)
+                )
+                for k in range(8)
+            ),
+            "operations",
+        ),
     ],
 )
 def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):

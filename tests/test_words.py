@@ -145,7 +145,7 @@ def test_details_come_with_a_name(stepbench, narrow):
     ):
         assert words in text
     suite = " ".join(stepbench("list", "quick").stdout.split())
-    assert "9 timings per run, at most 60 s" in suite
+    assert "6 timings per run, at most 60 s" in suite
     assert "Pendulum: IDA on raw index 3" in suite
     wrong = stepbench("list", "pendulm")
     assert wrong.exit_code == 1

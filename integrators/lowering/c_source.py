@@ -8,6 +8,7 @@ function. So a long program is cut into pieces that hand over values in an array
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from integrators.lowering.graph import Entry, Loop, NotLowered, Program, Solve
 from integrators.lowering.operators import OPERATORS
@@ -57,10 +58,12 @@ static NOINLINE void solve(int n, int m, double *restrict a, double *restrict b)
         }
 }
 """
-#: Operations of a piece.
+#: Lines of a piece, beside those that keep a value for a later piece.
 _PIECE = 500
-#: Operations that a compiler takes some four seconds for.
+#: Operations, and values given to loops and solves, that a compiler takes some four seconds for.
 _MOST_OPERATIONS = 12_000
+#: Lines of a function, with those that write results.
+_MOST_LINES = 2 * _MOST_OPERATIONS
 
 
 def c_function(name: str, program: Program, arguments: int) -> str:
@@ -80,12 +83,13 @@ def _function(name: str, program: Program, arguments: int) -> tuple[str, int]:
     """The C of a function and of the loops in it, and the number of its operations."""
     writer = _Writer(name, program)
     loops = [_loop(writer.loop_name(node), loop) for node, loop in writer.loops.items()]
-    count = len(writer.order) + sum(inside for _, inside in loops)
-    if count > _MOST_OPERATIONS:
-        raise NotLowered(
-            f"it has {count} operations on numbers, and a compiler is given at most "
-            f"{_MOST_OPERATIONS}"
-        )
+    count = writer.count + sum(inside for _, inside in loops)
+    for found, what, most in (
+        (count, "operations on numbers", _MOST_OPERATIONS),
+        (writer.length, "lines", _MOST_LINES),
+    ):
+        if found > most:
+            raise NotLowered(f"it has {found} {what}, and a compiler is given at most {most}")
     given = [f"const double *restrict a{k}" for k in range(arguments)]
     head = ", ".join([*given, "double *restrict out"])
     passed = ", ".join([*(f"a{k}" for k in range(arguments)), "out", "s"])
@@ -95,7 +99,7 @@ def _function(name: str, program: Program, arguments: int) -> tuple[str, int]:
         pieces.append("\n".join([piece, "{", *writer.lines(k), "}"]))
         calls.append(f"    {name}_{k}({passed});")
     scratch = [f"    double s[{max(1, writer.room)}];"]
-    main = [f"void {name}({head})", "{", *scratch, *writer.constants(), *calls, "}", ""]
+    main = [f"void {name}({head})", "{", *scratch, *writer.zeros(), *calls, "}", ""]
     source = "\n".join([*(text for text, _ in loops), *pieces, *main])
     return source, count
 
@@ -117,36 +121,62 @@ def _loop(name: str, loop: Loop) -> tuple[str, int]:
     return source, test + body
 
 
+class _Line(NamedTuple):
+    """A line of a piece: `node` is computed, or called, or its value is put in a place."""
+
+    node: int
+    #: An array of C and an entry of it; None if the node is computed or called.
+    place: tuple[str, int] | None = None
+
+
 class _Writer:
     def __init__(self, name: str, program: Program) -> None:
         self._name, self._graph = name, program.graph
         self._results = program.results.ravel().tolist()
-        self.order = self._graph.needed(self._results)
-        self.pieces = -(-len(self.order) // _PIECE)
-        self._piece = {node: k // _PIECE for k, node in enumerate(self.order)}
-        self._outputs: dict[int, list[int]] = {}
+        #: Size of the array s: the values of each loop and solve, then those for later pieces.
+        self.room, self._values = 0, {}
+        self.loops: dict[int, Loop] = {}
+        order = self._graph.needed(self._results)
+        outputs: dict[int, list[int]] = {}
         for k, node in enumerate(self._results):
-            self._outputs.setdefault(node, []).append(k)
+            outputs.setdefault(node, []).append(k)
+        computed, self._lines = set(order), []
+        for node in [*(node for node in outputs if node not in computed), *order]:
+            if node in computed:
+                self._lines += [*self._handed_over(node), _Line(node)]
+            if node != self._graph.zero:
+                self._lines += [_Line(node, ("out", k)) for k in outputs.get(node, ())]
+        self.length = len(self._lines)
+        self.count = sum(line.place is None or line.place[0] == "s" for line in self._lines)
+        self.pieces = -(-self.length // _PIECE)
+        self._piece = {
+            line.node: k // _PIECE for k, line in enumerate(self._lines) if line.place is None
+        }
         #: Places in the array s of the values that later pieces need.
         self.places: dict[int, int] = {}
-        self.loops: dict[int, Loop] = {}
-        several = []
-        for node in self.order:
-            operator, inputs = self._graph.nodes[node]
-            if isinstance(operator, Entry):
-                continue
-            if isinstance(operator, Loop):
-                self.loops[node] = operator
-            if isinstance(operator, Loop | Solve):
-                several.append(node)
-            for given in inputs:
-                if self._piece.get(given, self._piece[node]) != self._piece[node]:
-                    self.places.setdefault(given, len(self.places))
-        #: Size of the array s; the values of each loop and solve stand behind all others.
-        self.room, self._values = len(self.places), {}
-        for node in several:
-            self._values[node] = self.room
-            self.room += len(self._graph.nodes[node][1])
+        for k, line in enumerate(self._lines):
+            for node in self._used(line):
+                if self._piece.get(node, k // _PIECE) != k // _PIECE and node not in self.places:
+                    self.places[node] = self.room
+                    self.room += 1
+
+    def _handed_over(self, node: int) -> list[_Line]:
+        """The lines that put the values given to a loop or a solve in their places."""
+        operator, given = self._graph.nodes[node]
+        if not isinstance(operator, Loop | Solve):
+            return []
+        if isinstance(operator, Loop):
+            self.loops[node] = operator
+        first = self._values[node] = self.room
+        self.room += len(given)
+        return [_Line(x, ("s", first + k)) for k, x in enumerate(given)]
+
+    def _used(self, line: _Line) -> tuple[int, ...]:
+        """The nodes whose values stand in a line."""
+        operator, given = self._graph.nodes[line.node]
+        if line.place is not None:
+            return (line.node,)
+        return () if isinstance(operator, Entry | Loop | Solve) else given
 
     def loop_name(self, node: int) -> str:
         """The name of the function of a loop."""
@@ -155,10 +185,13 @@ class _Writer:
     def lines(self, piece: int) -> list[str]:
         """The lines of a piece."""
         lines = []
-        for node in self.order[piece * _PIECE : (piece + 1) * _PIECE]:
+        for node, place in self._lines[piece * _PIECE : (piece + 1) * _PIECE]:
             operator, given = self._graph.nodes[node]
+            if place is not None:
+                lines.append("    {}[{}] = {};".format(*place, self._text(node, piece)))
+                continue
             if isinstance(operator, Loop | Solve):
-                lines += self._call(node, [self._text(x, piece) for x in given])
+                lines.append(self._call(node))
                 continue
             boolean = self._graph.kind(node) == "b"
             if isinstance(operator, Entry):
@@ -168,27 +201,21 @@ class _Writer:
             lines.append(f"    const {'int' if boolean else 'double'} v{node} = {value};")
             if node in self.places:
                 lines.append(f"    s[{self.places[node]}] = v{node};")
-            lines += [f"    out[{k}] = v{node};" for k in self._outputs.get(node, ())]
         return lines
 
-    def constants(self) -> list[str]:
-        """Lines for the results that are constants or arguments."""
-        lines = []
-        if self._graph.zero in self._outputs:
-            lines.append(f"    memset(out, 0, {len(self._results)} * sizeof(double));")
-        for node, places in self._outputs.items():
-            if node not in self._piece and node != self._graph.zero:
-                lines += [f"    out[{k}] = {self._text(node, 0)};" for k in places]
-        return lines
+    def zeros(self) -> list[str]:
+        """A line for the results that are zero, if there are any."""
+        if self._graph.zero not in self._results:
+            return []
+        return [f"    memset(out, 0, {len(self._results)} * sizeof(double));"]
 
-    def _call(self, node: int, given: list[str]) -> list[str]:
-        """Lines that call the function of a loop or a solve, which leaves values in s."""
-        operator, first = self._graph.nodes[node][0], self._values[node]
-        lines = [f"    s[{first + k}] = {text};" for k, text in enumerate(given)]
-        at = f"s + {first}, s + {self._left(node)}"
+    def _call(self, node: int) -> str:
+        """The call of the function of a loop or a solve, which leaves values in s."""
+        operator, at = self._graph.nodes[node][0], f"s + {self._values[node]}"
+        at = f"{at}, s + {self._left(node)}"
         if isinstance(operator, Solve):
-            return [*lines, f"    solve({operator.unknowns}, {operator.systems}, {at});"]
-        return [*lines, f"    {self.loop_name(node)}({at});"]
+            return f"    solve({operator.unknowns}, {operator.systems}, {at});"
+        return f"    {self.loop_name(node)}({at});"
 
     def _left(self, node: int) -> int:
         """The first place in s of the values that a loop or a solve leaves."""

@@ -134,6 +134,7 @@ class _Follower:
     def _looped(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
         """The results of a loop whose number of turns is found in the loop."""
         graph, outer, inner = Graph(), self._graph, {}
+        handed_over: list[int] = []  # constants are written where they are used
         follower = _Follower(graph)
         follower._entries, follower._turns = self._entries, self._turns
         tested, kept = params["cond_nconsts"], params["body_nconsts"]
@@ -142,13 +143,13 @@ class _Follower:
         def inside(array: np.ndarray) -> np.ndarray:
             """Given values as the loop's programs see them; known ones stay known."""
             for node in array.ravel().tolist():
-                if node not in inner:
-                    known, place = outer.is_constant(node), len(inner)
-                    inner[node] = (
-                        graph.constant(outer.value(node))
-                        if known
-                        else graph.input(0, place, outer.kind(node))
-                    )
+                if node in inner:
+                    continue
+                if outer.is_constant(node):
+                    inner[node] = graph.constant(outer.value(node))
+                else:
+                    inner[node] = graph.input(0, len(handed_over), outer.kind(node))
+                    handed_over.append(node)
             return np.array([inner[node] for node in array.flat], int).reshape(array.shape)
 
         consts = [inside(array) for array in given[: tested + kept]]
@@ -165,9 +166,8 @@ class _Follower:
             goes_on = np.array(graph.any(goes_on.ravel().tolist()))
         self._entries, self._turns = follower._entries, follower._turns
         loop = Loop(Program(graph, goes_on), Program(graph, _joined(after)))
-        return _parts(
-            np.array(outer.left_by(loop, (*inner, *_joined(first).tolist()), kinds)), first
-        )
+        left = outer.left_by(loop, (*handed_over, *_joined(first).tolist()), kinds)
+        return _parts(np.array(left), first)
 
     def _chosen(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
         """The results of one of several programs, all of which are computed."""

@@ -1,9 +1,9 @@
 """IDA with equations in C against IDA that calls them through Python: the same solver and settings.
 
 A second table tells what Python costs: IDA, CVODE and Radau of scipy either way, and backward
-differences of our own, in processor seconds. ``make bench`` prints both and writes them as JSON.
-Contestants run in turn, round after round; ratios are taken within a round. Times are not checked.
-A run that fails is left out, with its message.
+differences of our own. ``make bench`` prints both and writes them as JSON. Contestants run in turn,
+round after round; times are processor seconds, ratios are taken within a round. Times are not
+checked. A run that fails is left out, with its message.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from __future__ import annotations
 import argparse
 import ctypes
 import json
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from callbacks import least
-from opponents import NotHere, stepbench
+from opponents import NotHere, stepbench, timed
 
 from integrators import Tolerances
 from integrators.adapters.ida import IDA
@@ -85,9 +84,7 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(rounds):
         for name, run in runs.items():
-            began = time.perf_counter()
-            run.execute()
-            seconds[name].append(time.perf_counter() - began)
+            seconds[name].append(timed(run.execute)())
     rows = []
     for name in runs:
         end, own = ends[name], np.array(seconds[name])

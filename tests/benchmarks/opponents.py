@@ -44,6 +44,8 @@ _CLOSE = 1.05
 _TRIES, _MOST_STEPS = 12, 200_000
 _YARDSTICK = Path(__file__).with_name("yardstick_slider_crank.c")
 _PEAK = Path(__file__).with_name("peak.c")
+#: Of the compiler: programs are for this machine alone.
+_OPTIONS = ("-O3", "-march=native")
 #: Processor seconds of each of both measurements of the peak.
 _LONG_ENOUGH = 1.0
 
@@ -189,20 +191,41 @@ def equally_accurate(spec: str, wanted: float, reference: Reference) -> Contesta
 
 def c_program() -> Contestant:
     """The yardstick, compiled for this machine; it times its own loop."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        raise NotHere("The C program was left out: there is no C compiler (cc) on the path.")
-    program = Path(tempfile.mkdtemp(prefix="stepbench-")) / "yardstick"
-    options = ["-O3", "-march=native"]
-    subprocess.run([compiler, *options, "-o", program, _YARDSTICK, "-lm"], check=True)
+    folder = tempfile.TemporaryDirectory(prefix="stepbench-")
+    program = _compiled(_YARDSTICK, Path(folder.name), "The C program")
 
     def call() -> list[float]:
-        command = [program, str(STEPS), str(T_END), str(RHO)]
-        printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        return list(map(float, printed.split()))
+        # The folder goes when the contestant does, as this function holds it.
+        return _numbers([str(Path(folder.name) / program.name), str(STEPS), str(T_END), str(RHO)])
 
     q = np.array(call()[2:9])
-    return Contestant("C", f"cc {' '.join(options)}", lambda: call()[0] * 1e-6 * STEPS, STEPS, q)
+    about = f"cc {' '.join(_OPTIONS)}"
+    return Contestant("C", about, lambda: call()[0] * 1e-6 * STEPS, STEPS, q)
+
+
+def _compiled(source: Path, folder: Path, what: str) -> Path:
+    """The program of a source in C.
+
+    Raises
+    ------
+    NotHere
+        If there is no compiler (cc), or it refuses.
+    """
+    compiler, program = shutil.which("cc"), folder / source.stem
+    if compiler is None:
+        raise NotHere(f"{what} was left out: there is no C compiler (cc) on the path.")
+    command = [compiler, *_OPTIONS, "-o", program, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[0]
+        raise NotHere(f"{what} was left out: cc {' '.join(_OPTIONS)} fails ({said}).")
+    return program
+
+
+def _numbers(command: list[str]) -> list[float]:
+    """What a program prints."""
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return list(map(float, done.stdout.split()))
 
 
 class Peak(NamedTuple):
@@ -214,16 +237,11 @@ class Peak(NamedTuple):
 
 
 def peak() -> Peak | None:
-    """Measure multiply-adds in registers by a program in C; None without a compiler (cc)."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        print("The peak was left out: there is no C compiler (cc) on the path.")
-        return None
+    """Measure multiply-adds in registers by a program in C; None without a compiler for it."""
     with tempfile.TemporaryDirectory(prefix="stepbench-") as folder:
-        program = Path(folder) / "peak"
-        command = [compiler, "-O3", "-march=native", "-o", program, _PEAK]
-        subprocess.run(command, check=True)
-        done = subprocess.run(
-            [program, str(_LONG_ENOUGH)], check=True, capture_output=True, text=True
-        )
-    return Peak(*map(float, done.stdout.split()))
+        try:
+            program = _compiled(_PEAK, Path(folder), "The peak")
+        except NotHere as reason:
+            print(reason)
+            return None
+        return Peak(*_numbers([str(program), str(_LONG_ENOUGH)]))

@@ -12,12 +12,12 @@ import argparse
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from opponents import timed
 
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
@@ -85,15 +85,13 @@ def measure(links: int, t_end: float, rtol: float, rounds: int) -> dict[str, Any
 
 
 def _in_turn(contestants: list[Callable], rounds: int) -> list[list[float]]:
-    """Seconds of each contestant in every round."""
+    """Processor seconds of each contestant in every round."""
     seconds: list[list[float]] = [[] for _ in contestants]
     for k in range(rounds):
         if k >= _FEW and max(map(max, seconds)) > _LONG:
             break
         for own, execute in zip(seconds, contestants, strict=True):
-            began = time.perf_counter()
-            execute()
-            own.append(time.perf_counter() - began)
+            own.append(timed(execute)())
     return seconds
 
 
