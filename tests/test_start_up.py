@@ -147,9 +147,9 @@ def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
     suite = make_suite(*read_profile("quick"), Inventory())
     scenes = {cell.problem for cell in suite.cells.values()}
     controls = {Registry().integrator(c.integrator).controls for c in suite.cells.values()}
-    assert (len(suite.cells), scenes) == (115, {"spring_mass", "pendulum"})
+    assert (len(suite.cells), scenes) == (103, {"spring_mass", "pendulum"})
     assert controls == {"step", "tolerance"}
-    assert suite.plan.samples == 9
+    assert suite.plan.samples == 6
 
 
 def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
