@@ -132,7 +132,7 @@ class EnsembleRequest:
 
 @dataclass(frozen=True)
 class EnsemblePlan:
-    """What an ensemble's request means.
+    """An ensemble's request, checked and worked out.
 
     Attributes
     ----------

@@ -151,7 +151,7 @@ class KeptParts(Parts):
 
 
 class Results:
-    """What the parts 0 to ``count - 1`` of an ensemble say, a few columns in memory at a time.
+    """Contents of the parts 0 to ``count - 1`` of an ensemble, a few columns in memory at a time.
 
     Parameters
     ----------

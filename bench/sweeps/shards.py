@@ -76,7 +76,7 @@ class ShardRun:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What decides the members, but for scene and integrator's sources, as values of JSON."""
+        """Causes of the members' values, without the sources of scene and integrator, for JSON."""
         sweep = self._request.sweep
         given = {name: repr(value) for name, value in sweep.given.items()}
         return {

@@ -25,7 +25,7 @@ _ROUNDING = 1e-12
 
 
 class CallsEquations:
-    """What methods with `callbacks_option` say of their calls."""
+    """Base of methods with `callbacks_option`: their statement of how they call equations."""
 
     controls = "tolerance"
     #: A solver, as a clause that goes on with "calls ...".
