@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import time
 from collections.abc import Callable
@@ -89,6 +90,21 @@ def test_prints_are_cut_and_shown_as_text(guarded):
     assert len(printed) < 5000
     guarded().ask(jobs.add, 1)
     assert guarded().printed() == ""
+
+
+def test_a_process_starts_beside_a_thousand_open_files():
+    """The numbers of its descriptors are above 1024, of which select() knows nothing."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
+    descriptors = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    process = GuardedProcess(jobs.prepare, (10,))
+    try:
+        assert process.ask(jobs.add, 1) == 11
+    finally:
+        process.end()
+        for descriptor in descriptors:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_a_child_of_a_job_does_not_answer_for_it(guarded):

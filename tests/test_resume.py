@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,8 @@ def finish(folder: Path) -> str:
 def rows(out: Path) -> int:
     """Finished cells and samples so far, read beside the running process."""
     try:
-        with sqlite3.connect(f"file:{out / FILE}?mode=ro", uri=True, timeout=5) as db:
+        url = f"file:{out / FILE}?mode=ro"
+        with closing(sqlite3.connect(url, uri=True, timeout=5)) as db:
             return sum(
                 db.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
                 for table in ("records", "samples")

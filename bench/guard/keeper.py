@@ -68,11 +68,13 @@ def main(control: socket.socket, kept: list[int], command: list[str]) -> None:
     for descriptor in (*kept, 1, 2):  # their other ends see who else holds them
         os.close(descriptor)
     worker, status = started.pid, None
+    ready = select.poll()  # unlike select(), for any number of open files
+    for end in (control.fileno(), woken):
+        ready.register(end, select.POLLIN)
     with suppress(OSError):  # nobody listens, as select will tell
         control.sendall(struct.pack("i", worker))
     while status is None:
-        ready, _, _ = select.select([control, woken], [], [])
-        if control in ready:
+        if control.fileno() in dict(ready.poll()):
             break
         os.read(woken, 1024)
         status = _reap()[0].get(worker)

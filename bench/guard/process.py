@@ -244,7 +244,8 @@ class GuardedProcess:
     def _died(self, status: int) -> NoAnswer:
         self.end()
         if self._keeper.returncode > 0:
-            reason = self.printed().partition("\n")[0]
+            said = self.printed().partition("\n")[0]
+            reason = said or f"its keeper ended with exit code {self._keeper.returncode}"
             return self._failed("interrupted", f"The process cannot be started: {reason}.")
         code = os.waitstatus_to_exitcode(status)
         how = f"exit code {code}"

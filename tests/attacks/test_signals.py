@@ -11,6 +11,7 @@ import signal
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -70,7 +71,8 @@ def folder(tmp_path, planted) -> Iterator[Path]:
 def saved(folder: Path, table: str = "records") -> int:
     """Rows that are stored so far, read beside the running process."""
     try:
-        with sqlite3.connect(f"file:{folder / 'out' / FILE}?mode=ro", uri=True, timeout=5) as db:
+        url = f"file:{folder / 'out' / FILE}?mode=ro"
+        with closing(sqlite3.connect(url, uri=True, timeout=5)) as db:
             return db.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
     except sqlite3.Error:
         return 0
