@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from bench.guard.process import GuardedProcess
+
+#: A run that lasts longer than this, in s, has a page before it ends.
+_FIRST_SECONDS = 15.0
+#: Between two drawings of it pass so many times the seconds that one takes.
+_SELDOM = 20.0
 
 
 def view(name: str) -> Callable[..., Any]:
@@ -51,6 +61,74 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
             click.echo(f"Report: {os.fsdecode(answer)}")
     if failed:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
+
+
+class GrowingPage:
+    """The HTML report of results that still come: drawn by a process beside, now and then.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    say
+        Tells the person who waits where the page is, once, or why there is none.
+    """
+
+    def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
+        self._folder, self._say, self._said = folder, say, False
+        self._process: GuardedProcess | None = None
+        self._resting = False
+        self._begun, self._next = 0.0, time.monotonic() + _FIRST_SECONDS
+
+    def __enter__(self) -> GrowingPage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def look(self) -> None:
+        """Draw the page if it is time to; called after each result, it never waits."""
+        from bench.guard.process import GuardedProcess
+
+        if self._process:
+            if (answer := self._process.take()) is not None:
+                self._drawn(answer)
+        elif not self._resting and time.monotonic() >= self._next:
+            (writer,) = entry_points(group="stepbench.reports", name="html")
+            self._begun = time.monotonic()
+            self._process = GuardedProcess(_load_writer, (writer.value,))
+            self._process.start(_write_report, os.fspath(self._folder), False)
+
+    @contextmanager
+    def at_rest(self) -> Iterator[None]:
+        """Draw nothing meanwhile: nothing else may run where times are taken."""
+        if self._process:
+            self._drawn(self._process.answer())
+        self._resting = True
+        try:
+            yield
+        finally:
+            self._resting = False
+
+    def _drawn(self, answer: Any) -> None:
+        from bench.guard.process import NoAnswer
+
+        self._end()
+        now = time.monotonic()
+        self._next = now + _SELDOM * (now - self._begun)
+        if not self._said:
+            self._said = True
+            lost = isinstance(answer, NoAnswer)
+            self._say(
+                f"The page cannot be drawn while runs go: {answer.message}"
+                if lost
+                else f"Page so far: {os.fsdecode(answer)}; it is drawn again while runs go."
+            )
+
+    def _end(self) -> None:
+        if self._process:
+            self._process.end()
+            self._process = None
 
 
 # ---- in the process of a page ------------------------------------------------------------

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from bench.commands import completion, options
-from bench.commands.pages import view, write_reports
+from bench.commands.pages import GrowingPage, view, write_reports
 from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
@@ -68,7 +68,7 @@ def run_suite(
     jobs: int = 2,
     cluster: str | None = None,
 ) -> Outcome:
-    """Measure what a folder lacks of a suite, with a progress bar, and store it."""
+    """Measure what a folder lacks of a suite, with a progress bar and a page, and store it."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress
@@ -82,14 +82,17 @@ def run_suite(
         RunProgress() as progress,
         runner_for(suite, jobs, progress, cluster) as runner,  # a cluster answers before it counts
         Store(out, create=True, fresh=fresh) as store,
+        GrowingPage(out, progress.note) as page,
     ):
+        progress.after_step = page.look
         remark("Finished runs are stored; the same command goes on.")
         options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner, progress)
         damping.complete(suite, store, registry, runner, progress)
-        time_suite(suite, store, registry, runner, progress)
+        with page.at_rest():
+            time_suite(suite, store, registry, runner, progress)
         runner.end_workers()
         stored = store.records()
         results = complete(experiments, added, store, registry, jobs, progress)

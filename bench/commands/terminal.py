@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -80,9 +80,16 @@ class _Bar(Progress):
 
 
 class RunProgress:
-    """A progress bar with the cell in work and the last result; plain lines without a terminal."""
+    """A progress bar with the cell in work and the last result; plain lines without a terminal.
+
+    Attributes
+    ----------
+    after_step
+        Called after each step.
+    """
 
     def __init__(self) -> None:
+        self.after_step: Callable[[], None] = lambda: None
         self._console = _PlainConsole(sys.stderr)
         self._bar = _Bar(
             SpinnerColumn(),
@@ -125,6 +132,7 @@ class RunProgress:
         self._done += 1
         if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
             self._say()
+        self.after_step()
 
     def found(self, text: str) -> None:
         """Show the last result below the bar; without a terminal, the first one as a line."""

@@ -74,8 +74,9 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         scripts=FRONT_SCRIPTS,
         pages_at="" if single_file else FOLDER,
     )
-    path = folder / FILE
-    path.write_text(text, encoding="utf-8")
+    path, new = folder / FILE, folder / f".{FILE}.new"
+    new.write_text(text, encoding="utf-8")
+    new.replace(path)  # somebody may be reading it while runs go
     return path
 
 

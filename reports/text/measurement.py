@@ -38,7 +38,10 @@ def missing_data(
     planned = _planned_keys(plan)
     waiting = len(planned - set(records))
     if waiting:
-        sentences.append(f"{waiting} of {len(planned)} planned runs are not measured yet.")
+        sentences.append(
+            f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in "
+            "work, load this page again later; if it was stopped, the same command goes on."
+        )
     if not records:
         sentences.append("The store holds no finished run.")
     for problem, t_end in keys:
