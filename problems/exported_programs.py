@@ -25,6 +25,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from problems.runtime import CACHE, jax, jnp, users_settings
+from problems.whole_files import put
 
 if TYPE_CHECKING:
     from jax.export import Exported
@@ -151,13 +152,8 @@ def _written(
     allowed = [export.DisabledSafetyCheck.custom_call(name) for name in calls]
     found = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
     content = pickle.dumps((form, bytes(found.serialize())))
-    new = file.with_suffix(f".{os.getpid()}")
-    try:
+    with suppress(OSError):  # a full disk, or a folder that cannot be written
         if _sources.__wrapped__() == _sources():  # else the sources are not those that were traced
             file.parent.mkdir(parents=True, exist_ok=True)
-            new.write_bytes(content)
-            new.replace(file)
-    except OSError:  # a full disk, or a folder that cannot be written
-        with suppress(OSError):
-            new.unlink()
+            put(file, content)
     return form, found

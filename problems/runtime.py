@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from problems.canary import wrong_functions
+from problems.whole_files import put
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
@@ -245,9 +246,7 @@ def _refusal(flags: str) -> str:
         return ""
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        new = file.with_suffix(f".{os.getpid()}")
-        new.write_text(words)
-        new.replace(file)
+        put(file, words)
     return words
 
 

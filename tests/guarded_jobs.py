@@ -106,3 +106,10 @@ def starts_a_child(state: tuple) -> int:
 
 def comes_back_twice(state: tuple) -> int:
     return 7 if os.fork() == 0 else 8
+
+
+def closes_its_output(state: tuple, seconds: float) -> int:
+    for descriptor in (1, 2):
+        os.close(descriptor)
+    time.sleep(seconds)
+    return 1

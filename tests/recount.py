@@ -20,7 +20,8 @@ Run = tuple[float | None, float | None, Record]
 
 def page_data(folder: Path) -> dict[str, Any]:
     """The data of all questions that the front page loads."""
-    text = (folder / "report" / "data.js").read_text(encoding="utf-8")
+    (data,) = (folder / "report").glob("data-*.js")
+    text = data.read_text(encoding="utf-8")
     first = (folder / "report.html").read_text(encoding="utf-8")
     (start,) = re.findall(r'id="stepbench-data"[^>]*>(.*?)</script>', first, re.S)
     return json.loads(start) | json.loads(text[text.index("(") + 1 : text.rindex(")")])

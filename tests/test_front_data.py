@@ -51,7 +51,9 @@ def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
     text = (folder / "report.html").read_text(encoding="utf-8")
     first = json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
     assert list(first["answers"]) == ["a|1e-4|operations"]
-    rest = (folder / "report" / "data.js").read_text(encoding="utf-8")
+    (data,) = (folder / "report").glob("data*.js")  # the one that the page names
+    assert f'data-more="report/{data.name}"' in text
+    rest = data.read_text(encoding="utf-8")
     more = json.loads(rest.removeprefix("stepbench.more(").rstrip().removesuffix(");"))
     assert len(more["answers"]) == len(first["group_names"]) * 9 * 3
     # Until all comes, a number has its first three characters.

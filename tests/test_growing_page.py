@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
@@ -30,12 +31,11 @@ def test_a_page_is_drawn_beside_the_run_and_seldom(tmp_path: Path, said: list[st
     plant(tmp_path, some())
     with GrowingPage(tmp_path, said.append) as page:
         look_until(page, said)
-        assert said == [f"Page so far: {tmp_path / FILE}; it is drawn again while runs go."]
+        assert said == [f"Page so far: {tmp_path / FILE}"]
         assert "5 ok" in (tmp_path / FILE).read_text(encoding="utf-8")
         (tmp_path / FILE).unlink()
-        page.look()  # the last drawing took some time, and twenty times that must pass
-        with page.at_rest():  # waits for a drawing in work
-            assert not (tmp_path / FILE).exists()
+        page.look()  # twenty times the seconds of the last drawing must pass
+        assert page._process is None
 
 
 def test_nothing_is_drawn_while_times_are_taken(tmp_path: Path, said: list[str]) -> None:
@@ -58,11 +58,25 @@ def test_nothing_is_drawn_while_times_are_taken(tmp_path: Path, said: list[str])
 def test_a_page_that_cannot_be_drawn_is_told_once(tmp_path: Path, said: list[str]) -> None:
     with GrowingPage(tmp_path, said.append) as page:
         look_until(page, said)
-        with page.at_rest():
-            page._next = 0.0
+        page.look()
+        assert page._process is None
     (sentence,) = said
-    assert sentence.startswith("The page cannot be drawn while runs go: ")
+    assert sentence.startswith("No page is drawn while runs go: ")
     assert str(tmp_path) in sentence
+
+
+def test_a_page_whose_process_cannot_start_costs_no_run(tmp_path, said, monkeypatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("bench.guard.process.subprocess.Popen", full)
+    before = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else 0
+    with GrowingPage(tmp_path, said.append) as page:
+        page.look()
+        page.look()
+    assert said == ["No page is drawn while runs go: [Errno 11] Resource temporarily unavailable."]
+    if before:
+        assert len(os.listdir("/proc/self/fd")) == before
 
 
 @pytest.mark.long

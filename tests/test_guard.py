@@ -270,3 +270,12 @@ def test_bytes_that_are_no_message_are_told(content):
 def test_what_is_no_array_of_numbers_is_told(value):
     with pytest.raises(BrokenMessage):
         decode(encode(value), np.ndarray)
+
+
+def test_who_closes_its_output_keeps_nobody_awake(guarded):
+    guarded().start(jobs.closes_its_output, 0.5)
+    looks = 0
+    while guarded().take() is None:
+        process_module.wait_for_any([guarded()])
+        looks += 1
+    assert looks < 20  # ten looks a second

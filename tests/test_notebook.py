@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import math
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -78,6 +79,15 @@ def test_names_and_numbers_that_are_not_allowed_are_refused():
         solve("pendulum", "newmark", rtol=1e-3)
     with pytest.raises(SpecError, match="chooses its own steps"):
         order("pendulum", "ida")
+    for refused, sentence in [
+        ({"budget": -1.0}, "budget is -1.0; give a time in s above 0"),
+        ({"budget": math.nan}, "budget is nan"),
+        ({"samples": -1}, "cannot be timed -1 times"),
+    ]:
+        with pytest.raises(SpecError, match=sentence):
+            solve("pendulum", "newmark", step=0.01, **refused)
+    with pytest.raises(SpecError, match="worker processes is 0; give 1 or more jobs"):
+        run("quick", jobs=0)
 
 
 @pytest.fixture

@@ -277,3 +277,20 @@ def _resident(process):
         return psutil.Process(process).memory_info().rss
     except psutil.Error:
         return 0
+
+
+def test_a_table_with_lost_members_is_written_and_the_command_fails(
+    asked, tmp_path, monkeypatch, stepbench
+):
+    dies = NoAnswer(status="crashed", message="The process died.")
+
+    def _run(sources, request, parts_of, *more):
+        parts = NamelessParts()
+        return run_all(asked, parts, Here([None, dies]))[0], parts
+
+    monkeypatch.setattr("bench.commands.ensemble._run", _run)
+    given = ("--vary", "k:0.8..1.2", "--ensemble", "40", "--step", "0.1")
+    result = stepbench("solve", "spring_mass", "newmark", *given, "-o", tmp_path / "all.csv")
+    assert result.exit_code == 1
+    assert "Not complete: 1 of 3 shards were lost; the same command" in result.output
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == 41

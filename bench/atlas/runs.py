@@ -106,6 +106,7 @@ def complete(
     jobs: int,
     progress: Progress,
     budget_s: float = 60.0,
+    memory_gib: float = 4.0,
 ) -> list[ExperimentResult]:
     """Run the experiments whose current results the store lacks; return the results of all.
 
@@ -121,7 +122,9 @@ def complete(
         or stored[e.name].digest != digest(e, added, registry)
     ]
     if missing:
-        for found in run_experiments(missing, added, registry, jobs, budget_s, progress):
+        for found in run_experiments(
+            missing, added, registry, jobs, budget_s, progress, memory_gib
+        ):
             store.save_experiment(found)
     stored = store.experiments()
     return [stored[e.name] for e in experiments]

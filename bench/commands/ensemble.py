@@ -121,14 +121,17 @@ def solve_ensemble(
     if out:
         write_members(out, results.parts())
         click.echo(f"{request.count} members in {out}", err=as_json)
-    if lost := len(run.lost.numbers()):
-        again = "; the same command runs them again, with a larger --budget, too" if out else ""
-        click.echo(f"{lost} of {run.plan.shards} shards are not complete{again}.", err=True)
-    elif isinstance(parts, KeptParts):
+    lost = len(run.lost.numbers())
+    if isinstance(parts, KeptParts) and not lost:
         parts.remove()
     if not results.statuses["ok"]:
         _, message = results.first[next(iter(results.statuses))]
         raise click.ClickException(f"No member succeeded. The first: {message}")
+    if lost:
+        again = "; the same command runs them again, with a larger --budget, too" if out else ""
+        raise click.ClickException(
+            f"Not complete: {lost} of {run.plan.shards} shards were lost{again}."
+        )
 
 
 def _run(

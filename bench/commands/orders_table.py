@@ -48,7 +48,7 @@ def orders_table(
 
     registry = Inventory(plugins)
     suite = make_suite(*read_profile(SUITE), registry, problems, integrators)
-    outcome = run_suite(suite, registry, out, fresh, jobs)
+    outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
     tables = view("order_tables")(out)
     if not tables:
         raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")

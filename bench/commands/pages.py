@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -13,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from bench.guard.process import GuardedProcess
+    from bench.guard.process import GuardedProcess, NoAnswer
 
-#: A run that lasts longer than this, in s, has a page before it ends.
+#: A page is drawn at the first result after this time, in s.
 _FIRST_SECONDS = 15.0
 #: Between two drawings of it pass so many times the seconds that one takes.
 _SELDOM = 20.0
@@ -42,14 +43,13 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
     click.ClickException
         If one cannot be written; the others are.
     """
-    from bench.guard.process import GuardedProcess, NoAnswer
+    from bench.guard.process import NoAnswer
 
     # One process for each page: they do not wait for each other, and each may fail alone.
     pages: dict[str, GuardedProcess] = {}
     failed = []
-    for writer in sorted(entry_points(group="stepbench.reports"), key=lambda entry: entry.name):
-        pages[writer.name] = GuardedProcess(_load_writer, (writer.value,))
-        pages[writer.name].start(_write_report, str(folder), single_file and writer.name == "html")
+    for name in sorted(entry_points(group="stepbench.reports").names):
+        pages[name] = _writing(name, folder, single_file and name == "html")
     for name, page in pages.items():
         answer = page.answer()
         page.end()
@@ -58,7 +58,7 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
         if isinstance(answer, NoAnswer):
             failed.append(f"The {name} report could not be written: {answer.message}")
         else:
-            click.echo(f"Report: {os.fsdecode(answer)}")
+            click.echo(f"Report: {os.fsdecode(answer[0])}")
     if failed:
         raise click.ClickException(" ".join([*failed, "The results are stored."]))
 
@@ -71,14 +71,14 @@ class GrowingPage:
     folder
         The run folder.
     say
-        Tells the person who waits where the page is, once, or why there is none.
+        Tells the person who waits, once, where the page is or why there is none.
     """
 
     def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
-        self._folder, self._say, self._said = folder, say, False
+        self._folder, self._say = folder, say
         self._process: GuardedProcess | None = None
-        self._resting = False
-        self._begun, self._next = 0.0, time.monotonic() + _FIRST_SECONDS
+        self._drawn = self._resting = False
+        self._next = time.monotonic() + _FIRST_SECONDS
 
     def __enter__(self) -> GrowingPage:
         return self
@@ -88,42 +88,40 @@ class GrowingPage:
 
     def look(self) -> None:
         """Draw the page if it is time to; called after each result, it never waits."""
-        from bench.guard.process import GuardedProcess
-
         if self._process:
             if (answer := self._process.take()) is not None:
-                self._drawn(answer)
+                self._take(answer)
         elif not self._resting and time.monotonic() >= self._next:
-            (writer,) = entry_points(group="stepbench.reports", name="html")
-            self._begun = time.monotonic()
-            self._process = GuardedProcess(_load_writer, (writer.value,))
-            self._process.start(_write_report, os.fspath(self._folder), False)
+            try:
+                self._process = _writing("html", self._folder)
+            except OSError as error:  # no processes, files or memory are left
+                self._give_up(f"{error}.")
 
     @contextmanager
     def at_rest(self) -> Iterator[None]:
         """Draw nothing meanwhile: nothing else may run where times are taken."""
         if self._process:
-            self._drawn(self._process.answer())
+            self._take(self._process.answer())
         self._resting = True
         try:
             yield
         finally:
             self._resting = False
 
-    def _drawn(self, answer: Any) -> None:
-        from bench.guard.process import NoAnswer
-
+    def _take(self, answer: _Written | NoAnswer) -> None:
         self._end()
-        now = time.monotonic()
-        self._next = now + _SELDOM * (now - self._begun)
-        if not self._said:
-            self._said = True
-            lost = isinstance(answer, NoAnswer)
-            self._say(
-                f"The page cannot be drawn while runs go: {answer.message}"
-                if lost
-                else f"Page so far: {os.fsdecode(answer)}; it is drawn again while runs go."
-            )
+        if not isinstance(answer, tuple):
+            self._give_up(answer.message)
+            return
+        path, seconds = answer
+        self._next = time.monotonic() + _SELDOM * seconds
+        if not self._drawn:
+            self._drawn = True
+            self._say(f"Page so far: {os.fsdecode(path)}")
+
+    def _give_up(self, reason: str) -> None:
+        self._next = math.inf
+        self._say(f"No page is drawn while runs go: {reason}")
 
     def _end(self) -> None:
         if self._process:
@@ -131,14 +129,28 @@ class GrowingPage:
             self._process = None
 
 
+def _writing(name: str, folder: Path, single_file: bool = False) -> GuardedProcess:
+    """Begin to write a report in a process of its own, which answers with `_Written`."""
+    from bench.guard.process import GuardedProcess
+
+    writer = next(iter(entry_points(group="stepbench.reports", name=name)))
+    process = GuardedProcess(_load_writer, (writer.value,))
+    process.start(_write_report, str(folder), single_file)
+    return process
+
+
 # ---- in the process of a page ------------------------------------------------------------
 _Writer = Callable[..., Path]
+#: The file, and the seconds that it took.
+_Written = tuple[bytes, float]
 
 
 def _load_writer(notify: Any, value: str) -> _Writer:
     return EntryPoint("report", value, "stepbench.reports").load()
 
 
-def _write_report(writer: _Writer, folder: str, single_file: bool) -> bytes:
+def _write_report(writer: _Writer, folder: str, single_file: bool) -> _Written:
+    begun = time.monotonic()
     more = {"single_file": True} if single_file else {}
-    return os.fsencode(writer(Path(folder), **more))  # a name may be no text
+    path = writer(Path(folder), **more)
+    return os.fsencode(path), time.monotonic() - begun  # a name may be no text

@@ -67,8 +67,12 @@ def run_suite(
     fresh: bool = False,
     jobs: int = 2,
     cluster: str | None = None,
+    drawn: bool = True,
 ) -> Outcome:
-    """Measure what a folder lacks of a suite, with a progress bar and a page, and store it."""
+    """Measure what a folder lacks of a suite, with a progress bar, and store it.
+
+    A long run draws its page while it goes, if ``drawn``.
+    """
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress
@@ -84,7 +88,8 @@ def run_suite(
         Store(out, create=True, fresh=fresh) as store,
         GrowingPage(out, progress.note) as page,
     ):
-        progress.after_step = page.look
+        if drawn:
+            progress.after_step = page.look
         remark("Finished runs are stored; the same command goes on.")
         options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         for sentence in suite.lost:
@@ -95,7 +100,8 @@ def run_suite(
             time_suite(suite, store, registry, runner, progress)
         runner.end_workers()
         stored = store.records()
-        results = complete(experiments, added, store, registry, jobs, progress)
+        limits = suite.plan.budget_s, suite.memory_gib
+        results = complete(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
     return Outcome(records, measured, results, suite.lost)
 

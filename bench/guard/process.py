@@ -97,22 +97,31 @@ class GuardedProcess:
         with suppress(AttributeError, OSError):  # not on Linux, or the user has too many
             fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._mark = secrets.token_hex(8)
-        command = [sys.executable, "-c", _START, json.dumps(sys.path), str(theirs.fileno())]
-        kept = f"{theirs.fileno()}"
-        self._keeper = subprocess.Popen(
-            [sys.executable, "-I", "-S", keeper.__file__, str(keepers.fileno()), kept, *command],
-            stdin=subprocess.DEVNULL,
-            stdout=writing,
-            stderr=writing,
-            pass_fds=(keepers.fileno(), theirs.fileno()),
-            start_new_session=True,  # signals of the terminal are for this process alone
-            env=os.environ | {_MARK: self._mark},
-        )
-        for end in (theirs, keepers):
-            end.close()
-        os.close(writing)
+        kept = str(theirs.fileno())
+        command = [sys.executable, "-c", _START, json.dumps(sys.path), kept]
+        keeping = [sys.executable, "-I", "-S", keeper.__file__, str(keepers.fileno()), kept]
+        try:
+            self._keeper = subprocess.Popen(
+                [*keeping, *command],
+                stdin=subprocess.DEVNULL,
+                stdout=writing,
+                stderr=writing,
+                pass_fds=(keepers.fileno(), theirs.fileno()),
+                start_new_session=True,  # signals of the terminal are for this process alone
+                env=os.environ | {_MARK: self._mark},
+            )
+        except BaseException:  # no processes or no memory are left
+            for end in (self._pipe, self._control):
+                end.close()
+            os.close(self._output)
+            raise
+        finally:
+            for end in (theirs, keepers):
+                end.close()
+            os.close(writing)
         for descriptor in (self._pipe.fileno(), self._output):
             os.set_blocking(descriptor, False)
+        self._silent = False
         self._inbox, self._news = wire.Inbox(), bytearray()
         self._limits = limits or Limits()
         self._meter, self._words = Meter(self._limits), "this program"
@@ -191,6 +200,10 @@ class GuardedProcess:
         self._pipe.close()
         os.close(self._output)
 
+    def ends(self) -> list[socket.socket | int]:
+        """Return the descriptors on which news can come; one that is closed is always ready."""
+        return [self._pipe, self._control, *([] if self._silent else [self._output])]
+
     @property
     def pid(self) -> int | None:
         """The number of the process, once its keeper has told it."""
@@ -220,6 +233,7 @@ class GuardedProcess:
             for _ in range(_MOST_PIECES):
                 piece = os.read(self._output, 2**16)
                 if not piece:
+                    self._silent = True  # all writers have closed it
                     break
                 self._printed += piece
                 if len(self._printed) > 4 * _KEPT_BYTES:
@@ -271,8 +285,7 @@ class GuardedProcess:
 
 def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
     """Return when one of the processes has something to tell, or budgets should be looked at."""
-    ends = [end for p in processes for end in (p._pipe, p._control, p._output)]
-    wait(ends, timeout=_WATCH_SECONDS)
+    wait([end for process in processes for end in process.ends()], timeout=_WATCH_SECONDS)
 
 
 def ask_once(

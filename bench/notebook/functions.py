@@ -22,6 +22,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite, resolution
 from bench.running.profiles import read_profile
 from bench.running.session import solve_cells
+from problems.spec import SpecError
 
 #: Processor time in s after which a run is stopped, if no other is given.
 BUDGET_S = 300.0
@@ -78,6 +79,7 @@ def solve(
     >>> found.errors["q"]["max"] < 1e-3
     True
     """
+    _check(budget=budget, samples=samples)
     registry, scene, method = _asked(problem, integrator, parameters, plugins)
     fractions = tuple(pattern) if pattern else None
     taken = resolution(scene, method, step, fractions, rtol, atol)
@@ -133,6 +135,7 @@ def order(
     >>> round(found.orders["q"]["settled"])
     2
     """
+    _check(budget=budget)
     registry, scene, method = _asked(problem, integrator, parameters, plugins)
     cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, printed=options.say_printed)
@@ -185,6 +188,7 @@ def run(
     >>> results = run("quick", "first", problems=["pendulum"])  # doctest: +SKIP
     >>> results.runs.pivot(index="h", columns="integrator", values="error_a_max")  # doctest: +SKIP
     """
+    _check(budget=budget, jobs=jobs)
     pandas_module()  # before the work
     registry, folder = Inventory(plugins), Path(out)
     planned = make_suite(
@@ -248,6 +252,18 @@ def load(folder: str | Path = options.RESULTS) -> Results:
 
 
 # ---- parts -------------------------------------------------------------------------------
+def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
+    """Refuse numbers that the command line refuses."""
+    if budget is not None and not 0 < budget <= options.LARGEST_BUDGET:
+        raise SpecError(
+            f"The budget is {budget}; give a time in s above 0, at most {options.LARGEST_BUDGET:g}."
+        )
+    if samples < 0:
+        raise SpecError(f"A run cannot be timed {samples} times; give 0 or more samples.")
+    if jobs < 1:
+        raise SpecError(f"The number of worker processes is {jobs}; give 1 or more jobs.")
+
+
 def _asked(
     problem: str,
     integrator: str,

@@ -23,6 +23,7 @@ import numpy as np
 from bench.results.store_file import locked
 from bench.sweeps.ensemble import WORK, spread
 from problems.spec import SpecError
+from problems.whole_files import put
 
 _ABOUT = "ensemble.json"
 #: Bytes of the columns that are in memory together; a column is not divided.
@@ -103,7 +104,7 @@ class KeptParts(Parts):
         file, text = folder / _ABOUT, json.dumps(about, indent=1)
         if not file.exists():
             self._drop_all()  # nobody knows of which ensemble they are
-            _put(file, text.encode())
+            put(file, text)
         elif file.read_text(encoding="utf-8", errors="replace") != text:
             raise SpecError(
                 f"{folder} holds members of another ensemble, of other sources, or of another "
@@ -112,7 +113,7 @@ class KeptParts(Parts):
         self._sound = {k for k in self._found() if self._is_sound(k)}
 
     def put(self, k: int, columns: Columns) -> None:
-        _put(self.opened(k), _encoded(columns))
+        put(self.opened(k), _encoded(columns))
         self._sound.add(k)
 
     def numbers(self) -> set[int]:
@@ -227,13 +228,3 @@ def _encoded(columns: Columns) -> bytes:
             with file.open(f"{name}.npy", "w") as entry:
                 np.lib.format.write_array(entry, column, allow_pickle=False)
     return buffer.getvalue()
-
-
-def _put(path: Path, content: bytes) -> None:
-    new = path.with_suffix(".new")
-    try:
-        new.write_bytes(content)
-        new.replace(path)
-    except BaseException:
-        new.unlink(missing_ok=True)
-        raise

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import platformdirs
 import vl_convert
 
+from problems.whole_files import put
 from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.packing import packed
@@ -22,8 +22,6 @@ from reports.pages.templating import html
 
 FILE = FRONT
 LIBRARY = "vega.js"
-#: Answers to all questions but the first, which report.html holds.
-DATA = "data.js"
 FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 
 
@@ -51,12 +49,14 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     report = read_report(folder, interactive=True)
     site, pages = report_site(report, single_file)
     data = site_data(report)
+    more = ""  # the file with the answers to all questions but the first, which report.html holds
     if not single_file:
         write_pages(report, folder, data)
-        (folder / FOLDER / LIBRARY).write_text(javascript_library(), encoding="utf-8")
+        put(folder / FOLDER / LIBRARY, javascript_library())
         rest = chart_json(packed(for_front(data)), separators=(",", ":"))
         rest = f"stepbench.more({rest});\n"
-        (folder / FOLDER / DATA).write_text(rest, encoding="utf-8")
+        more = f"{FOLDER}data-{hashlib.sha256(rest.encode()).hexdigest()[:8]}.js"
+        put(folder / more, rest)
     text = html(
         "page_of_report.html.j2",
         address=partial(site.address, here=FILE),
@@ -70,13 +70,15 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         single=single_file,
         library=javascript_library() if single_file else "",
         data=packed(data if single_file else for_first_question(data)),
-        more="" if single_file else FOLDER + DATA,
+        more=more,
         scripts=FRONT_SCRIPTS,
         pages_at="" if single_file else FOLDER,
     )
-    path, new = folder / FILE, folder / f".{FILE}.new"
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)  # somebody may be reading it while runs go
+    path = folder / FILE
+    put(path, text)
+    for old in folder.glob(f"{FOLDER}data*.js"):
+        if old != folder / more:
+            old.unlink()
     return path
 
 
@@ -97,10 +99,7 @@ def javascript_library() -> str:
     text = text.replace("</script", "<\\/script")
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        # Two processes may write at a time: each puts a whole file in place.
-        own = kept.with_suffix(f".{os.getpid()}")
-        own.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
-        own.replace(kept)
+        put(kept, f"{_digest(text)}\n{text}")
     return text
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from urllib.parse import quote
 
+from problems.whole_files import put
 from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
@@ -64,7 +65,7 @@ def write_markdown_report(folder: Path) -> Path:
             figures=f"../{FIGURES}",
             failed=failed,
         )
-        (own / _scene_file(chapter.name)).write_text(text, encoding="utf-8")
+        put(own / _scene_file(chapter.name), text)
     for old in own.glob("scene-*.md"):
         if old.name not in map(_scene_file, (chapter.name for chapter in report.scenes)):
             old.unlink()
@@ -87,7 +88,7 @@ def write_markdown_report(folder: Path) -> Path:
         failed=failed,
     )
     path = Path(folder) / FILE
-    path.write_text(text, encoding="utf-8")
+    put(path, text)
     return path
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.results.records import Record
+from problems.whole_files import put
 from reports.names import scene_name
 from reports.pages.addresses import FOLDER, Site, method_page, root, scene_page, site_of
 from reports.pages.motion import motion
@@ -128,14 +129,14 @@ def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
             scripts=QUESTION_SCRIPTS,
             pages_at="",
         )
-        (target / page.file).write_text(text, encoding="utf-8")
+        put(target / page.file, text)
     kept = {page.file for page in made}
     for old in (*target.glob("scene-*.html"), *target.glob("method-*.html")):
         if old.name not in kept:
             old.unlink()
     for asset in (resources.files("reports.pages") / "assets").iterdir():
         if asset.name.endswith((".css", ".js")):
-            (target / asset.name).write_text(asset.read_text(encoding="utf-8"), encoding="utf-8")
+            put(target / asset.name, asset.read_bytes())
 
 
 def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:

@@ -105,7 +105,7 @@ def main() -> None:
     print(f"written in {time.perf_counter() - start:.1f} s: {SCENES} x {METHODS * RUNS} runs")
     rest = folder / FOLDER
     scene = rest / "scene-scene_1.html"
-    for file in (front, rest / "data.js", scene):
+    for file in (front, *rest.glob("data-*.js"), scene):
         print(f"{file.stat().st_size / 1e3:10.0f} kB  {file.name}")
     for page in (front, scene):
         seconds, complaints = drawn(page)
