@@ -19,7 +19,7 @@ from bench.guard.interrupts import remark
 @options.with_folder("stepbench-atlas", "Folder of the results and the page.")
 @options.with_fresh
 @options.with_jobs("Worker processes.")
-@options.with_given_budget("Processor time of a run in s, after which it is stopped; 60.")
+@options.with_given_budget("Processor time in s after which a run is stopped; 60 if not given.")
 @options.with_plugins
 @options.with_as_json
 def atlas(
@@ -33,10 +33,11 @@ def atlas(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Run the failure atlas: experiments that show failures of methods, and remedies.
+    """Show where methods fail, and what helps.
 
-    Every experiment predicts numbers and measures them. The exit code is 1 if a number is not as
-    predicted. The folder keeps the results; an experiment runs again only if it has changed.
+    Every experiment of the failure atlas predicts numbers and measures them. The exit code is 1 if
+    a number is not as predicted. The folder keeps the results; an experiment runs again only if it
+    has changed.
 
     \b
     Examples:

@@ -52,14 +52,13 @@ def drift(
     plugins: tuple[str, ...],
     form: str | None,
 ) -> None:
-    """Run integrators over many constant steps, and measure what drifts off.
+    """Measure what drifts over many constant steps.
 
-    Measured are the energy, relative to the largest kinetic one, momenta that the motion conserves,
-    the residuals of the constraints and of their rates, and where there is a closed form of a
-    motion that conserves energy, the phase: the time by which a run is ahead. Of each the table
-    shows the largest absolute value, the slope of a straight line through all rows, and whether the
-    drift is none, linear, bounded, or neither. The folder keeps long runs beside other results; the
-    report of these has a chapter on them.
+    It measures: the energy, relative to the largest kinetic energy; conserved momenta; residuals of
+    the constraints and of their rates; and the phase (the time by which a run is ahead), where a
+    conservative motion has a closed form. The table gives the largest absolute value of each, the
+    slope of a straight line through all rows, and whether the drift is none, linear, bounded or
+    neither. The folder keeps long runs beside other results, whose report has a chapter on them.
 
     \b
     Examples:

@@ -32,9 +32,9 @@ def with_ensemble(command: Callable) -> Callable:
     """Add the options of an ensemble to `stepbench solve`."""
     for option in (
         options.with_file(
-            "File for the members, .csv, .json or .parquet, a flat row each, for pandas. What is "
-            "finished is kept beside it meanwhile; the same command goes on there. Without it "
-            "members are in the system's temporary folder, which may be memory."
+            "File for the members, .csv, .json or .parquet, a flat row each, for pandas. Finished "
+            "shards are kept in PATH.parts/; the same command continues there. Without it members "
+            "are in the system's temporary folder, which may be memory."
         ),
         click.option(
             "--cluster",
@@ -61,8 +61,8 @@ def with_ensemble(command: Callable) -> Callable:
             "--ensemble",
             type=click.IntRange(1, _MOST_MEMBERS),
             metavar="N",
-            help="Run N members, in shards of some 1000 in one compiled program; needs --vary. "
-            "The budget is that of a shard.",
+            help="Run N members in shards of some 1000, each one compiled program; needs --vary. "
+            "--budget is that of one shard.",
         ),
     ):
         command = option(command)

@@ -24,11 +24,12 @@ _MOST = 40
 @click.option("--csv", "form", flag_value="csv", help="Print a row for each cell and folder.")
 @click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
 def history(folders: tuple[Path, ...], form: str | None) -> None:
-    """Follow errors, operations and seconds of the same cells over several FOLDERs.
+    """Follow errors and costs over several versions.
 
     The folders are named from the oldest to the newest, such as those of several versions of a
-    method; each is compared with the one before it, as by 'stepbench compare'. Errors are the
-    largest over time. The table shows what changed; CSV and JSON have all cells.
+    method; errors, operations and seconds of the same cells are compared with those of the folder
+    before, as by 'stepbench compare'. Errors are the largest over time. The table shows what
+    changed; CSV and JSON have all cells.
 
     \b
     Examples:

@@ -25,10 +25,11 @@ KINDS = {"problems": "problems", "scenes": "problems", **{k: k for k in ("integr
 @options.with_plugins
 @options.with_as_json
 def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> None:
-    """List the scenes, integrators and suites, a line each; unavailable ones have a reason.
+    """List scenes, integrators and suites.
 
-    KIND is scenes, integrators or suites. The NAME of a scene, an integrator or a suite gives all
-    about it: description and options. JSON is always complete.
+    Each has a line; one that is not available has a reason. KIND is scenes, integrators or suites.
+    The NAME of a scene, an integrator or a suite gives all about it: description and options. JSON
+    is always complete.
 
     \b
     Examples:

@@ -31,10 +31,11 @@ def orders_table(
     jobs: int,
     plugins: tuple[str, ...],
 ) -> None:
-    """Measure the orders of all native methods, or of INTEGRATORS, beside those that they claim.
+    """Measure the orders that methods claim.
 
-    The table has, for each method and formulation and for each group of variables, the order that
-    is claimed, the one after the start transient, and the one from the first step.
+    For each method and formulation and each group of variables the table has the order that is
+    claimed, the one after the start transient, and the one from the first step. Without INTEGRATORS
+    it has the methods of the suite orders.
 
     \b
     Examples:

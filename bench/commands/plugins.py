@@ -34,7 +34,7 @@ def check(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Check that scenes and integrators keep the rules for them.
+    """Check scenes and integrators against the rules for plugins.
 
     A name may have options; of a Python file everything in it is checked. One line per check
     tells the result, and how to mend a fault. The exit code is 1 if a check fails.

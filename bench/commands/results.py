@@ -116,7 +116,7 @@ def compare(
 @click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
 @click.option("--out", required=True, type=PathName("folder"), help="A new folder.")
 def merge(folders: tuple[Path, ...], out: Path) -> None:
-    """Put the results of several folders, from several machines perhaps, into one.
+    """Put results of several folders into one.
 
     Each record keeps the machine that measured it. Of a run that several folders have, the one
     that was measured last is kept; of those measured at one time, that of the folder named last.
@@ -138,10 +138,10 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
     click.echo(f"For the pages: stepbench report {out}")
 
 
-@click.command("open")
+@click.command("open", short_help="Open a report in the browser.")
 @click.argument("folder", type=PathName("page"), default=options.RESULTS)
 def open_(folder: Path) -> None:
-    """Open the report in FOLDER (or a page that is named itself) in the browser.
+    """Open the report in FOLDER, or a page given by its path, in the browser.
 
     \b
     Examples:
@@ -181,7 +181,7 @@ def open_(folder: Path) -> None:
     "--component", metavar="GROUP:PLACE", help="What a trajectory shows, as a:Y; q:1 if not given."
 )
 @options.with_integrators("Only this integrator; repeatable.")
-@click.option("--t-end", type=float, help="End time in s, if the scene is there over several.")
+@click.option("--t-end", type=float, help="End time in s, if FOLDER has the scene with several.")
 @options.with_file(
     "File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given."
 )
@@ -196,9 +196,10 @@ def figure(
     t_end: float | None,
     out: Path | None,
 ) -> None:
-    """Write a single figure for a paper, as wide as a column, from the results in FOLDER.
+    """Write one figure for a paper.
 
-    KIND is work_precision, convergence, trajectory or errors_over_time.
+    It is as wide as a column, and shows the results in FOLDER. KIND is work_precision, convergence,
+    trajectory or errors_over_time.
 
     \b
     Examples:
@@ -223,8 +224,12 @@ def figure(
 
 @click.command()
 @click.argument("folder", type=PathName("folder"), default=options.RESULTS)
-@click.option("--group", metavar="q|v|a|lam|x|y", help="The error in question; a if not given.")
-@click.option("--target", type=float, help="Its largest value, 1e-1 to 1e-9; 1e-4 if not given.")
+@click.option(
+    "--group", metavar="q|v|a|lam|x|y", help="Quantity whose error counts; a if not given."
+)
+@click.option(
+    "--target", type=float, help="Largest error allowed, 1e-9 to 1e-1; 1e-4 if not given."
+)
 @click.option("--cost", metavar="operations|seconds|residuals", help="operations if not given.")
 @click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
 @options.with_file("File that ends in .svg or .png; card.svg if not given.")
@@ -236,7 +241,10 @@ def card(
     scenes: str | None,
     out: Path | None,
 ) -> None:
-    """Write a summary card of the results in FOLDER, for a slide or a README.
+    """Write a summary card of results.
+
+    It answers a question on the results in FOLDER by three sentences and a chart, for a slide or a
+    README.
 
     \b
     Examples:
@@ -257,9 +265,9 @@ def card(
 @click.argument("folder", type=PathName("folder"), default=options.RESULTS)
 @options.with_file("File in Markdown; the screen if not given.")
 def choose(folder: Path, out: Path | None) -> None:
-    """Write which integrators the results in FOLDER speak for, by kind of system.
+    """Say which integrator suits which kind of system.
 
-    Each sentence is counted in the runs, and leads to the table of its numbers.
+    Each sentence is counted in the results in FOLDER, and leads to the table of its numbers.
 
     \b
     Examples:

@@ -31,7 +31,9 @@ def show(
     budget: float,
     plugins: tuple[str, ...],
 ) -> None:
-    """Write a picture (SVG or PNG) of a scene at several times, or an animation (HTML).
+    """Draw or animate a scene.
+
+    A picture (SVG or PNG) shows it at several times, an animation is a page (HTML).
 
     \b
     Examples:
@@ -58,9 +60,10 @@ def show(
 @options.with_budget
 @options.with_plugins
 def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[str, ...]) -> None:
-    """Write a catalogue (HTML and Markdown) of all scenes, or of the named ones.
+    """Write pages of all scenes, or of those named.
 
-    It shows a picture of each, its equations, sizes, stiffness along the motion, and reference.
+    The catalogue, in HTML and Markdown, has a picture of each scene, its equations, sizes,
+    stiffness along the motion, and reference.
 
     \b
     Examples:

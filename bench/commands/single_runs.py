@@ -50,9 +50,10 @@ def solve(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Run one integrator on one scene and show the end values, errors and work.
+    """Run one integrator on one scene.
 
-    With --ensemble, run many members; --vary says how they differ.
+    The table has the values at the end, errors and work. With --ensemble, run many members; --vary
+    says how they differ.
 
     \b
     Examples:
@@ -155,7 +156,9 @@ def order(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Fit the order of convergence of a fixed-step integrator, per group and norm.
+    """Measure the order of one integrator.
+
+    The order of convergence at constant steps is fitted for each group of variables and each norm.
 
     \b
     Examples:

@@ -55,12 +55,12 @@ def stability(
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Analyse the stability of integrators at constant steps, or in a pattern of steps.
+    """Analyse stability at constant steps.
 
-    The amplification matrix of each is found by taking its step on a linear system. From it come
-    the spectral radius, numerical damping, period error, overshoot, stability limit, bifurcation,
-    and the largest ratio of steps that is safe. Writes a page with charts and maps. With --pattern
-    omega h is that of the macro step, and so is the radius.
+    The amplification matrix of each integrator is found by taking its step on a linear system. From
+    it come the spectral radius, numerical damping, period error, overshoot, stability limit,
+    bifurcation, and the largest ratio of steps that is safe. Writes a page with charts and maps.
+    With --pattern omega h is that of the macro step, and so is the radius.
 
     \b
     Examples:
