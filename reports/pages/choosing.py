@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
 from bench.results.records import Environment, counted
 from reports.pages.templating import code, escape_markdown, markdown
-from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import Answer, answers
 from reports.questions.kinds import KINDS, Kind, scenes_of
 from reports.questions.phrases import Sentence, plain
@@ -102,6 +103,10 @@ def measured_with(environments: Sequence[Environment]) -> list[str]:
     return said
 
 
+def _wrapped(text: str) -> str:
+    return textwrap.fill(escape_markdown(text), 100, break_long_words=False, break_on_hyphens=False)
+
+
 def choosing_in_markdown(folder: Path) -> str:
     """Return the guide in Markdown; every sentence follows from the records of the run folder.
 
@@ -117,14 +122,15 @@ def choosing_in_markdown(folder: Path) -> str:
         environments=measured_with(stored.environments),
         sections=sections(stored),
         norm=NORM_NAMES[NORM],
-        note=MULTIPLES_NOTE,
+        silent=_wrapped(SILENT_NOTE),
+        note=_wrapped(MULTIPLES_NOTE),
         anchor=heading_anchor,
     )
 
 
 def sections(stored: StoredRuns) -> list[Section]:
     """Return the advice for every kind of system, from the runs of a store."""
-    words = replace(words_of(stored.series, stored.tags), norm=False)
+    words = replace(words_of(stored.series, stored.tags), brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
     found = answers(stored.series, [*groups, _ENERGY.group], TARGETS)
     return [_section(kind, stored, found, words) for kind in KINDS]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import GROUP_NAMES, NORM
 from reports.formatting import number
 from reports.questions.answers import Answer
-from reports.questions.cheapest import at_step
 from reports.questions.phrases import Part, Ref, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.sentences import sentences
@@ -19,11 +18,16 @@ from reports.series import Series, error_of
 _FEW = {1: "One scene is", 2: "Two scenes are"}
 #: A run that ends well with a larger error than this has nothing right.
 _WRONG = 0.1
+#: The meaning of silent failures.
+SILENT_NOTE = (
+    "Silent failures are integrators whose every run that reaches the end has an error above "
+    f"{_WRONG:g}, without a warning; the smallest error stands in brackets."
+)
 #: Energies that change by less than this change by rounding.
 _ROUNDING = 1e-12
 _NUMBER = re.compile(r"\d[\d.]*(?:e-?\d+)?")
 #: Text whose number may be another one in the same answer: a step or tolerance, or an accuracy.
-_FREE = re.compile(r" at (?:h|rtol)=|\d\S* in ")
+_FREE = re.compile(r"(?: at )?(?:h|rtol)=|\d\S* in ")
 
 
 def on_scenes(scenes: Sequence[str]) -> Sentence:
@@ -96,26 +100,13 @@ def on_silent_errors(
             errors = [(e, r) for r in s.ok if (e := error_of(r, group, NORM)) is not None]
             if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > _WRONG:
                 error, run = best
-                near: Sentence = [
-                    scene_ref(scene),
-                    ": ",
-                    words.run(run, number(error)),
-                    at_step(run),
-                ]
+                near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]
                 where.setdefault(s.label, []).append(near)
     if not where:
         return []
     quantity = GROUP_NAMES[group].rpartition(" ")[0]
-    norm = f" ({NORM_NAMES[NORM]})" if words.norm else ""
     who = listed(([words.method(k), " (", *listed(own), ")"] for k, own in where.items()), 6)
-    return [
-        [
-            f"Silent failures – no warning, and an error above {_WRONG:g} in {quantity}{norm} in "  # noqa: RUF001
-            "every run that reaches the end (smallest error in brackets): ",
-            *who,
-            ".",
-        ]
-    ]
+    return [[f"Silent failures in {quantity}: ", *who, "."]]
 
 
 def on_energy(

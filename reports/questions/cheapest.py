@@ -41,7 +41,7 @@ def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) ->
     else:
         said.append(f" {_does(len(first) > 1, question.cost)}, ")
         said.append(_cost(best.run, best.value, question.cost, words))
-    said.append(at_step(best.run))
+    said.append(_at(best.run))
     if second and second.run:
         said += ["; next is ", words.method(second.label), " with "]
         said.append(words.run(second.run, f"{times(second.ratio)} that"))
@@ -60,7 +60,8 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
         first, second = scene.verdict.first, scene.verdict.second
         best = min(first, key=lambda s: s.value or 0.0)
         least = _cost(best.run, best.value, question.cost, words)
-        near: Sentence = [scene_ref(name), " (", least, at_step(best.run)]
+        near: Sentence = [scene_ref(name), " ("]
+        near += [_at(best.run).removeprefix(" at ")] if words.brief else [least, _at(best.run)]
         if second and second.run:
             near += ["; next: ", words.method(second.label), ", "]
             near.append(words.run(second.run, times(second.ratio)))
@@ -83,7 +84,7 @@ def _cost(run: Record | None, value: float | None, cost: str, words: Words) -> P
     return words.run(run, text) if run else text
 
 
-def at_step(run: Record | None) -> str:
+def _at(run: Record | None) -> str:
     """' at h=0.01 s': the step or tolerance of a run."""
     if run is None:
         return ""

@@ -95,6 +95,8 @@ def _reached(found: Answer, words: Words) -> list[Sentence]:
     if most == judged:
         scenes = "both scenes" if judged == 2 else f"all {judged} scenes"
         can = " that can be judged" if found.unjudged else ""
+        if words.brief and len(best) > _EACH:
+            return [[f"{len(best)} of {len(rows)} integrators reach it on {scenes}{can}."]]
         who = words.methods(s.label for s in best)
         return [[*who, f" {verb} it on {scenes}{can}; no other integrator does."]]
     if len({s.tried for s in best}) == 1:
@@ -132,11 +134,16 @@ def _failing(found: Answer, words: Words) -> list[Sentence]:
 
 
 def _where(where: Mapping[str, Sequence[str]], words: Words) -> Sentence:
-    """'A (s and t), B (u)': integrators and their scenes, those with most scenes first."""
-    order = sorted(where, key=lambda label: -len(where[label]))
-    return listed(
-        [words.method(k), " (", *listed([scene_ref(name)] for name in where[k]), ")"] for k in order
-    )
+    """'A and B (s and t), C (u)': integrators and their scenes, those with most scenes first."""
+    own: dict[tuple[str, ...], list[str]] = {}
+    for label in sorted(where, key=lambda label: -len(where[label])):
+        own.setdefault(tuple(where[label]), []).append(label)
+    said = [
+        [*words.methods(labels), " (", *listed([scene_ref(name)] for name in scenes), ")"]
+        for scenes, labels in own.items()
+    ]
+    rest = sum(map(len, [*own.values()][_EACH:]))
+    return listed([*said[:_EACH], [f"{rest} more"]] if rest else said, _EACH + 1)
 
 
 def _unjudged(found: Answer) -> list[Sentence]:

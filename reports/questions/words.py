@@ -17,12 +17,13 @@ from reports.series import Series
 class Words:
     """Names of the report's integrators, and tags of its scenes.
 
-    ``norm`` is False on a page that says the norm of all its errors once.
+    ``brief`` is for a page that says the norm of its errors once, and has costs and integrators in
+    a table beside the sentences.
     """
 
     names: Mapping[str, str]
     tags: Mapping[str, Sequence[str]]
-    norm: bool = True
+    brief: bool = False
 
     def method(self, label: str) -> Ref:
         """A reference to an integrator."""
@@ -38,7 +39,7 @@ class Words:
 
     def accuracy(self, question: Question) -> Sentence:
         """The accuracy, with its norm if the page does not say it elsewhere."""
-        return accuracy(question) if self.norm else [f"{question.accuracy} in {question.quantity}"]
+        return [f"{question.accuracy} in {question.quantity}"] if self.brief else accuracy(question)
 
     def aim(self, question: Question) -> Sentence:
         """The accuracy as the aim of a sentence."""

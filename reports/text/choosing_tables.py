@@ -111,7 +111,7 @@ def _failed(series: Sequence[Series]) -> str:
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     lost = [r.status for r in runs if r.status != "ok"]
     kinds = [status for status, _ in Counter(lost).most_common()]
-    return f"{len(lost)} of {len(runs)}: {', '.join(kinds)}" if lost else f"0 of {len(runs)}"
+    return f"{len(lost)} of {len(runs)}: {', '.join(kinds)}" if lost else "0"
 
 
 def energy_table(
