@@ -90,6 +90,7 @@ def test_the_table_has_the_least_cost_and_its_multiples(store, target):
         shown = float(rows[names[label]].split(" · ")[place])
         assert shown == pytest.approx(cost / min(least.values()), rel=0.05)
     assert rows["fragile"] == "newton_failed"
+    assert not any("far · far" in row for row in rows.values())
     failed = {row[0]: row[-1] for row in table.rows}
     assert failed["fragile"] == "2 of 2: newton_failed"
     assert failed["adaptive"] == "0"

@@ -227,8 +227,26 @@ def test_the_next_behind_a_tie_is_told():
 
 
 def test_unknown_costs_are_told():
-    records = [*field((1, 2), (1, 2)), run("s0", "dark", None, work={"residuals": None})]
+    dark = run("s0", "dark", None, work={"residuals": None})
+    records = [*field((1, 2), (1, 2)), dark]
     assert said(records)[-1] == "Reached, but the residual evaluations are not counted: dark (s0)."
+    scenes = scenes_of([dark])
+    words, scene = words_of(scenes, {}), answer(scenes, COUNTS).scenes["s0"]
+    assert plain(scene_sentence(COUNTS, "s0", scene, words)) == (
+        "dark reaches 1e-4 in acceleration (largest over time) on s0, but the residual evaluations "
+        "are not counted."
+    )
+
+
+def test_integrators_that_fail_on_the_same_scenes_share_them():
+    ends = {"status": "newton_failed", "errors": {}}
+    records = [*field((1, 2), (1, 2), (1, 2), (1, 2))]
+    places = {"a": (0, 1), "b": (0, 1), "c": (0,), "d": (1,), "e": (2,), "f": (2,)}
+    for name, own in places.items():
+        records += [run(f"s{k}", name, 10, **ends) for k in own]
+    assert said(records)[-1] == (
+        "No run reached the end: a and b (s0 and s1), c (s0), d (s1) and 2 more."
+    )
 
 
 costs = st.one_of(st.none(), st.integers(1, 4))
