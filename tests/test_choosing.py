@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from planted import STEPS, edited, everything, plant, planted
 
-from bench.results.records import Rows, SceneRecord, endings
+from bench.results.records import Environment, Rows, SceneRecord, endings
 from bench.running.scene_records import scene_record
 from problems.scenes.pendulum import Pendulum
-from reports.pages.choosing import choosing_in_markdown, heading_anchor, sections
-from reports.questions.advice import on_energy, on_scenes, on_silent_errors
+from reports.pages.choosing import choosing_in_markdown, heading_anchor, measured_with, sections
+from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.answers import answers
 from reports.questions.kinds import KINDS, scenes_of
 from reports.questions.phrases import plain
 from reports.questions.question import Question
@@ -88,13 +90,14 @@ def test_the_table_has_the_least_cost_and_its_multiples(store, target):
         shown = float(rows[names[label]].split(" · ")[place])
         assert shown == pytest.approx(cost / min(least.values()), rel=0.05)
     assert rows["fragile"] == "newton_failed"
+    assert not any("far · far" in row for row in rows.values())
     failed = {row[0]: row[-1] for row in table.rows}
     assert failed["fragile"] == "2 of 2: newton_failed"
-    assert failed["adaptive"] == "0 of 6"
+    assert failed["adaptive"] == "0"
 
 
 def test_other_numbers_give_other_sentences(store):
-    lead = "To 1e-2 in acceleration (largest over time) on pendulum, {} the fewest operations"
+    lead = "To 1e-2 in acceleration on pendulum, {} the fewest operations"
 
     def dearer(r):
         if r.integrator.startswith("good"):
@@ -105,6 +108,60 @@ def test_other_numbers_give_other_sentences(store):
     assert changed[0].startswith(lead.format("ringing 1 takes"))
 
 
+def joined(dearer: int, least: float = 1e-6) -> list[str]:
+    """The paragraphs for 1e-2, 1e-4 and 1e-6 in a, reached at 1, 1/2 and 1/4 s by two methods.
+
+    The second run of the other costs ``dearer`` times the usual, the third errs by ``least``.
+    """
+    errors, runs = (1e-2, 1e-4, 1e-6), []
+    for name, factors, last in (("one", (1, 1, 1), 1e-6), ("two", (10, 10 * dearer, 10), least)):
+        for k, error in enumerate((*errors[:2], last)):
+            run = planted("s", name, {}, h=2.0**-k, errors={"a": {"max": error}})
+            run.operations = {"residuals": 100.0 * factors[k] * 2**k}
+            runs.append(run)
+    scenes = {"s": series_of(runs)}
+    words = replace(words_of(scenes, {}), brief=True)
+    found = [answer.on(["s"]) for answer in answers(scenes, ["a"], errors).values()]
+    own = [answer for answer in found if answer.question.cost == "operations"]
+    return [" ".join(map(plain, said)) for said in on_costs(own, words)]
+
+
+def test_accuracies_with_one_answer_share_a_sentence():
+    assert joined(1) == [
+        "To 1e-2, 1e-4 and 1e-6 in acceleration on s, one takes the fewest operations, 100, 200 "
+        "and 400 at h=1, 0.5 and 0.25 s; next is two with 10 times that."
+    ]
+    assert joined(2) == [
+        "To 1e-2, 1e-4 and 1e-6 in acceleration on s, one takes the fewest operations, 100, 200 "
+        "and 400 at h=1, 0.5 and 0.25 s; next is two with 10, 20 and 10 times that."
+    ]
+    assert joined(1, least=1e-5) == [
+        "To 1e-2 and 1e-4 in acceleration on s, one takes the fewest operations, 100 and 200 at "
+        "h=1 and 0.5 s; next is two with 10 times that.",
+        "To 1e-6 in acceleration on s, one alone reaches it: 400 operations at h=0.25 s.",
+    ]
+
+
+def test_invocations_that_choose_from_a_suite_are_counted_with_the_whole():
+    def made(command: str, date: str = "2025-03-01") -> Environment:
+        machine = {"cpu": "Model 1", "cores": 2, "memory_gib": 1.0, "platform": ""}
+        return Environment(date=date, command=command, versions={"stepbench": "1"}, **machine)
+
+    whole, own = "stepbench run it", "stepbench run that -i ida"
+    parts = ["stepbench run it -p 'a[b=2]' -i ida --out x", "stepbench run it --problem a"]
+    head = "2025-03-01, stepbench 1, Model 1, 2 cores:"
+    assert measured_with([made(c) for c in (f"{whole} --out y", *parts, own)]) == [
+        f"{head} `{whole}`, and 2 times with a choice of scenes or integrators",
+        f"{head} `{own}`",
+    ]
+    later = "2025-03-02T01:00"
+    assert measured_with([made(whole), made(own, later), made(f"{whole} --samples 2")]) == [
+        f"{head} `{whole}`",
+        f"{head} `{whole} --samples 2`",
+        f"{head.replace('01,', '02,')} `{own}`",
+    ]
+
+
 def test_nothing_is_recommended_where_nobody_reaches_it(store):
     def worse(r):
         for norms in r.errors.values():
@@ -112,9 +169,11 @@ def test_nothing_is_recommended_where_nobody_reaches_it(store):
 
     folder = edited(store, "worse", worse)
     texts = said(folder, "constrained-a")
-    assert any("Nobody reaches 1e-2 in acceleration" in text for text in texts)
+    assert any(
+        "No integrator reaches 1e-2, 1e-4 and 1e-6 in acceleration" in text for text in texts
+    )
     assert not any("fewest" in text for text in texts)
-    assert any("without a warning" in text and "0.5" in text for text in texts)
+    assert any("Silent failures" in text and "0.5" in text for text in texts)
     table = advice(folder, "constrained-a").table
     assert {row[1] for row in table.rows[1:]} == {"far", "newton_failed"}
 
@@ -130,7 +189,7 @@ def test_silent_errors_are_those_of_every_run_that_ended():
     series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
     words = words_of({"s": series}, {})
     (sentence,) = on_silent_errors("a", {"s": series}, words)
-    assert plain(sentence).endswith("in brackets: wrong (s: 0.2 at h=0.05).")
+    assert plain(sentence) == "Silent failures in acceleration: wrong (s: 0.2)."
     assert on_silent_errors("lam", {"s": series}, words) == []
 
 
@@ -149,8 +208,9 @@ def test_energies_that_change_by_rounding_tie():
 
 def test_few_scenes_are_called_few():
     assert plain(on_scenes([])) == "The run has no scene of this kind."
-    assert plain(on_scenes(["s"])).endswith("Of 1 scene alone nothing general follows.")
-    assert "nothing" not in plain(on_scenes(["s", "t", "u"]))
+    assert plain(on_scenes(["s"])).endswith("One scene is too few for a general rule.")
+    assert plain(on_scenes(["s", "t"])).endswith("Two scenes are too few for a general rule.")
+    assert "rule" not in plain(on_scenes(["s", "t", "u"]))
 
 
 def each_sentence_leads_to_a_table(text: str) -> int:

@@ -120,18 +120,18 @@ ON_S0 = AIM.replace(",", " on s0,")
 def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     records = field((100, 200), (100, 300), (50, 50), (90, 30), (None, None))
     assert said(records) == [
-        AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where anybody "
-        "reaches it, alone on 2 (the next costs 2 to 3 times as much); two on s2 and s3; ties "
-        "count for each.",
+        AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where any "
+        "integrator reaches it, alone on 2 (the next costs 2 to 3 times as much); two on s2 and "
+        "s3; a tie counts for each of its members.",
         "one and two reach it on the most scenes: 4 of 5 tried.",
-        "Nobody reaches it on s4 (nearest: one, 0.01).",
+        "No integrator reaches it on s4 (nearest: one, 0.01).",
     ]
     assert said(records, on=["s0"]) == [
         ON_S0 + "one needs the fewest residual evaluations, 100 at h=0.01 s; next is two with "
         "2 times that."
     ]
     assert said(records, on=["s4"]) == [
-        "Nobody reaches 1e-4 in acceleration (largest over time) on s4 (nearest: one, 0.01)."
+        "No integrator reaches 1e-4 in acceleration (largest over time) on s4 (nearest: one, 0.01)."
     ]
     assert said(field((1, 2), (3, 4)))[1] == (
         "Every method reaches it on every scene on which it was tried."
@@ -156,7 +156,7 @@ def test_a_few_scenes_are_named_with_their_costs():
         head + "s1 (100 at h=0.01 s; next: two, 2 times); one and two tie on s0 (7 at h=0.01 s; "
         "next: three, 1.29 times); "
         "one, two and three tie on s2 (8 at h=0.01 s).",
-        "one and two reach it on all 3 scenes; no other does.",
+        "one and two reach it on all 3 scenes; no other integrator does.",
     ]
     assert said(tied, on=["s0"]) == [
         ON_S0 + "one and two tie for the fewest residual evaluations, 7 at h=0.01 s; next is three "
@@ -165,7 +165,9 @@ def test_a_few_scenes_are_named_with_their_costs():
     dark = [*field((1, 2)), run("s0", "dark", None, work={"residuals": None})]
     scene = answer(scenes_of(dark), COUNTS).scenes["s0"]
     sentence = scene_sentence(COUNTS, "s0", scene, words_of(scenes_of(dark), {}))
-    assert plain(sentence).endswith(" Not compared, as the cost is not measured: dark.")
+    assert plain(sentence).endswith(
+        " Not compared, as the residual evaluations are not counted: dark."
+    )
 
 
 def test_who_reaches_it_on_the_most_scenes():
@@ -225,8 +227,26 @@ def test_the_next_behind_a_tie_is_told():
 
 
 def test_unknown_costs_are_told():
-    records = [*field((1, 2), (1, 2)), run("s0", "dark", None, work={"residuals": None})]
-    assert said(records)[-1] == "Reached at a cost that is not measured: dark (s0)."
+    dark = run("s0", "dark", None, work={"residuals": None})
+    records = [*field((1, 2), (1, 2)), dark]
+    assert said(records)[-1] == "Reached, but the residual evaluations are not counted: dark (s0)."
+    scenes = scenes_of([dark])
+    words, scene = words_of(scenes, {}), answer(scenes, COUNTS).scenes["s0"]
+    assert plain(scene_sentence(COUNTS, "s0", scene, words)) == (
+        "dark reaches 1e-4 in acceleration (largest over time) on s0, but the residual evaluations "
+        "are not counted."
+    )
+
+
+def test_integrators_that_fail_on_the_same_scenes_share_them():
+    ends = {"status": "newton_failed", "errors": {}}
+    records = [*field((1, 2), (1, 2), (1, 2), (1, 2))]
+    places = {"a": (0, 1), "b": (0, 1), "c": (0,), "d": (1,), "e": (2,), "f": (2,)}
+    for name, own in places.items():
+        records += [run(f"s{k}", name, 10, **ends) for k in own]
+    assert said(records)[-1] == (
+        "No run reached the end: a and b (s0 and s1), c (s0), d (s1) and 2 more."
+    )
 
 
 costs = st.one_of(st.none(), st.integers(1, 4))

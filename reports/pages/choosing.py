@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
 from bench.results.records import Environment, counted
 from reports.pages.templating import code, escape_markdown, markdown
-from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import Answer, answers
 from reports.questions.kinds import KINDS, Kind, scenes_of
 from reports.questions.phrases import Sentence, plain
@@ -30,6 +31,8 @@ from reports.text.table import Table
 _COST = "operations"
 #: The option of a command that says where its results are.
 _FOLDER = re.compile(r" --out[ =]\S+")
+#: The options at the end of a command that choose scenes and integrators of a suite.
+_CHOICE = re.compile(r"(?: (?:-[pi]|--problem|--integrator)[ =]?(?:'[^']*'|\S+))+$")
 #: The accuracy of the runs whose energy is compared.
 _ENERGY = Question("q", 1e-2, _COST)
 
@@ -61,10 +64,10 @@ class Advice:
 
     @property
     def texts(self) -> list[str]:
-        """The paragraphs in Markdown; each sentence leads to the table."""
+        """The paragraphs in Markdown; each leads to the table."""
         anchor = heading_anchor(self.heading)
         return [
-            " ".join(f"{escape_markdown(plain(s))} [↓](#{anchor})" for s in own)
+            f"{escape_markdown(' '.join(map(plain, own)))} [↓](#{anchor})"
             for own in self.paragraphs
             if own
         ]
@@ -79,13 +82,29 @@ class Section:
     advice: list[Advice]
 
 
-def _measured_with(environment: Environment) -> str:
-    """Date, versions and machine of an invocation, and its command; not the folder it wrote to."""
-    command = _FOLDER.sub("", environment.command)
-    version = environment.versions.get("stepbench", "of unknown version")
-    machine = f"{environment.cpu}, {counted(environment.cores, 'core')}"
-    text = f"{environment.date[:10]}, stepbench {version}, {machine}: "
-    return escape_markdown(text) + " " + code(command)
+def measured_with(environments: Sequence[Environment]) -> list[str]:
+    """Dates, versions, machines and commands; not the folders they wrote to.
+
+    Invocations that chose from a suite are counted with the one that ran all of it.
+    """
+    commands: dict[str, list[str]] = {}
+    for environment in environments:
+        version = environment.versions.get("stepbench", "of unknown version")
+        machine = f"{environment.cpu}, {counted(environment.cores, 'core')}"
+        text = f"{environment.date[:10]}, stepbench {version}, {machine}:"
+        commands.setdefault(text, []).append(_FOLDER.sub("", environment.command))
+    said = []
+    for text, own in commands.items():
+        wholes = [whole if (whole := _CHOICE.sub("", c)) in own else c for c in own]
+        for whole in dict.fromkeys(wholes):
+            parts = sum(w == whole != c for w, c in zip(wholes, own, strict=True))
+            also = f", and {counted(parts, 'time')} with a choice of scenes or integrators"
+            said.append(f"{escape_markdown(text)} {code(whole)}{also if parts else ''}")
+    return said
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(escape_markdown(text), 100, break_long_words=False, break_on_hyphens=False)
 
 
 def choosing_in_markdown(folder: Path) -> str:
@@ -100,17 +119,18 @@ def choosing_in_markdown(folder: Path) -> str:
     return markdown(
         "choosing.md.j2",
         stored=stored,
-        environments=dict.fromkeys(map(_measured_with, stored.environments)),
+        environments=measured_with(stored.environments),
         sections=sections(stored),
         norm=NORM_NAMES[NORM],
-        note=MULTIPLES_NOTE,
+        silent=_wrapped(SILENT_NOTE),
+        note=_wrapped(MULTIPLES_NOTE),
         anchor=heading_anchor,
     )
 
 
 def sections(stored: StoredRuns) -> list[Section]:
     """Return the advice for every kind of system, from the runs of a store."""
-    words = words_of(stored.series, stored.tags)
+    words = replace(words_of(stored.series, stored.tags), brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
     found = answers(stored.series, [*groups, _ENERGY.group], TARGETS)
     return [_section(kind, stored, found, words) for kind in KINDS]

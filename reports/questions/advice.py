@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
-from bench.results.records import counted
+from bench.results.quantities import GROUP_NAMES, NORM
 from reports.formatting import number
 from reports.questions.answers import Answer
-from reports.questions.phrases import Part, Sentence, listed, plain
+from reports.questions.phrases import Part, Ref, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.sentences import sentences
-from reports.questions.words import Words, accuracy, scene_ref
-from reports.series import Series, error_of, step_or_tolerance
+from reports.questions.words import Words, scene_ref
+from reports.series import Series, error_of
 
-#: Of fewer scenes nothing general is said.
-_FEW = 3
+#: Numbers of scenes of which nothing general is said.
+_FEW = {1: "One scene is", 2: "Two scenes are"}
 #: A run that ends well with a larger error than this has nothing right.
 _WRONG = 0.1
+#: The meaning of silent failures.
+SILENT_NOTE = (
+    "Silent failures are integrators whose every run that reaches the end has an error above "
+    f"{_WRONG:g}, without a warning; the smallest error stands in brackets."
+)
 #: Energies that change by less than this change by rounding.
 _ROUNDING = 1e-12
+_NUMBER = re.compile(r"\d[\d.]*(?:e-?\d+)?")
+#: Text whose number may be another one in the same answer: a step or tolerance, or an accuracy.
+_FREE = re.compile(r"(?: at )?(?:h|rtol)=|\d\S* in ")
 
 
 def on_scenes(scenes: Sequence[str]) -> Sentence:
@@ -27,19 +35,59 @@ def on_scenes(scenes: Sequence[str]) -> Sentence:
     if not scenes:
         return ["The run has no scene of this kind."]
     said = ["Scenes in the run: ", *listed(([scene_ref(k)] for k in scenes), len(scenes)), "."]
-    few = counted(len(scenes), "scene")
-    return [*said, f" Of {few} alone nothing general follows."] if len(scenes) < _FEW else said
+    few = _FEW.get(len(scenes))
+    return [*said, f" {few} too few for a general rule."] if few else said
 
 
 def on_costs(found: Sequence[Answer], words: Words) -> list[list[Sentence]]:
-    """The answers for several accuracies, each without what the ones before it say, too."""
+    """The answers for several accuracies, each without what the ones before it say, too.
+
+    Accuracies in a row have one answer if theirs differ in costs, steps and tolerances alone.
+    """
+    alike: list[list[list[Sentence]]] = []
+    for own in (sentences(answer, words) for answer in found):
+        if alike and _joined_answers([*alike[-1], own]):
+            alike[-1].append(own)
+        else:
+            alike.append([own])
     said: set[str] = set()
     parts = []
-    for answer in found:
-        own = [s for s in sentences(answer, words) if plain(s) not in said]
-        said |= {plain(s) for s in own}
-        parts.append(own)
+    for answer in map(_joined_answers, alike):
+        parts.append([s for s in answer if plain(s) not in said])
+        said |= {plain(s) for s in answer}
     return parts
+
+
+def _joined_answers(answers: Sequence[Sequence[Sentence]]) -> list[Sentence]:
+    """One answer for several accuracies; none if they differ in more than numbers."""
+    if len({len(own) for own in answers}) > 1:
+        return []
+    joined = [_joined(own) for own in zip(*answers, strict=True)]
+    return joined if all(joined) else []
+
+
+def _joined(said: Sequence[Sentence]) -> Sentence:
+    """One sentence for several: 'To 1e-2 and 1e-4 in ...'; empty if they are not alike."""
+    if len({len(parts) for parts in said}) > 1:
+        return []
+    joined = [_joined_part(parts) for parts in zip(*said, strict=True)]
+    return [part for part in joined if part is not None] if None not in joined else []
+
+
+def _joined_part(parts: Sequence[Part]) -> Part | None:
+    if len({*parts}) == 1:
+        return parts[0]
+    texts = [plain([part]) for part in parts]
+    if len({_NUMBER.sub("", text) for text in texts}) > 1 or not all(map(_may_differ, parts)):
+        return None
+    numbers = zip(*map(_NUMBER.findall, texts), strict=True)
+    shown = (dict.fromkeys(own) if len({*own}) == 1 else own for own in numbers)
+    said = (plain(listed(([number] for number in own), len(texts))) for own in shown)
+    return _NUMBER.sub(lambda _: next(said), texts[0])
+
+
+def _may_differ(part: Part) -> bool:
+    return part.kind == "run" if isinstance(part, Ref) else bool(_FREE.match(part))
 
 
 def on_silent_errors(
@@ -52,22 +100,13 @@ def on_silent_errors(
             errors = [(e, r) for r in s.ok if (e := error_of(r, group, NORM)) is not None]
             if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > _WRONG:
                 error, run = best
-                at = "h" if run.controls == "step" else "rtol"
                 near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]
-                near.append(f" at {at}={number(step_or_tolerance(run))}")
                 where.setdefault(s.label, []).append(near)
     if not where:
         return []
     quantity = GROUP_NAMES[group].rpartition(" ")[0]
     who = listed(([words.method(k), " (", *listed(own), ")"] for k, own in where.items()), 6)
-    return [
-        [
-            f"Runs that end without a warning and err by more than {_WRONG:g} in {quantity} "
-            f"({NORM_NAMES[NORM]}) at every step or tolerance, the best of them in brackets: ",
-            *who,
-            ".",
-        ]
-    ]
+    return [[f"Silent failures in {quantity}: ", *who, "."]]
 
 
 def on_energy(
@@ -89,5 +128,5 @@ def on_energy(
         parts += ["; " if parts else "", *words.methods(first), " on ", *listed(own, len(own))]
     if not parts:
         return []
-    runs = ["Among the cheapest runs that reach ", *accuracy(question)]
+    runs = ["Among the cheapest runs that reach ", *words.accuracy(question)]
     return [[*runs, ", the energy changes least with ", *parts, "."]]

@@ -11,7 +11,7 @@ from reports.names import family_name
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Part, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
-from reports.questions.words import Words, aim, scene_ref
+from reports.questions.words import Words, scene_ref
 from reports.ranking import LEAST_COST
 from reports.series import step_or_tolerance
 from reports.text.winners import cost_text, times
@@ -30,7 +30,8 @@ def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) ->
     """'To 1e-4 in ... on pendulum, IDA takes the fewest operations, 3000 at ...; next is ...'."""
     verdict = answer.verdict
     first, second = verdict.first, verdict.second
-    said = [*aim(question), " on ", scene_ref(scene), ", ", *words.methods(s.label for s in first)]
+    said = [*words.aim(question), " on ", scene_ref(scene), ", "]
+    said += words.methods(s.label for s in first)
     best = min(first, key=lambda s: s.value or 0.0)
     if not verdict.votes or (len(first) == 1 and not second and not verdict.unknown):
         said.append(
@@ -59,14 +60,15 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
         first, second = scene.verdict.first, scene.verdict.second
         best = min(first, key=lambda s: s.value or 0.0)
         least = _cost(best.run, best.value, question.cost, words)
-        at: Sentence = [scene_ref(name), " (", least, _at(best.run)]
+        near: Sentence = [scene_ref(name), " ("]
+        near += [_at(best.run).removeprefix(" at ")] if words.brief else [least, _at(best.run)]
         if second and second.run:
-            at += ["; next: ", words.method(second.label), ", "]
-            at.append(words.run(second.run, times(second.ratio)))
+            near += ["; next: ", words.method(second.label), ", "]
+            near.append(words.run(second.run, times(second.ratio)))
         elif len(first) == 1 and not scene.verdict.unknown:
-            at.append("; no other reaches it")
-        where.setdefault(tuple(s.label for s in first), []).append([*at, ")"])
-    said: Sentence = [*aim(question), ", "]
+            near.append("; no other reaches it")
+        where.setdefault(tuple(s.label for s in first), []).append([*near, ")"])
+    said: Sentence = [*words.aim(question), ", "]
     for k, labels in enumerate(
         sorted(where, key=lambda labels: (len(labels) > 1, -len(where[labels])))
     ):
@@ -105,7 +107,7 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     one, several = _TAKES[found.question.cost]
     least = f"the {LEAST_COST[found.question.cost]}"
     count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
-    said = [*aim(found.question), ", ", *words.methods(lead)]
+    said = [*words.aim(found.question), ", ", *words.methods(lead)]
     said.append(f" {one if len(lead) == 1 else 'each ' + several} {least} on ")
     where_said = _compared(found, most)
     some = f"{count} of {'the ' if where_said else ''}{most}"
@@ -130,7 +132,7 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     said += [f"; {more} more on at least one"] if more else []
     # The counts of all then add up to more than the scenes.
     counted = others and any(alone[label] < len(where[label]) for label in order)
-    return [*said, "; ties count for each." if counted else "."]
+    return [*said, "; a tie counts for each of its members." if counted else "."]
 
 
 def _compared(found: Answer, most: int) -> str:
@@ -138,7 +140,9 @@ def _compared(found: Answer, most: int) -> str:
     if most == len(found.scenes):
         return ""
     reached = sum(s.reached for s in found.scenes.values())
-    return " where anybody reaches it" if most == reached else " where several can be compared"
+    if most == reached:
+        return " where any integrator reaches it"
+    return " where several can be compared"
 
 
 def _alone(alone: str, wins: int, count: int) -> str:

@@ -12,13 +12,15 @@ from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import cheapest, families, on_each, on_one
 from reports.questions.phrases import Sentence, listed
 from reports.questions.question import Question
-from reports.questions.words import Words, accuracy, aim, scene_ref
-from reports.ranking import LEAST_COST
+from reports.questions.words import Words, scene_ref
 from reports.series import label_of
 
 #: Scenes are named with their costs if no more than these are compared.
 _EACH = 3
 _OWN = "the reference's own error there"
+#: The lack of a cost.
+_OPEN = {"operations": "the operations are not counted", "seconds": "the time is not measured"}
+_OPEN["residuals"] = "the residual evaluations are not counted"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
@@ -42,7 +44,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
     elif voting:
         said += [cheapest(found, voting, words), *families(found, voting, words)]
     elif any(s.verdict.first for s in found.scenes.values()):
-        said.append([*aim(found.question), ", no scene has two methods to compare."])
+        said.append([*words.aim(found.question), ", no scene has two methods to compare."])
     return [
         *said,
         *_reached(found, words),
@@ -65,21 +67,15 @@ def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words)
     if answer.verdict.first:
         said = on_one(question, scene, answer, words)
         if unknown:
-            said += [" Not compared, as the cost is not measured: ", *unknown, "."]
+            said += [f" Not compared, as {_OPEN[question.cost]}: ", *unknown, "."]
         return said
     if unknown:
-        least = LEAST_COST[question.cost].partition(" ")[2]
-        return [
-            *aim(question),
-            " on ",
-            scene_ref(scene),
-            f", the {least} of ",
-            *unknown,
-            " are not measured.",
-        ]
+        verb = " reaches " if len(answer.verdict.unknown) == 1 else " reach "
+        goal = [*words.accuracy(question), " on ", scene_ref(scene)]
+        return [*unknown, verb, *goal, f", but {_OPEN[question.cost]}."]
     return [
-        "Nobody reaches ",
-        *accuracy(question),
+        "No integrator reaches ",
+        *words.accuracy(question),
         " on ",
         scene_ref(scene),
         *_near(answer, words),
@@ -99,9 +95,10 @@ def _reached(found: Answer, words: Words) -> list[Sentence]:
     if most == judged:
         scenes = "both scenes" if judged == 2 else f"all {judged} scenes"
         can = " that can be judged" if found.unjudged else ""
-        return [
-            [*words.methods(s.label for s in best), f" {verb} it on {scenes}{can}; no other does."]
-        ]
+        if words.brief and len(best) > _EACH:
+            return [[f"{len(best)} of {len(rows)} integrators reach it on {scenes}{can}."]]
+        who = words.methods(s.label for s in best)
+        return [[*who, f" {verb} it on {scenes}{can}; no other integrator does."]]
     if len({s.tried for s in best}) == 1:
         who = words.methods(s.label for s in best)
         return [[*who, f" {verb} it on the most scenes: {most} of {best[0].tried} tried."]]
@@ -114,10 +111,10 @@ def _nobody(found: Answer, words: Words) -> list[Sentence]:
     missed = {name: s for name, s in found.scenes.items() if not s.reached}
     if not missed:
         return []
-    it = ["it"] if len(missed) < len(found.scenes) else accuracy(found.question)
+    it = ["it"] if len(missed) < len(found.scenes) else words.accuracy(found.question)
     where = listed([scene_ref(name), *_near(s, words)] for name, s in missed.items())
     count = [f"{len(missed)} scenes: "] if len(missed) > 3 else []
-    return [["Nobody reaches ", *it, " on ", *count, *where, "."]]
+    return [["No integrator reaches ", *it, " on ", *count, *where, "."]]
 
 
 def _near(answer: SceneAnswer, words: Words) -> Sentence:
@@ -137,11 +134,16 @@ def _failing(found: Answer, words: Words) -> list[Sentence]:
 
 
 def _where(where: Mapping[str, Sequence[str]], words: Words) -> Sentence:
-    """'A (s and t), B (u)': integrators and their scenes, those with most scenes first."""
-    order = sorted(where, key=lambda label: -len(where[label]))
-    return listed(
-        [words.method(k), " (", *listed([scene_ref(name)] for name in where[k]), ")"] for k in order
-    )
+    """'A and B (s and t), C (u)': integrators and their scenes, those with most scenes first."""
+    own: dict[tuple[str, ...], list[str]] = {}
+    for label in sorted(where, key=lambda label: -len(where[label])):
+        own.setdefault(tuple(where[label]), []).append(label)
+    said = [
+        [*words.methods(labels), " (", *listed([scene_ref(name)] for name in scenes), ")"]
+        for scenes, labels in own.items()
+    ]
+    rest = sum(map(len, [*own.values()][_EACH:]))
+    return listed([*said[:_EACH], [f"{rest} more"]] if rest else said, _EACH + 1)
 
 
 def _unjudged(found: Answer) -> list[Sentence]:
@@ -173,4 +175,4 @@ def _unknown(found: Answer, words: Words) -> list[Sentence]:
             where.setdefault(entry.label, []).append(name)
     if not where:
         return []
-    return [["Reached at a cost that is not measured: ", *_where(where, words), "."]]
+    return [[f"Reached, but {_OPEN[found.question.cost]}: ", *_where(where, words), "."]]

@@ -15,10 +15,15 @@ from reports.series import Series
 
 @dataclass(frozen=True)
 class Words:
-    """Names of the report's integrators, and tags of its scenes."""
+    """Names of the report's integrators, and tags of its scenes.
+
+    ``brief`` is for a page that says the norm of its errors once, and has costs and integrators in
+    a table beside the sentences.
+    """
 
     names: Mapping[str, str]
     tags: Mapping[str, Sequence[str]]
+    brief: bool = False
 
     def method(self, label: str) -> Ref:
         """A reference to an integrator."""
@@ -31,6 +36,14 @@ class Words:
     def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
         """References to integrators as a list."""
         return listed(([self.method(label)] for label in labels), most)
+
+    def accuracy(self, question: Question) -> Sentence:
+        """The accuracy, with its norm if the page does not say it elsewhere."""
+        return [f"{question.accuracy} in {question.quantity}"] if self.brief else accuracy(question)
+
+    def aim(self, question: Question) -> Sentence:
+        """The accuracy as the aim of a sentence."""
+        return ["To ", *self.accuracy(question)]
 
 
 def words_of(scenes: Mapping[str, Sequence[Series]], tags: Mapping[str, Sequence[str]]) -> Words:
@@ -47,8 +60,3 @@ def accuracy(question: Question) -> Sentence:
     """The accuracy with its norm: '1e-4 in acceleration (largest over time)'."""
     norm = Ref("term", "error", NORM_NAMES[NORM])
     return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
-
-
-def aim(question: Question) -> Sentence:
-    """The accuracy as the aim of a sentence."""
-    return ["To ", *accuracy(question)]

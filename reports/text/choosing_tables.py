@@ -46,7 +46,7 @@ def multiples_table(
     for scene, series in runs.items():
         for s in (s for s in series if any(r.status not in NOT_TRIED for r in s.records)):
             own.setdefault(s.label, {})[scene] = s
-    rows = [["least", *(_BETWEEN.join(_least(a, scene) for a in found) for scene in scenes), ""]]
+    rows = [["least", *(_short([_least(a, scene) for a in found]) for scene in scenes), ""]]
     for label in sorted(own, key=lambda label: (-reached[label], -first[label])):
         cells = [_cell(found, scene, own[label].get(scene)) for scene in scenes]
         rows.append([words.names[label], *cells, _failed([*own[label].values()])])
@@ -63,11 +63,12 @@ def multiples_table(
 
 #: What the cells of `multiples_table` mean.
 MULTIPLES_NOTE = (
-    'the row "least" has the cost of the cheapest run for each accuracy, the others multiples of '
-    "it. Methods that reach more accuracies on more scenes stand higher. far: every run that "
-    "reached the end has a larger error. The name of a status, such as newton_failed: no run "
-    f"reached the end. {_UNJUDGED}: the reference is not good enough to judge the accuracy. "
-    f'{NO_VALUE}: not tried, or not supported; in the row "least": no run reaches it.'
+    'The row "least" has the lowest cost for each accuracy; other rows are multiples of it, sorted '
+    "by how often an accuracy is reached. far: all runs that reached the end have a larger error. "
+    "unknown: reached, but the operations are not counted. A status such as newton_failed: no run "
+    f"reached the end. {_UNJUDGED}: the reference cannot judge the accuracy. {NO_VALUE}: not tried "
+    'or not supported; in the row "least": not reached. A word at the end of a cell holds for all '
+    "tighter accuracies, too."
 )
 
 
@@ -90,7 +91,15 @@ def _cell(found: Sequence[Answer], scene: str, series: Series | None) -> str:
         else:
             state = answer.scenes[scene].entries[series.label].state
             cells.append(state if isinstance(state, str) else _multiple(state))
-    return cells[0] if len({*cells}) == 1 and cells[0] == "far" else _BETWEEN.join(cells)
+    return _short(cells)
+
+
+def _short(cells: Sequence[str]) -> str:
+    """The cells as one; a word at the end stands once."""
+    kept = [*cells]
+    while len(kept) > 1 and kept[-1] == kept[-2] and not kept[-1][0].isdigit():
+        kept.pop()
+    return _BETWEEN.join(kept)
 
 
 def _multiple(ratio: float) -> str:
@@ -102,7 +111,7 @@ def _failed(series: Sequence[Series]) -> str:
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     lost = [r.status for r in runs if r.status != "ok"]
     kinds = [status for status, _ in Counter(lost).most_common()]
-    return f"{len(lost)} of {len(runs)}: {', '.join(kinds)}" if lost else f"0 of {len(runs)}"
+    return f"{len(lost)} of {len(runs)}: {', '.join(kinds)}" if lost else "0"
 
 
 def energy_table(
