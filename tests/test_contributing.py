@@ -1,4 +1,4 @@
-"""The examples printed in CONTRIBUTING.md run exactly as printed."""
+"""The examples printed in CONTRIBUTING.md and docs/integrators.md run exactly as printed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,15 @@ from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
 
-TEXT = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+DOCUMENTS = ("CONTRIBUTING.md", "docs/integrators.md")
 EXAMPLES = {
     block.split("\n", 1)[0].removeprefix("# "): block
-    for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    for name in DOCUMENTS
+    for block in re.findall(
+        r"```python\n(.*?)```",
+        (Path(__file__).parent.parent / name).read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
 }
 
 
