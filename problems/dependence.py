@@ -2,40 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
 
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem
+from problems.system import MechatronicSystem, Variables
+
+if TYPE_CHECKING:
+    from jax import Array
 
 
-def depends(function: Callable, on: int, *arguments: Any) -> bool:
-    """Whether the program of a function uses an argument for its result.
-
-    A call within the program counts as a whole: all its results depend on all that it takes.
+def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
+    """Whether the program of a function uses one of some arguments for its result.
 
     Parameters
     ----------
     on
-        Place of the argument, an array.
+        Places of the arguments.
     arguments
         All arguments, arrays or numbers.
     """
+    from jax.interpreters.partial_eval import dce_jaxpr
+
     program = jax.make_jaxpr(function)(*arguments).jaxpr
-    reached = {program.invars[on]}
-    for equation in program.eqns:
-        # Literals are no variables and cannot be hashed.
-        if any(not hasattr(v, "val") and v in reached for v in equation.invars):
-            reached.update(equation.outvars)
-    return any(not hasattr(v, "val") and v in reached for v in program.outvars)
+    _, used = dce_jaxpr(program, [True] * len(program.outvars))
+    return any(used[place] for place in on)
 
 
 def mass_varies(scene: MechatronicSystem) -> bool:
     """Whether the mass matrix depends on q."""
-    return depends(scene.mass, 0, jnp.zeros(scene.sizes.nq))
+    return depends(scene.mass, [0], jnp.zeros(scene.sizes.nq))
 
 
 def force_takes_velocities(scene: MechatronicSystem) -> bool:
     """Whether the applied forces depend on v."""
+    return depends(scene.force, [1], *_motion(scene))
+
+
+def damping_varies(scene: MechatronicSystem) -> bool:
+    """Whether the derivative of the applied forces by v depends on q, v or t."""
+    return depends(jax.jacfwd(scene.force, argnums=1), range(3), *_motion(scene))
+
+
+def output_takes(scene: MechatronicSystem, *groups: str) -> bool:
+    """Whether the outputs depend on one of these groups of variables."""
+    nq, nl, nx, ny = scene.sizes
+    z = [*map(jnp.zeros, (nq, nq, nq, nl, nx, ny)), jnp.asarray(0.0)]
+    places = map(Variables._fields.index, groups)
+    return bool(ny) and depends(lambda *z: scene.output(Variables(*z)), places, *z)
+
+
+def _motion(scene: MechatronicSystem) -> tuple[Array, Array, Array]:
     q = jnp.zeros(scene.sizes.nq)
-    return depends(scene.force, 1, q, q, jnp.asarray(0.0))
+    return q, q, jnp.asarray(0.0)

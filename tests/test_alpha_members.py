@@ -217,6 +217,31 @@ def test_the_classical_acceleration_fed_back_spoils_everything(method):
         assert order == pytest.approx(1.0, abs=0.1)
 
 
+class AccelerationSensed(Duffing):
+    """Its output sees the acceleration; there is no controller state."""
+
+    def output(self, z):
+        return -0.5 * z.a
+
+    def actuation(self):
+        return np.ones((1, 1))
+
+
+class PositionSensed(AccelerationSensed):
+    """Its output sees the position alone."""
+
+    def output(self, z):
+        return -0.5 * z.q
+
+
+@pytest.mark.parametrize("scene", [AccelerationSensed(), PositionSensed()])
+def test_the_classical_acceleration_fed_back_by_an_output_alone_spoils_everything(scene):
+    method = GeneralizedAlphaClassical()
+    found = orders(method, scene, 1.0, steps=STEPS[:2])
+    assert found["q"] == pytest.approx(method.claims(scene)["q"], abs=0.1)
+    assert found["q"] == pytest.approx(1 if type(scene) is AccelerationSensed else 2, abs=0.1)
+
+
 def test_the_projector_keeps_what_constraints_act_on():
     scene = Pendulum(m=3.0)
     q = np.array([0.6, -0.8])

@@ -14,6 +14,7 @@ from integrators.methods.generalized_alpha_theory import recurrence_of
 from integrators.multistep import MultistepForm
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NewtonOptions
+from problems.dependence import output_takes
 from problems.system import MechatronicSystem
 
 
@@ -68,7 +69,8 @@ class AlphaMethod(NewtonOptions):
             return {}
         if any(abs(weight - (0.5 + f - m)) > 1e-12 for m, f, weight in triples):
             return dict.fromkeys(claims, 1)
-        if s.classical and scene.has("state_rate"):  # a first-order acceleration is fed back
+        fed_back = scene.has("state_rate") or output_takes(scene, "a")
+        if s.classical and fed_back:  # its acceleration is first order
             return dict.fromkeys(AlphaMethod.orders, 1)
         undamped = self.radius_at_infinity() > 1 - 1e-9
         if scene.has("constraint") and self.formulation == "index3" and undamped:

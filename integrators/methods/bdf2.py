@@ -39,7 +39,8 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
 
         h udot+ = (1 + 2 w)/(1 + w) u+ - (1 + w) u + w^2/(1 + w) u-
 
-    The first step is one of generalized-alpha with rho_inf = 0, so that it damps as much::
+    For q and v the first step is one of generalized-alpha with rho_inf = 0, so that it damps as
+    much::
 
         q+ = q + h v + h^2/2 a+,   v+ = v + h (a + 3 a+)/4,   x+ = x + h (xdot + 3 xdot+)/4
 

@@ -14,6 +14,7 @@ from integrators.native.own_values import Formulated, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
+from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
@@ -63,7 +64,8 @@ class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
             return self.orders
         if float(self.split_and_radius()[1]) > 1 - 1e-9:  # errors of a and lam never decay
             return {"q": 2, "v": 2}
-        return self.orders | {"a": 1, "lam": 1}
+        of_y = 1 if output_takes(scene, "a", "lam") else 2
+        return self.orders | {"a": 1, "lam": 1, "y": of_y}
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> CompositeState:
         z, xdot = start.z, start.xdot

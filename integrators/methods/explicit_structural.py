@@ -43,7 +43,7 @@ def evaluated(
     scene: MechatronicSystem, q: Array, v: Array, x: Array, t: Time, work: StepWork
 ) -> tuple[Variables, Array]:
     """Return all variables and xdot at q, v and x, and count the work."""
-    work.count(residuals=1, factorisations=1, solves=1)
+    work.count(residuals=1)
     return complete(scene, q, v, x, t)
 
 

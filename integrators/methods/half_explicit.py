@@ -15,6 +15,7 @@ from integrators.native.own_values import FreeSteps, OwnValues, projected
 from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Errors, Reading
 from problems import formulations
+from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
@@ -73,7 +74,8 @@ def stage(
             rows.append(z.y - scene.output(z))
         return jnp.concatenate(rows)
 
-    u = work.solve(residual, guess, groups=cuts) if ny else work.once(residual, guess)
+    iterated = output_takes(scene, "a", "lam", "y")
+    u = work.solve(residual, guess, groups=cuts) if iterated else work.once(residual, guess)
     z = at(u)
     return z, scene.state_rate(z) if nx else jnp.zeros(0)
 

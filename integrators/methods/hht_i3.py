@@ -10,10 +10,11 @@ import numpy as np
 from integrators.contract import PreparedRun, Steps, Tolerances, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.guesses import Guess
-from integrators.native.own_values import FreeSteps, OwnValues
+from integrators.native.own_values import FreeSteps, Needs, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Attempt, Choice, Reading
+from problems.dependence import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
 from problems.runtime import jnp
 from problems.spec import SpecError, validate
@@ -94,6 +95,8 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     #: Steps far below those that q needs would leave rounding of positions, eps/h^2, in a and lam.
     tested: ClassVar[str] = "q"
 
+    needs: ClassVar[Needs] = {"control": ("steps", "adaptive")}
+
     alpha: float = option(
         -0.2,
         "damping, -1/3 (most) to 0 (none); ADAMS -0.3, Chrono -0.2",
@@ -117,7 +120,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         return self.steps == "adaptive" and self.control == "chrono"
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        order = 2 if _constant_mass(scene) else 1
+        order = 1 if mass_varies(scene) else 2
         claimed = dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
         return claimed | ({"a": 1} if self.values == "own" else {})
 
@@ -206,10 +209,3 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         )
         ratio = jnp.clip(_SAFETY * (error + 1e-12) ** (-1 / 3), _SHARPEST, _GROWTH)
         return Choice(solved & (error <= 1.0), jnp.where(solved, ratio, _AFTER_FAILURE))
-
-
-def _constant_mass(scene: MechatronicSystem) -> bool:
-    """Whether the mass matrix is the same at the start and beside it."""
-    q = np.asarray(scene.initial_state().q)
-    here, there = (np.asarray(scene.mass(jnp.asarray(at))) for at in (q, q + 0.1))
-    return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))

@@ -6,8 +6,6 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import numpy as np
-
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluated
 from integrators.methods.generalized_alpha_parameters import (
@@ -16,6 +14,7 @@ from integrators.methods.generalized_alpha_parameters import (
 )
 from integrators.native.own_values import OwnValues
 from integrators.native.step_records import Reading
+from problems.dependence import damping_varies
 from problems.formulations import Start, dynamics_residual
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
@@ -92,7 +91,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         return super().supports(scene)
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        if self.start == "published" or not _has_constant_damping(scene):
+        if self.start == "published" or damping_varies(scene):
             return {"q": 1, "v": 1, "a": 1}
         p, orders = self.parameters(), {"q": 2, "v": 2}
         if self.values == "equations" or p.alpha_m == p.alpha_f == 0:
@@ -146,17 +145,6 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
 
     def read(self, scene: MechatronicSystem, state: ModelState) -> Reading:
         return state.shown
-
-
-def _has_constant_damping(scene: MechatronicSystem) -> bool:
-    """Return whether the derivative of the forces by v is the same at another state."""
-    start, t0 = scene.initial_state(), scene.interval[0]
-
-    def damping(away: float) -> np.ndarray:
-        q, v = jnp.asarray(start.q) + away, jnp.asarray(start.v) + away
-        return np.asarray(jax.jacfwd(lambda v: scene.force(q, v, jnp.asarray(t0)))(v))
-
-    return np.allclose(damping(0.0), damping(0.1), rtol=1e-9, atol=1e-12)
 
 
 @dataclass(frozen=True)

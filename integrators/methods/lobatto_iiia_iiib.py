@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -100,9 +100,7 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
         of_a = 16 * _EPS * largest(q, 1.0) / h**2 if nl else 0.0
         of_lam = of_a * formulations.largest_inertia(scene, q)
         rounding = (of_a, of_a, of_lam, of_lam)
-        u = work.solve(residual, guess.ahead(h), guess.last, cuts, rounding)
-        once: Any = work.report()  # each residual has two stages
-        work.count(residuals=once.residuals, jacobians=once.jacobians)
+        u = work.solve(residual, guess.ahead(h), guess.last, cuts, rounding, evaluations=2)
         a1, a2, lam1, lam2 = jnp.split(u, cuts)
         (_, _, v3), (_, _, q3) = stages(a1, a2)
 

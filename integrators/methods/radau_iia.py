@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.own_values import Formulated, FreeSteps, OwnValues
+from integrators.native.own_values import Formulated, FreeSteps, Needs, OwnValues
 from integrators.native.stage_equations import Base, Slopes, inherited, stage_equations
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
@@ -126,6 +126,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         "Hairer, Lubich & Roche (1989), doi:10.1007/BFb0093947; Hairer & Wanner (1999), "
         "doi:10.1016/S0377-0427(99)00134-X"
     )
+
+    needs: ClassVar[Needs] = {"error_test": ("steps", "adaptive")}
 
     stages: int = option(3, "number of stages", choices=(2, 3), always=True)
     error_test: str = option(

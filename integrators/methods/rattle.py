@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
-from integrators.native.own_values import OwnValues
+from integrators.native.own_values import Conditional, Needs, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
@@ -148,8 +148,10 @@ class KickMethod(OwnValues, ImplicitStepMethod):
 
 
 @dataclass(frozen=True)
-class BothSides(KickMethod):
+class BothSides(Conditional, KickMethod):
     """Base of the methods whose velocities satisfy the constraints, too."""
+
+    needs: ClassVar[Needs] = {"multiplier": ("values", "own")}
 
     multiplier: str = option(
         "averaged",
@@ -167,7 +169,8 @@ class BothSides(KickMethod):
     def step(
         self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
     ) -> KickedState:
-        now, guess, looks = state.shown, state.guess, self.multiplier == "averaged"
+        now, guess = state.shown, state.guess
+        looks = self.multiplier == "averaged" and self.values == "own"
         known = (guess.h == h) if looks else False
         first = self.first_half(scene, work, (now.q, now.v, t - h), h, guess, known)
         place, time = self.place((first.q, t), (now.q, t - h))

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from integrators.operations import CALLS
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
@@ -64,8 +65,6 @@ _ELEMENTARY: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("log", "pow"), lambda x: jnp.abs(x)),
     **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
 }
-#: Parameters that hold the program of a called function.
-_PROGRAMS = ("jaxpr", "call_jaxpr")
 #: Changes below this part of the distance are integrated: a secant would cancel digits.
 _CLOSE = 0.02
 
@@ -131,9 +130,8 @@ def _result(equation: Any, given: list) -> list:
 
     if not any(isinstance(g, _Pair) for g in given):
         return bind(*given)
-    for key in _PROGRAMS:
-        if key in params:
-            return _walk(params[key], given)
+    if primitive.name in CALLS:
+        return _walk(params[CALLS[primitive.name]], given)
     start = bind(*(g.start if isinstance(g, _Pair) else g for g in given))
     end = bind(*(g.end if isinstance(g, _Pair) else g for g in given))
     changes = _changes(primitive.name, params, bind, given, start, end)

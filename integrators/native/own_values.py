@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 from integrators.contract import Integrator, option
 from integrators.native.step_method import ErrorControl, NativeMethod
@@ -11,12 +11,16 @@ from integrators.native.step_records import Reading
 from problems import formulations
 from problems.formulations import Baumgarte, complete
 from problems.runtime import jnp
+from problems.spec import SpecError, format_value
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
     from jax import Array
 
     from integrators.native.step_work import StepWork
+
+#: Options by name: another option, and the value of it without which they decide nothing.
+Needs: TypeAlias = dict[str, tuple[str, str]]
 
 #: What `formulation` means, for the lists of options.
 FORMULATIONS = (
@@ -65,7 +69,33 @@ class Formulated(NativeMethod):
 
 
 @dataclass(frozen=True)
-class DriftHandling(Integrator):
+class Conditional(Integrator):
+    """Base of methods with options that decide nothing unless another one has a certain value.
+
+    Elsewhere such an option is refused: the same method would get a second printed name.
+    """
+
+    #: Those that a class adds to its bases'.
+    needs: ClassVar[Needs] = {}
+
+    def __post_init__(self) -> None:
+        for name, (other, needed) in self._all_needs().items():
+            value = getattr(self, name)
+            if getattr(self, other) != needed and value != getattr(type(self), name):
+                raise SpecError(
+                    f"{self.name}: {name}={format_value(value)} decides nothing without "
+                    f"{other}={needed}; leave it out."
+                )
+
+    @classmethod
+    def _all_needs(cls) -> Needs:
+        """The needs of a class and its bases."""
+        bases = [vars(base).get("needs", {}) for base in cls.__mro__]
+        return {name: need for needs in bases for name, need in needs.items()}
+
+
+@dataclass(frozen=True)
+class DriftHandling(Conditional):
     """Base of methods on equations of index 1, which do not hold the constraints by themselves.
 
     With ``constraints=index1`` d2/dt2 Phi = 0 alone holds: the errors of the steps add up, and
@@ -74,6 +104,8 @@ class DriftHandling(Integrator):
     projection moves q and v after each step, by the least changes in the norm of M. A method on
     index 2 holds d/dt Phi = 0 in its place, and Phi drifts.
     """
+
+    needs: ClassVar[Needs] = dict.fromkeys(("alpha", "beta"), ("constraints", "baumgarte"))
 
     constraints: str = option(
         "index1",
@@ -97,8 +129,10 @@ class DriftHandling(Integrator):
 
 
 @dataclass(frozen=True)
-class FreeSteps(ErrorControl):
+class FreeSteps(Conditional, ErrorControl):
     """Base of methods that choose their steps, unless the user wants constant ones."""
+
+    needs: ClassVar[Needs] = {"max_steps": ("steps", "adaptive")}
 
     steps: str = option(
         "adaptive",
@@ -111,7 +145,9 @@ class FreeSteps(ErrorControl):
         return "tolerance" if self.steps == "adaptive" else "step"
 
     def at_constant_steps(self) -> Self:
-        return replace(self, steps="constant")
+        needs = self._all_needs().items()
+        others = {name: getattr(type(self), name) for name, need in needs if need[0] == "steps"}
+        return replace(self, steps="constant", **others)
 
 
 def projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:

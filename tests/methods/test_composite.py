@@ -13,6 +13,7 @@ from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
+from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.pendulum import Pendulum
 
 
@@ -70,6 +71,29 @@ def test_with_index_3_a_and_lam_stay_first_order(method):
     for group in ("a", "lam"):
         assert found[group].order_at_end == pytest.approx(1.0, abs=0.1)
         assert found[group].order_of_largest == pytest.approx(1.0, abs=0.1)
+
+
+class Weighed(Pendulum):
+    """Its output is the multiplier, which nothing sees."""
+
+    def exact(self, t):
+        values = super().exact(t)
+        return values | {"y": values["lam"]}
+
+    def output(self, z):
+        return z.lam
+
+    def actuation(self):
+        return np.zeros((2, 1))
+
+
+@pytest.mark.parametrize("method", [TRBDF2(), *long(Bathe(), RhoInfBathe())])
+def test_an_output_that_sees_the_multiplier_of_index_3_is_first_order(method):
+    scene = Weighed()
+    order = orders(method, 400, (scene, 1.35))["y"].order_at_end
+    assert order == pytest.approx(method.claims(scene)["y"], abs=0.1)
+    # Its output sees a controller state alone.
+    assert method.claims(DoublePendulumControlled())["y"] == 2
 
 
 @pytest.mark.parametrize(

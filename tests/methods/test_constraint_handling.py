@@ -59,7 +59,8 @@ def test_drift_grows_under_index_1_is_bounded_under_baumgarte_and_gone_by_projec
 )
 @pytest.mark.parametrize(("scene", "t_end"), [(SCENE, 1.35), *long((DoublePendulum(), 1.0))])
 def test_neither_changes_the_order(cls, coarse, handling, scene, t_end):
-    method = cls(constraints=handling, alpha=10.0, beta=10.0).at_constant_steps()
+    rates = {"alpha": 10.0, "beta": 10.0} if handling == "baumgarte" else {}
+    method = cls(constraints=handling, **rates).at_constant_steps()
     ratio = 2**0.5 if cls is Dopri8 else 2
     steps = [1 / round(ratio**k / coarse) for k in range(3)]
     errors = [errors_at(method, scene, t_end, h) for h in steps]

@@ -174,3 +174,26 @@ def test_what_it_cannot_take_is_said():
     assert "no energy" in method.supports(ForcedOscillator())
     assert "damping" in method.supports(Damped(c=0.1))
     assert method.supports(Damped()) is None
+
+
+@dataclass(frozen=True)
+class Looped(Damped):
+    """Its potential, 6 q^4/4, is a sum in a loop, or a polynomial by `jnp.polyval`, a loop too."""
+
+    polynomial: bool = False
+
+    def _potential(self, q: jax.Array) -> jax.Array:
+        if self.polynomial:
+            return jnp.polyval(jnp.array([1.5, 0.0, 0.0, 0.0, 0.0]), q[0])
+        return jax.lax.fori_loop(0, 3, lambda k, v: v + (k + 1) * q[0] ** 4 / 4, jnp.zeros(()))
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return -jax.grad(self._potential)(q)
+
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return 0.5 * (v @ v) + self._potential(q)
+
+
+@pytest.mark.parametrize("polynomial", [False, True])
+def test_a_loop_in_an_energy_is_refused_by_name(polynomial):
+    assert "'scan'" in str(EnergyMomentum().supports(Looped(polynomial=polynomial)))

@@ -82,6 +82,8 @@ def test_the_work_is_that_of_one_and_of_two_evaluations_in_a_step():
     for method, each in ((ExplicitGeneralizedAlpha(), 1), (NohBathe(), 2)):
         run = method.prepare(ForcedOscillator(), 5.0, Steps(0.1)).measure()
         assert (run.work.residuals, run.work.newton) == (50 * each, 0)
+        # The equations of motion are solved for a within an evaluation, as in any ODE.
+        assert run.work.factorisations == run.work.solves == 0
 
 
 # ---- explicit by matrices of the model -----------------------------------------------------
@@ -154,6 +156,25 @@ def test_damping_that_changes_costs_an_order():
     assert method.claims(scene) == {"q": 1, "v": 1, "a": 1}
     runs = [errors_at(method, scene, 0.2, 0.2 / n)["q"].max() for n in (400, 800)]
     assert local_slopes([2.0, 1.0], runs)[0] == pytest.approx(1.0, abs=0.1)
+
+
+class CubicDamper(DampedPair):
+    """A damper between the masses, which the same velocity of both does not move."""
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        between = 3.0 * (v[0] - v[1]) ** 3
+        return jnp.array([-10.0, -40.0]) * q + jnp.stack([-between, between])
+
+    def initial_state(self) -> State:
+        return State(q=np.array([1.5, 0.3]), v=np.array([1.0, -2.0]))
+
+
+def test_a_damper_between_two_masses_that_changes_costs_an_order():
+    scene, method = CubicDamper(), CR(start="corrected")
+    assert method.claims(DampedPair()) == {"q": 2, "v": 2, "a": 2}
+    runs = [errors_at(method, scene, 1.0, 1 / n)["q"][-1] for n in (400, 800)]
+    order = local_slopes([2.0, 1.0], runs)[0]
+    assert order == pytest.approx(method.claims(scene)["q"], abs=0.1)
 
 
 def test_what_they_cannot_take_is_refused_with_a_reason():

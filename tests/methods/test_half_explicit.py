@@ -100,6 +100,32 @@ def test_a_controller_with_implicit_outputs_is_integrated_in_full_order():
         assert np.log2(one[group][-1] / two[group][-1]) > 4.7, group
 
 
+class Held(ForcedOscillator):
+    """Its output sees q and v alone."""
+
+    def output(self, z):
+        return -z.q - 0.2 * z.v
+
+    def actuation(self):
+        return np.ones((1, 1))
+
+
+class HeldByAcceleration(Held):
+    """Its output sees the acceleration, too."""
+
+    def output(self, z):
+        return super().output(z) - 0.1 * z.a
+
+
+def test_outputs_are_iterated_only_where_they_depend_on_what_a_stage_solves_for():
+    plain, sensed = (
+        HalfExplicitEuler().prepare(scene, 1.0, Steps(0.1)).measure().work
+        for scene in (Held(), HeldByAcceleration())
+    )
+    assert (plain.newton, plain.residuals, plain.solves) == (0, 10, 10)
+    assert sensed.newton == sensed.residuals >= 10
+
+
 @pytest.mark.long
 def test_steps_follow_the_tolerance():
     errors = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import HHT
 from integrators.methods.hht_i3 import HHTI3
 from integrators.native.step_records import Attempt
+from problems import MechatronicSystem, State, jax, jnp, lagrange
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
@@ -55,6 +57,34 @@ def test_orders_with_two_rods_with_a_controller_and_with_a_mass_that_varies():
     assert crank["q"].order_at_end == pytest.approx(1.0, abs=0.1)
     assert method.claims(SliderCrankMinimal())["q"] == method.claims(HeavyTop())["q"] == 1
     assert method.claims(Pendulum())["q"] == 2
+
+
+@dataclass(frozen=True)
+class AbsoluteAngles(MechatronicSystem):
+    """A double pendulum in absolute angles: M depends on their difference alone."""
+
+    interval = (0.0, 0.2)
+
+    def _kinetic(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * jnp.cos(q[0] - q[1])
+
+    def _potential(self, q: jax.Array) -> jax.Array:
+        return -9.81 * (2 * jnp.cos(q[0]) + jnp.cos(q[1]))
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return lagrange.mass(self._kinetic, q)
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return lagrange.force(self._kinetic, self._potential, q, v)
+
+    def initial_state(self) -> State:
+        return State(q=np.array([1.5, 0.3]), v=np.array([1.0, -2.0]))
+
+
+def test_a_mass_that_depends_on_a_difference_of_angles_costs_an_order():
+    method, scene = HHTI3(steps="constant"), AbsoluteAngles()
+    found = orders(method, 400, (scene, 0.2))
+    assert found["q"].order_at_end == pytest.approx(method.claims(scene)["q"], abs=0.1)
 
 
 def test_the_published_control_holds_the_local_error():

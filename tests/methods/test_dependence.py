@@ -1,0 +1,84 @@
+"""What blocks of a scene depend on, as claims and refusals of methods ask it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from problems import MechatronicSystem, State, jax, jnp
+from problems.dependence import (
+    damping_varies,
+    force_takes_velocities,
+    mass_varies,
+    output_takes,
+)
+
+
+@dataclass(frozen=True)
+class Blocks(MechatronicSystem):
+    """Two masses on springs with dampers, and an output of the positions."""
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return jnp.diag(jnp.where(jnp.array([True, False]), 2.0, jnp.cos(0.0 * jnp.ones(2))))
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return jnp.sin(t) - jax.jit(lambda q, v: q**3 + jnp.array([1.0, 2.0]) * v)(q, v)
+
+    def output(self, z) -> jax.Array:
+        return z.q[:1] + z.x
+
+    def state_rate(self, z) -> jax.Array:
+        return z.a[:1]
+
+    def actuation(self) -> np.ndarray:
+        return np.ones((2, 1))
+
+    def initial_state(self) -> State:
+        return State(q=np.ones(2), v=np.zeros(2), x=np.zeros(1))
+
+
+class Coupled(Blocks):
+    """All depends on differences, which no common shift of the variables changes."""
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return jnp.eye(2) * (2 + jnp.cos(q[0] - q[1]))
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return (v[0] - v[1]) ** 3 * jnp.array([-1.0, 1.0]) - q
+
+    def output(self, z) -> jax.Array:
+        return (z.a[0] - z.a[1] + z.y[0])[None]
+
+
+class Undamped(Blocks):
+    """No force depends on velocities."""
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return jnp.sin(t) - q**3
+
+
+class DriftingDamper(Blocks):
+    """The damping changes with time alone."""
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return -q - jnp.exp(-t) * v
+
+
+@pytest.mark.parametrize(
+    ("scene", "velocities", "damping", "mass", "seen"),
+    [
+        (Blocks(), True, False, False, "qx"),
+        (Coupled(), True, True, True, "ay"),
+        (Undamped(), False, False, False, "qx"),
+        (DriftingDamper(), True, True, False, "qx"),
+    ],
+)
+def test_a_dependence_is_found_in_the_program_not_in_values(scene, velocities, damping, mass, seen):
+    assert force_takes_velocities(scene) == velocities
+    assert damping_varies(scene) == damping
+    assert mass_varies(scene) == mass
+    groups = ("q", "v", "a", "lam", "x", "y", "t")
+    assert [group for group in groups if output_takes(scene, group)] == list(seen)
+    assert output_takes(scene, "lam", seen[0])
