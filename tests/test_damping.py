@@ -107,6 +107,22 @@ def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
     assert task.arguments[0] == "newmark[beta=0.25,gamma=0.5]"
 
 
+def test_frequencies_of_another_suite_are_asked_for_again(folder):
+    registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    with Store(folder / "out") as store:
+        scenes, records = store.scenes(), store.records()
+    known = {name: Damping(omega_h=[5.0])}
+    tasks = analysis.missing(suite, known, scenes, records, registry)
+    (asked,) = [task.arguments[1] for task in tasks if task.arguments[0] == name]
+    (again,) = [
+        task.arguments[1]
+        for task in analysis.missing(suite, {}, scenes, records, registry)
+        if task.arguments[0] == name
+    ]
+    assert asked == (*again, 5.0)
+
+
 class Silent:
     """Progress that nobody watches."""
 

@@ -16,6 +16,7 @@ from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
+from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
 
 #: Said of the answer of a plugin that writes into the rows of others.
@@ -79,7 +80,7 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     def is_missing(scene: tuple[str, float]) -> bool:
         return bool(
             scene not in stored
-            or stored[scene].fingerprint != registry.problem(scene[0]).fingerprint
+            or stored[scene].fingerprint != made_by(registry.problem(scene[0]).fingerprint)
             or (stored[scene].stopped and _raised(suite.plan.budget_s, stored[scene].budget_s))
         )
 
