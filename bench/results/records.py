@@ -67,7 +67,8 @@ class Record(msgspec.Struct, kw_only=True):
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
     where they are not known.
     ``calls`` is the integrator's statement of how its steps call the equations.
-    ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too.
+    ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too;
+    the budgets were ``budget_s`` and ``memory_gib``.
     ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
     that measured.
     """
@@ -101,6 +102,7 @@ class Record(msgspec.Struct, kw_only=True):
     environment: int = 0
     fingerprint: str = ""
     budget_s: float | None = None
+    memory_gib: float | None = None
     stopped: str = ""
     schema: int = SCHEMA
 
@@ -141,7 +143,8 @@ class Drawing(TypedDict):
 class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
-    ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s``.
+    ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s`` and
+    ``memory_gib``.
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
@@ -161,6 +164,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     fingerprint: str = ""
     stopped: str = ""
     budget_s: float | None = None
+    memory_gib: float | None = None
     tags: list[str] = []
     difficulties: list[str] = []
     equations: list[str] = []

@@ -66,7 +66,7 @@ def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]
             or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or record.status == INTERRUPTED
-            or (record.stopped != "" and _raised(suite.plan.budget_s, record.budget_s))
+            or _allowed_more(suite, record)
         )
 
     return list(filter(is_missing, suite.cells.values()))
@@ -78,10 +78,10 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     stored = store.scenes()
 
     def is_missing(scene: tuple[str, float]) -> bool:
-        return bool(
+        return (
             scene not in stored
             or stored[scene].fingerprint != made_by(registry.problem(scene[0]).fingerprint)
-            or (stored[scene].stopped and _raised(suite.plan.budget_s, stored[scene].budget_s))
+            or _allowed_more(suite, stored[scene])
         )
 
     return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
@@ -108,7 +108,8 @@ def measure_suite(
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
         record, rows = result_of(cell, answer, registry)
-        record.environment, record.budget_s = number, suite.plan.budget_s
+        record.environment = number
+        record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         store.save(record, rows)
         progress.found(_in_words(record))
 
@@ -131,7 +132,7 @@ def measure_suite(
                 if fault := _fault_of_scene(task, answer):
                     progress.note(f"No picture of {task.arguments[0]}: {fault}")
                 else:
-                    answer.budget_s = suite.plan.budget_s
+                    answer.budget_s, answer.memory_gib = suite.plan.budget_s, suite.memory_gib
                     store.save_scene(answer)
             else:
                 keep(task.arguments[0], answer)
@@ -246,8 +247,11 @@ def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
     )
 
 
-def _raised(budget_s: float, before: float | None) -> bool:
-    return before is not None and budget_s > before
+def _allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
+    """Whether a budget ran out, and the suite has more time or memory."""
+    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
+    more = any(before is not None and now > before for now, before in budgets)
+    return record.stopped != "" and more
 
 
 def _groups(
