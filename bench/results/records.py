@@ -69,8 +69,8 @@ class Record(msgspec.Struct, kw_only=True):
     ``calls`` is the integrator's statement of how its steps call the equations.
     ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too;
     the budgets were ``budget_s`` and ``memory_gib``.
-    ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
-    that measured.
+    ``run_s`` holds every timing sample in s, and ``rounds`` the invocation and the round in it of
+    each; ``environment`` points to the row of the machine that measured.
     """
 
     key: Name
@@ -99,6 +99,7 @@ class Record(msgspec.Struct, kw_only=True):
     operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}
     compile_s: NotNegative | None = None
     run_s: list[Positive] = []
+    rounds: list[tuple[int, int]] = []
     environment: int = 0
     fingerprint: str = ""
     budget_s: float | None = None
@@ -283,7 +284,7 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None
     row["run_s_max"] = samples[-1] if samples else None
-    for nested in ("errors", "reference_error", "components", "constraint", "work"):
+    for nested in ("errors", "reference_error", "components", "constraint", "work", "rounds"):
         del row[nested]
     return row
 

@@ -150,12 +150,13 @@ def time_suite(
         return
     good = {key for key, record in records.items() if record.status == "ok"}
     cells = [cell for key, cell in suite.cells.items() if key in good]
-    have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
+    have = {cell.key: _samples_of(records[cell.key]) for cell in cells}
+    invocation = max(store.environments(), default=0)  # kept as there were samples to be taken
     tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
     progress.phase("timing, one run at a time", due)
     for task, sample, seconds in runner.time(tasks, suite.plan.samples, have):
         progress.working(task.label)
-        store.add_sample(task.label, sample, seconds)
+        store.add_sample(task.label, sample, seconds, invocation)
         progress.advance()
 
 
@@ -241,10 +242,15 @@ def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
     """Count the timing samples that the measured cells still lack."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
     return sum(
-        max(0, suite.plan.samples - len(record.run_s))
+        len(set(range(suite.plan.samples)) - _samples_of(record).keys())
         for record in good
         if sum(record.run_s) <= TIMING_SECONDS
     )
+
+
+def _samples_of(record: Record) -> dict[int, float]:
+    """Timing samples in s by their rounds."""
+    return {number: s for (_, number), s in zip(record.rounds, record.run_s, strict=True)}
 
 
 def _allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
