@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from unittest.mock import Mock
 
 import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
@@ -160,6 +161,18 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
             in lost.message
         )
         assert complete(store, 60.0)[name] == lost
+
+
+def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_path, monkeypatch):
+    shutil.copytree(folder / "out", tmp_path / "out")
+    registry, runner = Inventory(), Mock(run=lambda groups, on_start: [])
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    with Store(tmp_path / "out", create=True) as store:
+        analysis.complete(suite, store, registry, runner, Silent())
+        assert len(store.damping()) == 2
+        monkeypatch.setattr(analysis, "fingerprint", lambda made: "other")
+        analysis.complete(suite, store, registry, runner, Silent())
+        assert store.damping() == {}
 
 
 def test_every_ending_has_its_words():
