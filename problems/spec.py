@@ -106,7 +106,7 @@ def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
             result = float(Fraction(value))
         else:
             result = kind(value)
-    except (ValueError, KeyError, ZeroDivisionError):
+    except (TypeError, ValueError, KeyError, ArithmeticError):
         raise refused(f"is not a {kind.__name__}") from None
     if kind is float and not math.isfinite(result):
         raise refused("is not a finite number")

@@ -13,9 +13,11 @@ from rich.console import Console
 
 from bench.atlas.experiments import Settings, merged, read_experiments
 from bench.atlas.measures import number_of, value_of, within
+from bench.atlas.runs import digest
 from bench.commands.terminal_tables import atlas_tables
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import Record, Rows
+from bench.running.inventory import Inventory
 from reports.text.atlas_tables import experiments_table, part_table
 
 EXPERIMENTS = read_experiments()
@@ -72,6 +74,14 @@ def test_a_number_that_does_not_exist_is_no_verdict_and_its_reason_is_shown():
     assert experiments_table([result(*cases[2:])]).rows[0][-1] == "does not apply"
     verdicts = [part_table(part).rows[0][-1] for part in result(*cases).parts]
     assert verdicts == [case.verdict for case in cases]
+
+
+def test_an_experiment_is_run_again_when_the_code_of_its_numbers_changes(monkeypatch):
+    (experiment,), registry = read_experiments(["condition"]), Inventory()
+    before = digest(experiment, (), registry)
+    assert digest(experiment, (), registry) == before
+    monkeypatch.setattr("bench.atlas.runs.fingerprint", lambda made: "other")
+    assert digest(experiment, (), registry) != before
 
 
 def test_a_scene_that_a_method_does_not_take_gives_no_number():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from unittest.mock import Mock
 
 import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
@@ -107,6 +108,22 @@ def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
     assert task.arguments[0] == "newmark[beta=0.25,gamma=0.5]"
 
 
+def test_frequencies_of_another_suite_are_asked_for_again(folder):
+    registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    with Store(folder / "out") as store:
+        scenes, records = store.scenes(), store.records()
+    known = {name: Damping(omega_h=[5.0])}
+    tasks = analysis.missing(suite, known, scenes, records, registry)
+    (asked,) = [task.arguments[1] for task in tasks if task.arguments[0] == name]
+    (again,) = [
+        task.arguments[1]
+        for task in analysis.missing(suite, {}, scenes, records, registry)
+        if task.arguments[0] == name
+    ]
+    assert asked == (*again, 5.0)
+
+
 class Silent:
     """Progress that nobody watches."""
 
@@ -144,6 +161,18 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
             in lost.message
         )
         assert complete(store, 60.0)[name] == lost
+
+
+def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_path, monkeypatch):
+    shutil.copytree(folder / "out", tmp_path / "out")
+    registry, runner = Inventory(), Mock(run=lambda groups, on_start: [])
+    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
+    with Store(tmp_path / "out", create=True) as store:
+        analysis.complete(suite, store, registry, runner, Silent())
+        assert len(store.damping()) == 2
+        monkeypatch.setattr(analysis, "fingerprint", lambda made: "other")
+        analysis.complete(suite, store, registry, runner, Silent())
+        assert store.damping() == {}
 
 
 def test_every_ending_has_its_words():

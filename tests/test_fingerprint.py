@@ -12,10 +12,13 @@ from pathlib import Path
 import pytest
 
 import bench
+from bench.atlas.runs import run_experiments
 from bench.plugins import fingerprint as fingerprints
 from bench.plugins.fingerprint import fingerprint, modules_of
 from bench.plugins.registry import Registry
 from bench.results import environment
+from bench.running.scene_records import scene_record
+from bench.stability.damping import linear_response
 
 PROJECT = Path(bench.__file__).parents[1]
 #: Prints the fingerprints of a scene and an integrator, before and after each edit of a copy.
@@ -131,7 +134,9 @@ def test_a_plugin_has_one_fingerprint_in_every_folder(plugin, tmp_path):
     assert fingerprint(twin) == fingerprint(cls)
 
 
-@pytest.mark.parametrize("library", ["jax", "diffrax", "scikit-sundae", "scipy", "klujax"])
+@pytest.mark.parametrize(
+    "library", ["jax", "diffrax", "lineax", "equinox", "scikit-sundae", "scipy", "klujax"]
+)
 def test_another_version_of_a_library_is_another_fingerprint(monkeypatch, library):
     cls = Registry().problems["pendulum"].cls
     before = fingerprint(cls)
@@ -155,6 +160,50 @@ def test_flags_of_the_compiler_take_part(monkeypatch, flag, takes_part):
     assert (fingerprint(cls) != before) == takes_part
     monkeypatch.undo()
     fingerprints.forget()
+
+
+def test_the_c_compiler_takes_part_for_those_that_compile_c(monkeypatch, tmp_path):
+    compiles, others = (Registry().integrators[name].cls for name in ("ida", "hht"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    found = []
+    for script in (None, "#!/bin/sh\necho one\n", "#!/bin/sh\necho two\n", "not a program"):
+        if script:
+            (tmp_path / "cc").write_text(script)
+            (tmp_path / "cc").chmod(0o755)
+        fingerprints.forget()
+        found.append((fingerprint(compiles), fingerprint(others)))
+    monkeypatch.undo()
+    fingerprints.forget()
+    none, one, two, spoilt = (compiled for compiled, _ in found)
+    assert len({none, one, two}) == 3
+    assert spoilt == none
+    assert len({other for _, other in found}) == 1
+
+
+@pytest.mark.parametrize(
+    ("function", "module"),
+    [
+        (scene_record, "bench.running.scene_records"),
+        (linear_response, "bench.stability.matrices"),
+        (linear_response, "bench.stability.spectra"),
+        (run_experiments, "bench.atlas.measures"),
+        (run_experiments, "bench.stability.spectra"),
+    ],
+)
+def test_a_function_has_a_fingerprint_of_its_module_and_what_that_imports(
+    monkeypatch, function, module
+):
+    before, source = fingerprint(function), fingerprints._source
+    edited = modules_of(function)[module]
+    monkeypatch.setattr(
+        fingerprints,
+        "_source",
+        lambda file: source(file)._replace(digest="edited") if file == edited else source(file),
+    )
+    fingerprint.cache_clear()
+    assert fingerprint(function) != before
+    monkeypatch.undo()
+    fingerprint.cache_clear()
 
 
 def test_imports_for_types_alone_take_no_part():

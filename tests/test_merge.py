@@ -58,7 +58,9 @@ def test_merged_results_keep_their_machine_samples_rows_and_scenes(tmp_path, ste
                 for key, record in origin.records().items():
                     assert environments[merged[key].environment].cpu == cpu
                     number = merged[key].environment
-                    assert merged[key] == msgspec.structs.replace(record, environment=number)
+                    rounds = [(number, k) for k in range(len(record.run_s))]
+                    there = msgspec.structs.replace(record, environment=number, rounds=rounds)
+                    assert merged[key] == there
                     assert store.rows(key) == origin.rows(key)
     assert len(merged) == 2 * len(STEPS)
     # The invocation that both stores begin with is one; those of the machines are apart.
@@ -115,6 +117,17 @@ def test_a_study_that_was_shared_out_is_one_again(tmp_path):
     with Store(tmp_path / "out") as store:
         (study,) = store.plan().studies
     assert study.cells == [r.key for r in runs]
+
+
+def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):
+    (run,) = runs = [planted("pendulum", "m", FREE, h=0.1)]
+    first = plant(tmp_path / "a", [planted("pendulum", "n", FREE, h=0.1)])
+    second = machine(tmp_path / "b", runs, "B", "2025-03-03T00:00:00+00:00", samples=2)
+    with Store(second, create=True) as store:
+        store.add_sample(run.key, 4, 1e-3, 1)
+    merge([first, second], tmp_path / "out")
+    merged = records(tmp_path / "out")[run.key]
+    assert merged.rounds == [(2, 0), (2, 1), (1, 4)]
 
 
 def test_merging_with_oneself_changes_nothing(old, tmp_path):

@@ -72,6 +72,12 @@ def test_orders_are_a_frame_and_a_chart():
     assert "step size h in s" in words
 
 
+def test_a_parameter_of_any_type_is_refused_in_a_sentence():
+    for value in ([1.0], {"a": 1.0}, {1.0}, None, 10**400):
+        with pytest.raises(SpecError, match="th0"):
+            solve("pendulum", "newmark", parameters={"th0": value})
+
+
 def test_names_and_numbers_that_are_not_allowed_are_refused():
     with pytest.raises(SpecError, match="did you mean 'pendulum'"):
         solve("pendulm", "newmark")

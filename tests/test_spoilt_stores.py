@@ -68,7 +68,7 @@ def test_one_spoilt_row_costs_no_other(tmp_path):
         store.add_sample("other", 0, 2.0)
     change(tmp_path, "UPDATE records SET value = '{' WHERE key = 'k'")
     with Store(tmp_path) as store:
-        assert store.records() == {"other": a_record("other", run_s=[2.0])}
+        assert store.records() == {"other": a_record("other", run_s=[2.0], rounds=[(0, 0)])}
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_rows_that_do_not_fit_together_are_set_aside(tmp_path, rows, reason):
 
 @pytest.mark.parametrize("seconds", ["'x'", "-1.0", "0.0", "1e-300", "1e300", "9e999", "X'00'"])
 def test_a_spoilt_sample_costs_no_other_and_is_taken_anew_with_its_cell(tmp_path, seconds):
-    change(filled(tmp_path), f"INSERT INTO samples VALUES ('k', 1, {seconds})")
+    change(filled(tmp_path), f"INSERT INTO samples VALUES ('k', 1, {seconds}, NULL)")
     with Store(tmp_path, create=True) as store:
         assert store.records()["k"].run_s == [1.0]
         assert [row.table for row in store.set_aside()] == ["samples"]
@@ -205,7 +205,7 @@ def test_unfit_characters_are_replaced_and_cost_nothing(tmp_path, text):
 
 
 def test_a_sample_without_its_record_is_set_aside(tmp_path):
-    change(filled(tmp_path), "INSERT INTO samples VALUES ('lost', 0, 1.0)")
+    change(filled(tmp_path), "INSERT INTO samples VALUES ('lost', 0, 1.0, NULL)")
     with Store(tmp_path) as store:
         assert list(store.records()) == ["k"]
         (row,) = store.set_aside()

@@ -53,7 +53,9 @@ def test_everything_written_is_read_back(tmp_path):
         assert store.scenes() == {("pendulum", 1.35): A_SCENE}
         assert store.damping() == {"newmark": A_DAMPING}
         assert store.rows("k") == rows
-        assert store.records()["k"] == a_record(environment=number, run_s=[0.1, 0.2, 0.05])
+        assert store.records()["k"] == a_record(
+            environment=number, run_s=[0.1, 0.2, 0.05], rounds=[(number, k) for k in range(3)]
+        )
         with pytest.raises(KeyError):
             store.rows("other")
 
@@ -181,6 +183,17 @@ def test_a_store_from_before_there_was_a_table_is_read(tmp_path):
         with Store(tmp_path / table) as store:
             assert getattr(store, table)() == {}
             assert list(store.records()) == ["k"]
+
+
+def test_samples_from_before_they_told_their_invocation_are_read_and_completed(tmp_path):
+    change(filled(tmp_path), "ALTER TABLE samples DROP COLUMN invocation")
+    before = (tmp_path / FILE).read_bytes()
+    with Store(tmp_path) as store:
+        assert (store.records()["k"].run_s, store.records()["k"].rounds) == ([1.0], [(0, 0)])
+    assert (tmp_path / FILE).read_bytes() == before
+    with Store(tmp_path, create=True) as store:
+        store.add_sample("k", 2, 3.0, 4)
+        assert store.records()["k"].rounds == [(0, 0), (4, 2)]
 
 
 def test_a_plan_cannot_be_changed(tmp_path):

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
+from small_stores import NO_ROWS, a_record
 
 from bench.guard.limits import Limits
 from bench.plugins.facts import Sources
+from bench.results.environment import environment
 from bench.results.store import Store
-from bench.results.timings import median_interval
-from bench.running.plan import Cell
+from bench.results.timings import median_interval, quotient, quotient_of_medians
+from bench.running.inventory import Inventory
+from bench.running.plan import Cell, make_suite
+from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.runner import Runner, time_task
+from bench.running.session import time_suite
 from integrators.contract import Steps
 from reports.ranking import RANKED_GROUPS, TARGETS, rank
 from reports.series import series_of
@@ -52,7 +58,7 @@ def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     long, known = cells[1].key, cells[2].key
     runner = _Clock({long: 0.6})
     tasks = [time_task(cell, Sources()) for cell in cells]
-    taken = list(runner.time(tasks, 7, {known: [1e-3] * 3}))
+    taken = list(runner.time(tasks, 7, {known: dict.fromkeys((0, 1, 3), 1e-3)}))
     for number in range(7):
         scenes = [task.scene for task, n, _ in taken if n == number]
         assert scenes == sorted(scenes, key="pendulum oscillator".index)
@@ -60,6 +66,65 @@ def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     # Samples that are there are not taken again; a long run stops after a second.
     assert counts == dict.fromkeys(counts, 7) | {long: 2, known: 4}
     assert [n for _, n, _ in taken] == sorted(n for _, n, _ in taken)
+    assert [n for task, n, _ in taken if task.label == known] == [2, 4, 5, 6]
+
+
+def two_records(tmp_path, one, two):
+    """Records of two cells with samples (round, seconds, invocation), as a store gives them."""
+    with Store(tmp_path, create=True) as store:
+        for key, samples in (("one", one), ("two", two)):
+            store.save(a_record(key, environment=7), NO_ROWS)
+            for sample in samples:
+                store.add_sample(key, *sample)
+        return store.records().values()
+
+
+def test_samples_are_paired_by_their_round_and_not_by_their_place(tmp_path):
+    # Each round is another time of the machine; the second cell takes three times as long.
+    one = [(n, 10.0**-n, 1) for n in (0, 1, 3, 4, 5, 6, 7)]
+    two = [(n, 3 * 10.0**-n, 1) for n in range(8)]
+    found = quotient(*two_records(tmp_path, one, two))
+    assert found == pytest.approx((3.0, 3.0, 3.0, 1.1))
+
+
+def test_rounds_of_different_invocations_are_no_neighbours_in_time(tmp_path):
+    one = [(n, 10.0**-n, 1 if n < 3 else 2) for n in range(6)]
+    two = [(n, 3 * 10.0**-n, 1 if n < 3 else 3) for n in range(6)]
+    records = two_records(tmp_path, one, two)
+    found = quotient(*records)
+    assert found == quotient_of_medians(*(r.run_s for r in records))
+    assert not found.differs
+
+
+def test_samples_of_an_earlier_version_belong_to_the_invocation_of_their_cell(tmp_path):
+    one = [(n, 10.0**-n) for n in range(6)]
+    two = [(n, 3 * 10.0**-n, 7 if n % 2 else None) for n in range(6)]
+    assert quotient(*two_records(tmp_path, one, two)).differs
+
+
+@pytest.mark.parametrize("taken", [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)])
+def test_the_rounds_that_are_missing_are_taken_once(tmp_path, taken):
+    study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])
+    registry = Inventory()
+    suite = make_suite("x", ProfileFile(study=[study], samples=5), registry)
+    (cell,) = suite.cells.values()
+    runner = _Clock()
+    with Store(tmp_path, create=True) as store:
+        first = store.save_environment(environment())
+        record = cell.record(*cell.facts(registry), "ok")
+        record.environment = first
+        store.save(record, NO_ROWS)
+        for number in taken:
+            store.add_sample(cell.key, number, 1e-3, first)
+        second = store.save_environment(environment())
+        for _ in range(2):
+            time_suite(suite, store, registry, runner, Mock())
+        (found,) = store.records().values()
+    missing = set(range(5)) - set(taken)
+    assert found.rounds == sorted(
+        [(first, n) for n in taken] + [(second, n) for n in missing], key=lambda place: place[1]
+    )
+    assert len(runner.asked) == len(missing)
 
 
 def cheapest(folder: Path) -> dict[tuple, set[str]]:

@@ -24,6 +24,7 @@ from bench.atlas.measures import (
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import MethodFacts
+from bench.plugins.fingerprint import fingerprint
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import INTERRUPTED
 from bench.results.store import Store
@@ -131,8 +132,8 @@ def complete(
 
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) -> str:
-    """Return a digest of the experiment and the source of all scenes and integrators in it."""
-    parts = [msgspec.json.encode((experiment, list(added)))]
+    """Return a digest of the experiment and of all code that its numbers come from."""
+    parts = [msgspec.json.encode((experiment, list(added))), fingerprint(run_experiments).encode()]
     for part in experiment.part:
         for case in part.case:
             s = merged(part, case)

@@ -1,7 +1,8 @@
 """Fingerprints: digests of everything that decides the numbers of a scene or an integrator.
 
 These are the source of the modules that take part, the versions of the libraries that compute,
-and the flags of the compiler. A cell whose fingerprint changes is measured anew.
+and the flags of the compiler; for those that compile C, the C compiler. A cell whose fingerprint
+changes is measured anew.
 
 The modules are those of the class and its base classes, the modules that judge runs, and the
 modules of this project, or of the plugin's own folder or package, that these import, directly or
@@ -13,8 +14,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +29,8 @@ from bench.results.environment import library_versions
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
 #: The modules whose functions turn the answers of a method into errors and a status.
 JUDGES = ("bench.running.measure", "integrators.answers")
+#: The module that calls the C compiler.
+_COMPILES = "integrators.lowering.native"
 _PROJECT = frozenset({"problems", "integrators", "bench"})
 _PROJECT_FOLDER = Path(__file__).parents[2]
 
@@ -38,28 +43,42 @@ class _Place(NamedTuple):
 
 
 @cache
-def fingerprint(cls: type) -> str:
-    """Return the digest of a class of scenes or integrators: 12 hexadecimal digits."""
-    digest = hashlib.sha256()
-    for name, file in sorted(modules_of(cls).items()):
+def fingerprint(made: type | Callable) -> str:
+    """Return the digest of a class of scenes or integrators, or of a function of the bench: 12
+    hexadecimal digits."""
+    digest, modules = hashlib.sha256(), modules_of(made)
+    for name, file in sorted(modules.items()):
         digest.update(f"{name} {_source(file).digest}\n".encode())
     flags = [os.environ.get(flag) for flag in FLAGS]
-    digest.update(repr((sorted(library_versions().items()), flags)).encode())
+    compiler = _compiler() if _COMPILES in modules else ""
+    digest.update(repr((sorted(library_versions().items()), flags, compiler)).encode())
     return digest.hexdigest()[:12]
 
 
 def forget() -> None:
     """Read sources, versions and flags anew from now on."""
-    for cached in (fingerprint, _file_of, _source, library_versions):
+    for cached in (fingerprint, _compiler, _file_of, _source, library_versions):
         cached.cache_clear()
 
 
-def modules_of(cls: type) -> dict[str, Path]:
-    """Return the source files that decide the numbers of a class, by the names of the modules."""
+@cache
+def _compiler() -> str:
+    """The first line of what the C compiler says of itself; empty if there is none."""
+    with suppress(OSError, subprocess.SubprocessError):
+        done = subprocess.run(
+            ["cc", "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=10
+        )
+        return "cc: " + done.stdout.decode(errors="replace").partition("\n")[0]
+    return ""
+
+
+def modules_of(made: type | Callable) -> dict[str, Path]:
+    """Return the source files that decide the numbers of a class, or of a function, by the names of
+    the modules."""
     places = (_Place(_PROJECT_FOLDER, _PROJECT),)
     due = [*JUDGES]
     found: dict[str, Path] = {}
-    for base in cls.__mro__:
+    for base in getattr(made, "__mro__", (made,)):
         name, top = base.__module__, base.__module__.partition(".")[0]
         file = Path(getattr(sys.modules.get(name), "__file__", None) or "")
         if file.suffix != ".py" or top in sys.stdlib_module_names:
@@ -68,7 +87,7 @@ def modules_of(cls: type) -> dict[str, Path]:
             # Its name has a digest of its path, which differs between machines.
             name = file.stem
             places += (_Place(file.parent, None),)
-        elif base is cls and top not in _PROJECT:
+        elif base is made and top not in _PROJECT:
             depth = name.count(".") + (file.stem == "__init__")
             places += (_Place(file.parents[depth], frozenset({top})),)
         found[name] = file

@@ -19,8 +19,8 @@ from problems.plain_text import visible
 
 #: Libraries that compute, by the names of their packages; some may be missing.
 LIBRARIES = (
-    *("jax", "jaxlib", "diffrax", "optimistix", "scikit-sundae", "scipy", "numpy"),
-    *("klujax", "asdex", "scipy_dae", "exudyn", "mujoco"),
+    *("jax", "jaxlib", "diffrax", "optimistix", "lineax", "equinox", "scikit-sundae", "scipy"),
+    *("numpy", "klujax", "asdex", "scipy_dae", "exudyn", "mujoco"),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,16 +118,17 @@ def _write(sources: Sequence[Source], kept: dict[str, Source], folder: Path) -> 
             with Store(source.folder) as origin:
                 for key, record in source.records.items():
                     if kept[key] is source:
-                        _copy(record, own.get(record.environment, 0), origin, store)
+                        _copy(record, own, origin, store)
     return len(numbers)
 
 
-def _copy(record: Record, environment: int, origin: Store, store: Store) -> None:
+def _copy(record: Record, numbers: Mapping[int, int], origin: Store, store: Store) -> None:
     # A record is stored without its samples, which have a table of their own.
-    bare = msgspec.structs.replace(record, environment=environment, run_s=[])
+    environment = numbers.get(record.environment, 0)
+    bare = msgspec.structs.replace(record, environment=environment, run_s=[], rounds=[])
     store.save(bare, origin.rows(record.key))
-    for number, seconds in enumerate(record.run_s):
-        store.add_sample(record.key, number, seconds)
+    for (invocation, number), seconds in zip(record.rounds, record.run_s, strict=True):
+        store.add_sample(record.key, number, seconds, numbers.get(invocation, 0))
 
 
 def _united(plans: Iterable[Plan]) -> Plan | None:

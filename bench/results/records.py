@@ -67,9 +67,10 @@ class Record(msgspec.Struct, kw_only=True):
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
     where they are not known.
     ``calls`` is the integrator's statement of how its steps call the equations.
-    ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too.
-    ``run_s`` holds every timing sample in s; ``environment`` points to the row of the machine
-    that measured.
+    ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too;
+    the budgets were ``budget_s`` and ``memory_gib``.
+    ``run_s`` holds every timing sample in s, and ``rounds`` the invocation and the round in it of
+    each; ``environment`` points to the row of the machine that measured.
     """
 
     key: Name
@@ -98,9 +99,11 @@ class Record(msgspec.Struct, kw_only=True):
     operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}
     compile_s: NotNegative | None = None
     run_s: list[Positive] = []
+    rounds: list[tuple[int, int]] = []
     environment: int = 0
     fingerprint: str = ""
     budget_s: float | None = None
+    memory_gib: float | None = None
     stopped: str = ""
     schema: int = SCHEMA
 
@@ -141,7 +144,8 @@ class Drawing(TypedDict):
 class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
-    ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s``.
+    ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s`` and
+    ``memory_gib``.
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
@@ -161,6 +165,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     fingerprint: str = ""
     stopped: str = ""
     budget_s: float | None = None
+    memory_gib: float | None = None
     tags: list[str] = []
     difficulties: list[str] = []
     equations: list[str] = []
@@ -279,7 +284,7 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None
     row["run_s_max"] = samples[-1] if samples else None
-    for nested in ("errors", "reference_error", "components", "constraint", "work"):
+    for nested in ("errors", "reference_error", "components", "constraint", "work", "rounds"):
         del row[nested]
     return row
 

@@ -19,7 +19,9 @@ from bench.results.experiments import ExperimentResult
 from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store_file import (
     FILE,
+    INVOCATIONS,
     WAY_OUT,
+    add_invocations,
     check_schema,
     locked,
     open_to_read,
@@ -91,6 +93,8 @@ class Store:
                     f"{self.folder} holds no stepbench results; run 'stepbench run' first."
                 )
             check_schema(opened, path)
+            if create:
+                add_invocations(opened)
         except (OSError, sqlite3.Error, StoreError) as error:
             if opened is not None:
                 opened.close()
@@ -189,16 +193,19 @@ class Store:
                 (key, *others, value, sampled),
             )
 
-    def add_sample(self, key: str, number: int, seconds: float) -> None:
-        """Keep one timing sample of a cell."""
-        self._write("INSERT OR REPLACE INTO samples VALUES (?, ?, ?)", clean(key), number, seconds)
+    def add_sample(
+        self, key: str, number: int, seconds: float, invocation: int | None = None
+    ) -> None:
+        """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
+        sample = clean(key), number, seconds, invocation
+        self._write("INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)", *sample)
 
     def forget_spoilt_samples(self) -> None:
         """Forget the timing samples that cannot be read, with all others of their cells.
 
         Rounds of samples are taken anew as a whole, so that those of several cells stay in step.
         """
-        for key in {key for key, seconds in self._samples() if seconds is None}:
+        for key in {key for key, _, _, seconds in self._samples() if seconds is None}:
             self._write("DELETE FROM samples WHERE key = ?", key)
 
     # ---- reading -----------------------------------------------------------------------
@@ -261,9 +268,14 @@ class Store:
         plan = self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
-        for key, seconds in samples:
+        for record in records.values():
+            record.rounds, record.run_s = [], []
+        for key, invocation, number, seconds in samples:
             if key in records and seconds is not None:
-                records[key].run_s.append(seconds)
+                record = records[key]
+                taken_by = record.environment if invocation is None else invocation
+                record.rounds.append((taken_by, number))
+                record.run_s.append(seconds)
         return records
 
     def rows(self, key: str) -> Rows:
@@ -306,11 +318,13 @@ class Store:
             else:
                 yield tuple(key), value
 
-    def _samples(self) -> list[tuple[str, float | None]]:
-        """Keys and seconds of the timing samples; None for seconds that cannot be read."""
+    def _samples(self) -> list[tuple[str, int | None, int, float | None]]:
+        """Key, invocation, number and seconds of the timing samples; None for seconds that cannot
+        be read, and where the invocation is not known."""
         samples = []
-        for key, owner, number, seconds in self._read(
-            "SELECT samples.key, records.key, number, seconds FROM samples "
+        invocations = "invocation" if self._read(INVOCATIONS) else "NULL"
+        for key, owner, invocation, number, seconds in self._read(
+            f"SELECT samples.key, records.key, {invocations}, number, seconds FROM samples "
             "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
         ):
             known = isinstance(number, int) and isinstance(seconds, float)
@@ -318,7 +332,7 @@ class Store:
             if not good:
                 reason = f"{str(seconds)[:40]!r} is no time in s" if owner else "it has no record"
                 self._note("samples", f"{key}, number {number}", reason)
-            samples.append((key, seconds if good else None))
+            samples.append((key, invocation, number, seconds if good else None))
         return samples
 
     def _decoded(self, table: str, key: str, raw: object, kind: type[T]) -> T | None:

@@ -31,8 +31,11 @@ CREATE TABLE IF NOT EXISTS experiments (name TEXT PRIMARY KEY, value BLOB NOT NU
 CREATE TABLE IF NOT EXISTS long_runs (key TEXT PRIMARY KEY, value BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS samples (
     key TEXT NOT NULL REFERENCES records(key), number INTEGER NOT NULL, seconds REAL NOT NULL,
-    PRIMARY KEY (key, number));
+    invocation INTEGER, PRIMARY KEY (key, number));
 """
+
+#: Finds the column of the invocation, which samples of earlier versions lack.
+INVOCATIONS = "SELECT 1 FROM pragma_table_info('samples') WHERE name = 'invocation'"
 
 WAY_OUT = "start again with --fresh or another --out"
 
@@ -73,6 +76,12 @@ def prepare(db: sqlite3.Connection) -> None:
         f"BEGIN IMMEDIATE; {_TABLES} "
         f"INSERT OR IGNORE INTO meta VALUES ('schema', CAST('{SCHEMA}' AS BLOB)); COMMIT;"
     )
+
+
+def add_invocations(db: sqlite3.Connection) -> None:
+    """Give samples of an earlier version the column of their invocation, which is not known."""
+    if not db.execute(INVOCATIONS).fetchone():
+        db.execute("ALTER TABLE samples ADD COLUMN invocation INTEGER")
 
 
 def open_to_read(path: Path) -> sqlite3.Connection:

@@ -51,15 +51,16 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def quotient(one: Record, two: Record) -> Quotient | None:
-    """Time of ``two`` over that of ``one``, within rounds if one invocation measured both.
+    """Time of ``two`` over that of ``one``, within rounds if all that one has are common to both.
 
     None if a short run has a single sample.
     """
-    if one.environment != two.environment:
-        return quotient_of_medians(one.run_s, two.run_s)
     if not (_enough(one.run_s) and _enough(two.run_s)):
         return None
-    quotients = [b / a for a, b in zip(one.run_s, two.run_s, strict=False)]
+    a, b = _by_round(one), _by_round(two)
+    quotients = [b[place] / a[place] for place in a if place in b]
+    if len(quotients) < min(len(a), len(b)):
+        return quotient_of_medians(one.run_s, two.run_s)
     return Quotient(statistics.median(quotients), *median_interval(quotients), _least(quotients))
 
 
@@ -73,6 +74,12 @@ def quotient_of_medians(one: Sequence[float], two: Sequence[float]) -> Quotient 
     (a, b), (c, d) = median_interval(one), median_interval(two)
     value = statistics.median(two) / statistics.median(one)
     return Quotient(value, c / b, d / a, max(_least(one), _least(two)))
+
+
+def _by_round(record: Record) -> dict[tuple[int, int], float]:
+    """Samples by invocation and round; those of a record that no store kept have one of each."""
+    rounds = record.rounds or [(record.environment, k) for k in range(len(record.run_s))]
+    return dict(zip(rounds, record.run_s, strict=True))
 
 
 def _enough(samples: Sequence[float]) -> bool:

@@ -110,7 +110,7 @@ class Inventory:
         PluginFailed
             If it is from outside and gives no facts.
         """
-        key = "problems", text, *sorted(parameters.items())
+        key = "problems", text, repr(sorted(parameters.items()))
         if key not in self._known:
             self._known[key] = self._ask("problems", text, facts.scene_facts, parameters)
         return self._known[key]

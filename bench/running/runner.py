@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -137,22 +137,23 @@ class Runner:
                     yield task, answer
 
     def time(
-        self, tasks: list[Task], samples: int, have: Mapping[str, Sequence[float]]
+        self, tasks: list[Task], samples: int, have: Mapping[str, Mapping[int, float]]
     ) -> Iterator[tuple[Task, int, float]]:
         """Yield (task, round, seconds): a sample of each task in every round, one at a time.
 
         The tasks of a scene follow one another, so that samples of one round are neighbours in
         time and can be compared by their quotient.
 
-        ``have`` are the samples, in s, that were taken before, by the labels of the tasks.
+        ``have`` are the samples, in s by their rounds, that were taken before, by the labels of the
+        tasks.
         """
-        spent = {task.label: sum(have.get(task.label, ())) for task in tasks}
+        spent = {task.label: sum(have.get(task.label, {}).values()) for task in tasks}
         scenes = list(dict.fromkeys(task.scene for task in tasks))
         tasks = sorted(tasks, key=lambda task: scenes.index(task.scene))
         for number in range(samples):
             for task in tasks:
                 key = task.label
-                if number < len(have.get(key, ())) or spent[key] > TIMING_SECONDS:
+                if number in have.get(key, ()) or spent[key] > TIMING_SECONDS:
                     continue
                 worker = self._timekeeper(task)
                 answer = worker.ask(task.job, *task.arguments)

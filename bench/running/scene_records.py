@@ -89,7 +89,7 @@ def scene_record(
         components=part("list of components", lambda: _components(scene), {}),
         sizes=scene.sizes._asdict(),
         t0=scene.interval[0],
-        fingerprint=fingerprint(type(scene)),
+        fingerprint=made_by(fingerprint(type(scene))),
         tags=list(tags),
         difficulties=list(hard),
         equations=equations(scene),
@@ -97,6 +97,11 @@ def scene_record(
         faults=faults,
         **known,
     )
+
+
+def made_by(scene: str) -> str:
+    """Return the fingerprint of a record of a scene that has this one."""
+    return f"{scene}-{fingerprint(scene_record)}"
 
 
 def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:

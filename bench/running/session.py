@@ -16,6 +16,7 @@ from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
+from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
 
 #: Said of the answer of a plugin that writes into the rows of others.
@@ -65,7 +66,7 @@ def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]
             or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or record.status == INTERRUPTED
-            or (record.stopped != "" and _raised(suite.plan.budget_s, record.budget_s))
+            or _allowed_more(suite, record)
         )
 
     return list(filter(is_missing, suite.cells.values()))
@@ -77,10 +78,10 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     stored = store.scenes()
 
     def is_missing(scene: tuple[str, float]) -> bool:
-        return bool(
+        return (
             scene not in stored
-            or stored[scene].fingerprint != registry.problem(scene[0]).fingerprint
-            or (stored[scene].stopped and _raised(suite.plan.budget_s, stored[scene].budget_s))
+            or stored[scene].fingerprint != made_by(registry.problem(scene[0]).fingerprint)
+            or _allowed_more(suite, stored[scene])
         )
 
     return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
@@ -107,7 +108,8 @@ def measure_suite(
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
         record, rows = result_of(cell, answer, registry)
-        record.environment, record.budget_s = number, suite.plan.budget_s
+        record.environment = number
+        record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         store.save(record, rows)
         progress.found(_in_words(record))
 
@@ -130,7 +132,7 @@ def measure_suite(
                 if fault := _fault_of_scene(task, answer):
                     progress.note(f"No picture of {task.arguments[0]}: {fault}")
                 else:
-                    answer.budget_s = suite.plan.budget_s
+                    answer.budget_s, answer.memory_gib = suite.plan.budget_s, suite.memory_gib
                     store.save_scene(answer)
             else:
                 keep(task.arguments[0], answer)
@@ -148,12 +150,13 @@ def time_suite(
         return
     good = {key for key, record in records.items() if record.status == "ok"}
     cells = [cell for key, cell in suite.cells.items() if key in good]
-    have = {cell.key: tuple(records[cell.key].run_s) for cell in cells}
+    have = {cell.key: _samples_of(records[cell.key]) for cell in cells}
+    invocation = max(store.environments(), default=0)  # kept as there were samples to be taken
     tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
     progress.phase("timing, one run at a time", due)
     for task, sample, seconds in runner.time(tasks, suite.plan.samples, have):
         progress.working(task.label)
-        store.add_sample(task.label, sample, seconds)
+        store.add_sample(task.label, sample, seconds, invocation)
         progress.advance()
 
 
@@ -239,14 +242,22 @@ def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
     """Count the timing samples that the measured cells still lack."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
     return sum(
-        max(0, suite.plan.samples - len(record.run_s))
+        len(set(range(suite.plan.samples)) - _samples_of(record).keys())
         for record in good
         if sum(record.run_s) <= TIMING_SECONDS
     )
 
 
-def _raised(budget_s: float, before: float | None) -> bool:
-    return before is not None and budget_s > before
+def _samples_of(record: Record) -> dict[int, float]:
+    """Timing samples in s by their rounds."""
+    return {number: s for (_, number), s in zip(record.rounds, record.run_s, strict=True)}
+
+
+def _allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
+    """Whether a budget ran out, and the suite has more time or memory."""
+    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
+    more = any(before is not None and now > before for now, before in budgets)
+    return record.stopped != "" and more
 
 
 def _groups(

@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import Sources
+from bench.plugins.fingerprint import fingerprint
 from bench.results.records import INTERRUPTED, Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.errors import finite
@@ -26,10 +27,10 @@ from problems.spec import SpecError
 def complete(
     suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
 ) -> None:
-    """Find the damping that the store lacks; that of a method with other source is forgotten."""
+    """Find the damping that the store lacks; that of another source is forgotten."""
     known = store.damping()
     for name in suite.plan.integrators:
-        if name in known and known[name].fingerprint != registry.integrator(name).fingerprint:
+        if name in known and known[name].fingerprint != _made_by(name, registry):
             store.save_damping(name, None)
             del known[name]
     due = missing(suite, known, store.scenes(), store.records(), registry)
@@ -45,9 +46,14 @@ def complete(
             if answer.status == INTERRUPTED:
                 continue
             answer = Damping(omega_h=list(omega_h), message=answer.message)
-        source = registry.integrator(name).fingerprint
-        store.save_damping(name, msgspec.structs.replace(answer, fingerprint=source))
+        found = msgspec.structs.replace(answer, fingerprint=_made_by(name, registry))
+        store.save_damping(name, found)
         progress.advance()
+
+
+def _made_by(name: str, registry: Inventory) -> str:
+    """The fingerprint of a method and of its analysis."""
+    return f"{registry.integrator(name).fingerprint}-{fingerprint(linear_response)}"
 
 
 def missing(
@@ -57,7 +63,8 @@ def missing(
     records: Mapping[str, Record],
     registry: Inventory,
 ) -> list[Task]:
-    """List the analyses of all methods that reached the end of a scene, for all their scenes.
+    """List the analyses of all methods that reached the end of a scene, for all their scenes, and
+    for what is known of them, which they replace.
 
     A method that never reached an end is left out: it could hang again.
     """
@@ -73,7 +80,7 @@ def missing(
     return [
         Task(
             method_damping,
-            (name, tuple(sorted(omega_h))),
+            (name, tuple(sorted(omega_h.union(known[name].omega_h if name in known else ())))),
             label=f"damping of {name}",
             sources=registry.integrator(name).sources,
         )

@@ -125,14 +125,14 @@ def test_a_run_measures_spoilt_cells_anew(folder: Path, kind: str):
 
 
 SPOILT_SAMPLES = {
-    "text": "INSERT OR REPLACE INTO samples SELECT key, 0, 'soon' FROM records LIMIT 1",
-    "negative": "INSERT OR REPLACE INTO samples SELECT key, 0, -1.0 FROM records LIMIT 1",
-    "zero": "INSERT OR REPLACE INTO samples SELECT key, 0, 0 FROM records LIMIT 1",
-    "infinite": "INSERT OR REPLACE INTO samples SELECT key, 0, 9e999 FROM records LIMIT 1",
-    "blob": "INSERT OR REPLACE INTO samples SELECT key, 0, x'ff' FROM records LIMIT 1",
-    "number is text": "INSERT INTO samples SELECT key, 'first', 1.0 FROM records LIMIT 1",
-    "orphan": "INSERT INTO samples VALUES ('nobody', 0, 1.0)",
-    "orphan of a blob": "INSERT INTO samples VALUES (x'fffe', 0, 1.0)",
+    "text": "INSERT OR REPLACE INTO samples SELECT key, 0, 'soon', NULL FROM records LIMIT 1",
+    "negative": "INSERT OR REPLACE INTO samples SELECT key, 0, -1.0, NULL FROM records LIMIT 1",
+    "zero": "INSERT OR REPLACE INTO samples SELECT key, 0, 0, NULL FROM records LIMIT 1",
+    "infinite": "INSERT OR REPLACE INTO samples SELECT key, 0, 9e999, NULL FROM records LIMIT 1",
+    "blob": "INSERT OR REPLACE INTO samples SELECT key, 0, x'ff', NULL FROM records LIMIT 1",
+    "number is text": "INSERT INTO samples SELECT key, 'first', 1.0, NULL FROM records LIMIT 1",
+    "orphan": "INSERT INTO samples VALUES ('nobody', 0, 1.0, NULL)",
+    "orphan of a blob": "INSERT INTO samples VALUES (x'fffe', 0, 1.0, NULL)",
 }
 
 
