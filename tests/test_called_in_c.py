@@ -84,8 +84,24 @@ def test_results_are_independent_of_later_calls_and_of_each_other():
     ],
 )
 def test_values_that_differ_by_more_than_rounding_are_seen(found, same):
-    assert called_in_c.same_to_rounding(np.array(found), np.array([1.0, 2.0])) is same
-    assert called_in_c.same_to_rounding(np.array([np.nan, np.inf]), np.array([np.nan, np.inf]))
+    rows = np.arange(2)
+    assert called_in_c.same_to_rounding(np.array([found]), np.array([[1.0, 2.0]]), rows) is same
+    unknown = np.array([[np.nan, np.inf]])
+    assert called_in_c.same_to_rounding(unknown, unknown, rows)
+
+
+@pytest.mark.parametrize(
+    ("found", "same"),
+    [
+        ([[1e10, 1e10 + 1e-3, 2.0], [0.0, 0.0, 1e-14]], True),
+        ([[1e10, 1e10, 2.01], [0.0, 0.0, 0.0]], False),  # of a small equation
+        ([[1e10, 1e10, 2.0], [0.0, 0.0, 1e-3]], False),  # at a state at which it vanishes
+        ([[1e10, 1e10, 2.0], [0.0, 1.0, 0.0]], False),
+    ],
+)
+def test_each_equation_has_a_scale_of_its_own(found, same):
+    right, rows = np.array([[1e10, 1e10, 2.0], [0.0, 0.0, 0.0]]), np.array([0, 0, 1])
+    assert called_in_c.same_to_rounding(np.array(found), right, rows) is same
 
 
 def test_a_force_without_a_form_in_c_is_called_through_jax(forgotten):
@@ -100,6 +116,23 @@ def test_a_force_without_a_form_in_c_is_called_through_jax(forgotten):
     (sentence,) = [text for text in forgotten.messages if "through JAX" in text]
     assert sentence.startswith("BDF calls sorted through JAX")
     assert "it has the operation 'sort'" in sentence
+
+
+@dataclass(frozen=True)
+class AtAZero(Probe):
+    """Its force is another one where v is zero, as at its start."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) + 1e-5 * (v == 0)
+
+
+def test_functions_that_differ_at_the_start_alone_are_not_used(forgotten, monkeypatch):
+    assert run(BDF(), AtAZero()).functions[0].__qualname__.startswith("bound_in_c")
+    called_in_c._compiled.cache_clear()
+    flipped = operators.OPERATORS["eq"]._replace(c="{} > {} + 9")
+    monkeypatch.setitem(operators.OPERATORS, "eq", flipped)
+    assert not run(BDF(), AtAZero()).functions[0].__qualname__.startswith("bound_in_c")
+    assert any("in C are not those of JAX" in text for text in forgotten.messages)
 
 
 def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):

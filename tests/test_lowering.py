@@ -297,7 +297,7 @@ def test_only_operations_that_matter_remain():
         (lambda u: u[jnp.argmax(u)], "'argmax'|'dynamic_slice'|'gather'"),
         (lambda u: jnp.sort(u), "'sort'"),
         (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
-        (lambda u: u.astype(jnp.float32) * 2, "64-bit"),
+        (lambda u: u.astype(jnp.float32) * 2, "float32"),
         (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
         (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
         (lambda u: jnp.arange(c_source._MOST_LINES + 1) + 1.0, "lines"),

@@ -160,6 +160,17 @@ def test_mujoco_counts_forward_dynamics_and_iterations_of_its_loops():
 
 
 # ---- endings and refusals --------------------------------------------------------------
+def test_exudyn_writes_to_the_console_again_after_a_run_that_raises():
+    pytest.importorskip("exudyn")
+    run = Registry().integrator("exudyn").prepare(Pendulum(), 0.45, Steps(0.02))
+    shown = run._exudyn.config
+    shown.printToConsole = True
+    run._system.SetPostStepUserFunction(lambda system, t: 1 / 0)
+    with pytest.raises(Exception, match=r"ZeroDivisionError|division by zero"):
+        run.execute()
+    assert shown.printToConsole
+
+
 def test_a_step_that_exudyn_cannot_solve_ends_the_run_with_its_rows():
     pytest.importorskip("exudyn")
     run = Registry().integrator("exudyn").prepare(HeavyTop(), 0.5, Steps(0.01)).measure()

@@ -8,6 +8,7 @@ import numpy as np
 import odd_forces
 import pytest
 from helpers import long
+from probe import Probe
 
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
@@ -15,6 +16,7 @@ from bench.running.session import solve_cells
 from integrators import Tolerances
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
+from integrators.adapters.sundials import library
 
 PLUGINS = Path(odd_forces.__file__)
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
@@ -85,6 +87,51 @@ def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callba
     good = results[-1].record
     assert good.status == "ok"
     assert len(good.run_s) == 1
+
+
+@every_method
+@pytest.mark.parametrize(
+    ("name", "result", "sentence"),
+    [
+        ("SUNContext_ClearErrHandlers", -9999, "SUNContext_ClearErrHandlers of SUNDIALS returned"),
+        ("N_VNew_Serial", None, "N_VNew_Serial of SUNDIALS made nothing"),
+        ("SUNDenseMatrix", None, "SUNDenseMatrix of SUNDIALS made nothing"),
+        ("SUNLinSol_Dense", None, "SUNLinSol_Dense of SUNDIALS made nothing"),
+        ("*Create", None, "Create of SUNDIALS made nothing"),
+        ("*SetStopTime", -22, "SetStopTime of SUNDIALS returned the flag -22"),
+        ("IDASetSuppressAlg", -22, "IDASetSuppressAlg of SUNDIALS returned the flag -22"),
+    ],
+)
+def test_a_solver_that_cannot_be_made_leaves_no_memory(method, name, result, sentence, monkeypatch):
+    if name.startswith("IDA") and method is CVODE:
+        pytest.skip("a function of IDA")
+    run, it, alive = prepared(method, Probe()), library(), []
+    prefix = "IDA" if method is IDA else "CVode"
+
+    def count(made, freed):
+        new, free = getattr(it, made), getattr(it, freed)
+        monkeypatch.setattr(it, made, lambda *given: (alive.append(made), new(*given))[1])
+
+        def freeing(at):
+            if getattr(at, "_obj", at):  # the object of a reference
+                alive.remove(made)
+            return free(at)
+
+        monkeypatch.setattr(it, freed, freeing)
+
+    count("N_VNew_Serial", "N_VDestroy")
+    count("SUNDenseMatrix", "SUNMatDestroy")
+    count("SUNLinSol_Dense", "SUNLinSolFree")
+    count("SUNContext_Create", "SUNContext_Free")
+    count(f"{prefix}Create", f"{prefix}Free")
+    run.execute()
+    assert not alive
+    monkeypatch.setattr(it, name.replace("*", prefix), lambda *given: result)
+    ended = run.measure()
+    assert (ended.status, len(ended.t), ended.work.steps) == ("crashed", 1, 0)
+    assert sentence in ended.message
+    assert not alive
+    assert run.execute() is None
 
 
 @every_method

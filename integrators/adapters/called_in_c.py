@@ -18,10 +18,10 @@ from integrators.lowering.programs import lowered
 from problems.runtime import slower
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
-#: C and JAX may differ by so much of the largest entry, as both round.
-_ROUNDING = 1e-12
+#: C and JAX may differ by so much of the largest entry, and of that of the equation: both round.
+_ROUNDING, _ROUNDING_OF_A_ROW = 1e-12, 1e-9
 
 
 class CallsEquations:
@@ -50,18 +50,42 @@ def callbacks_option() -> Any:
     )
 
 
-def same_to_rounding(found: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]) -> bool:
-    """Whether values of C are those of JAX."""
+def same_to_rounding(
+    found: Float[np.ndarray, "k n"], right: Float[np.ndarray, "k n"], rows: Int[np.ndarray, " n"]
+) -> bool:
+    """Whether values of C are those of JAX at some states; ``rows`` tells the equation of each.
+
+    An equation may vanish at one state, and rounding does not: its scale is that of all states.
+    """
     known = np.isfinite(found) & np.isfinite(right)
-    scale = np.abs(right[known]).max(initial=0.0)
-    close = np.abs(found[known] - right[known]) <= _ROUNDING * scale
+    ours, theirs = (np.where(known, values, 0.0) for values in (found, right))
+    scales = np.zeros(rows.max(initial=-1) + 1)
+    np.maximum.at(scales, rows, np.abs(theirs).max(0))
+    allowed = np.minimum(_ROUNDING * scales.max(initial=0.0), _ROUNDING_OF_A_ROW * scales[rows])
+    close = np.abs(ours - theirs) <= allowed
     return bool(close.all()) and np.array_equal(found[~known], right[~known], equal_nan=True)
 
 
-def near(vectors: list[np.ndarray]) -> list[np.ndarray]:
-    """Vectors at which C is compared with JAX, so near the start that a run might come there."""
+def compare(
+    ours: Callable[..., Any],
+    theirs: Callable[..., Any],
+    start: tuple[Any, ...],
+    rows: Int[np.ndarray, ...],
+    *factors: float,
+) -> bool:
+    """Whether a function of C is that of JAX at the start of a run and near it.
+
+    The start has the exact zeros of a scene, at which functions may jump; near it, where a run
+    might come, nothing vanishes by chance.
+    """
+    t, *vectors = start
     shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(vectors), len(vectors[0])))
-    return [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
+    moved = [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
+    found, right = (
+        np.array([np.ravel(function(t, *at, *factors)) for at in (vectors, moved)])
+        for function in (ours, theirs)
+    )
+    return same_to_rounding(found, right, rows.ravel())
 
 
 @cache
@@ -123,9 +147,9 @@ def functions_in_c(
     """
     try:
         value, jacobian = (bound_in_c(one, p) for one in packed)
-        at = start[0], *near([*start[1:]])
         for found, right in zip((value, jacobian), functions, strict=True):
-            if not same_to_rounding(found(*at).ravel(), np.asarray(right(*at)).ravel()):
+            rows = np.indices(right(*start).shape)
+            if not compare(found, right, start, rows[-2 if len(rows) > 1 else -1]):
                 raise NotLowered("its equations in C are not those of JAX")
     except NotLowered as reason:
         slower(f"{about} through JAX, which takes longer: {reason}.")

@@ -133,8 +133,10 @@ class _ExudynRun(EngineRun):
     def execute(self) -> Any:
         solver, shown = self._exudyn.MainSolverImplicitSecondOrder(), self._exudyn.config
         before, shown.printToConsole = shown.printToConsole, False  # the status says the same
-        solver.SolveSystem(self._system, self._settings)
-        shown.printToConsole = before
+        try:
+            solver.SolveSystem(self._system, self._settings)
+        finally:
+            shown.printToConsole = before
         return solver
 
     def measure(self) -> Trajectory:

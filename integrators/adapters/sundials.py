@@ -13,8 +13,6 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 from integrators.lowering.graph import NotLowered
 
 #: The major release whose interface is written down here.
@@ -106,12 +104,6 @@ class Library:
     def address(self, name: str) -> int:
         """The address of a function, for C."""
         return ctypes.cast(getattr(self, name), c_void_p).value or 0
-
-    def vector(self, values: np.ndarray, context: c_void_p) -> int:
-        """A new vector with these values."""
-        new = self.N_VNew_Serial(len(values), context)
-        np.ctypeslib.as_array(self.N_VGetArrayPointer(new), values.shape)[:] = values
-        return new
 
     def _major(self) -> int:
         numbers, label = [c_int() for _ in range(3)], (c_char * 64)()

@@ -55,6 +55,11 @@ class NativeSolver(ABC):
         ``rtol``, ``atol`` for each unknown, and ``max_order``.
     max_calls
         After so many residual calls the run ends as budget_exceeded.
+
+    Raises
+    ------
+    EarlyEnd
+        If SUNDIALS refuses one of them, or has no memory.
     """
 
     #: How the names of its functions begin, and the name of its count of residual calls.
@@ -70,21 +75,32 @@ class NativeSolver(ABC):
         options: dict[str, Any],
         max_calls: int,
     ) -> None:
-        it = self._library = library()
-        t0, *vectors = start
-        self._entries, self._t_end, self._p = compiled.entries, t_end, p
-        self._context, self._t = c_void_p(), c_double(t0)
-        it.SUNContext_Create(0, byref(self._context))
-        it.SUNContext_ClearErrHandlers(self._context)  # flags say the same as its messages
+        self._library, self._entries, self._t_end, self._p = library(), compiled.entries, t_end, p
+        self._context, self._memory, self._t = c_void_p(), c_void_p(), c_double(start[0])
         self._vectors: list[int] = []
+        self._matrix = self._solver = None
+        self._run = _Run()
+        try:
+            self._set_up(compiled, start, options, max_calls)
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(
+        self, compiled: Compiled, start: tuple[Any, ...], options: dict[str, Any], max_calls: int
+    ) -> None:
+        it, (t0, *vectors) = self._library, start
+        _look("SUNContext_Create", it.SUNContext_Create(0, byref(self._context)))
+        # Flags say the same as its messages.
+        _look("SUNContext_ClearErrHandlers", it.SUNContext_ClearErrHandlers(self._context))
         self._state = [self._vector(values) for values in vectors]
         unknowns = it.N_VGetArrayPointer(self._state[0])
         self._values = np.ctypeslib.as_array(unknowns, vectors[0].shape)
-        self._matrix, self._solver = self._linear_algebra(len(vectors[0]))
-        self._memory = c_void_p(self._create())
+        self._linear_algebra(len(vectors[0]))
+        self._memory.value = _made(f"{self._name}Create", self._create())
         kind = "Dense" if self._entries is None else "Sparse"
         self._run = _Run(
-            p.ctypes.data,
+            self._p.ctypes.data,
             it.address("N_VGetArrayPointer"),
             it.address(f"SUN{kind}Matrix_Data"),
             it.address("SUNSparseMatrix_IndexValues"),
@@ -102,7 +118,7 @@ class NativeSolver(ABC):
         self._do("SetJacFn", jacobian)
         self._do("SetMaxOrd", options["max_order"])
         self._do("SetMaxNumSteps", _STEPS_IN_A_CALL)
-        self._do("SetStopTime", t_end)
+        self._do("SetStopTime", self._t_end)
 
     @abstractmethod
     def _create(self) -> int:
@@ -163,16 +179,23 @@ class NativeSolver(ABC):
 
     def _vector(self, values: np.ndarray) -> int:
         """A new vector, whose memory is freed with that of the solver."""
-        self._vectors.append(self._library.vector(values, self._context))
-        return self._vectors[-1]
-
-    def _linear_algebra(self, n: int) -> tuple[int, int]:
         it = self._library
+        new = _made("N_VNew_Serial", it.N_VNew_Serial(len(values), self._context))
+        self._vectors.append(new)
+        np.ctypeslib.as_array(it.N_VGetArrayPointer(new), values.shape)[:] = values
+        return new
+
+    def _linear_algebra(self, n: int) -> None:
+        it, context = self._library, self._context
         if self._entries is None:
-            matrix = it.SUNDenseMatrix(n, n, self._context)
-            return matrix, it.SUNLinSol_Dense(self._state[0], matrix, self._context)
-        matrix = it.SUNSparseMatrix(n, n, self._entries, _CSC, self._context)
-        return matrix, it.SUNLinSol_SuperLUMT(self._state[0], matrix, 1, self._context)
+            self._matrix = _made("SUNDenseMatrix", it.SUNDenseMatrix(n, n, context))
+            solver = it.SUNLinSol_Dense(self._state[0], self._matrix, context)
+            self._solver = _made("SUNLinSol_Dense", solver)
+        else:
+            matrix = it.SUNSparseMatrix(n, n, self._entries, _CSC, context)
+            self._matrix = _made("SUNSparseMatrix", matrix)
+            solver = it.SUNLinSol_SuperLUMT(self._state[0], self._matrix, 1, context)
+            self._solver = _made("SUNLinSol_SuperLUMT", solver)
 
     def _solve(self, task: int) -> int:
         flag = self._go_on(task)
@@ -184,14 +207,25 @@ class NativeSolver(ABC):
 
     def _do(self, name: str, *arguments: Any) -> None:
         name = self._name + name
-        flag = getattr(self._library, name)(self._memory, *arguments)
-        if flag < 0:
-            raise EarlyEnd("crashed", f"{name} of SUNDIALS returned the flag {flag}")
+        _look(name, getattr(self._library, name)(self._memory, *arguments))
 
     def _count(self, name: str) -> int:
         number = c_long()
         self._do(f"GetNum{name}", byref(number))
         return number.value
+
+
+def _look(name: str, flag: int) -> None:
+    """End the run if a function of SUNDIALS failed."""
+    if flag < 0:
+        raise EarlyEnd("crashed", f"{name} of SUNDIALS returned the flag {flag}")
+
+
+def _made(name: str, address: int | None) -> int:
+    """What a function of SUNDIALS made; the run ends if it made nothing."""
+    if not address:
+        raise EarlyEnd("crashed", f"{name} of SUNDIALS made nothing")
+    return address
 
 
 class NativeIDA(NativeSolver):
@@ -212,9 +246,15 @@ class NativeIDA(NativeSolver):
     def __init__(
         self, *given: Any, differential: Float[np.ndarray, " n"], suppress_algebraic: bool
     ) -> None:
+        self._differential, self._suppressed = differential, int(suppress_algebraic)
         super().__init__(*given)
-        self._do("SetId", self._vector(differential))
-        self._do("SetSuppressAlg", int(suppress_algebraic))
+
+    def _set_up(
+        self, compiled: Compiled, start: tuple[Any, ...], options: dict[str, Any], max_calls: int
+    ) -> None:
+        super()._set_up(compiled, start, options, max_calls)
+        self._do("SetId", self._vector(self._differential))
+        self._do("SetSuppressAlg", self._suppressed)
 
     def _create(self) -> int:
         return self._library.IDACreate(self._context)

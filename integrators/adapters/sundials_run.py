@@ -138,16 +138,18 @@ class SundialsRun(PreparedRun):
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
         kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
-        flag, early_end = 0, None
-        with self._solver() as solver:
-            try:
-                while kept.last[0] < self._t_end and flag >= 0:
-                    flag, time, unknowns = solver.step()
-                    if flag >= 0:
-                        kept.add((time, unknowns))
-            except EarlyEnd as end:
-                early_end = end.with_traceback(None)  # whose frames would keep the solver alive
-            work = self._completed(solver.work(kept.steps))
+        flag, early_end, work = 0, None, Work(steps=0)
+        try:
+            with self._solver() as solver:
+                try:
+                    while kept.last[0] < self._t_end and flag >= 0:
+                        flag, time, unknowns = solver.step()
+                        if flag >= 0:
+                            kept.add((time, unknowns))
+                finally:
+                    work = self._completed(solver.work(kept.steps))
+        except EarlyEnd as end:
+            early_end = end.with_traceback(None)  # whose frames would keep the solver alive
         if flag < 0:
             unknown = "crashed", f"{self._name} returned the flag {flag}"
             early_end = EarlyEnd(*_ENDINGS.get(flag, unknown))

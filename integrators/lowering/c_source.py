@@ -144,7 +144,7 @@ class _Writer:
         for node in [*(node for node in outputs if node not in computed), *order]:
             if node in computed:
                 self._lines += [*self._handed_over(node), _Line(node)]
-            if node != self._graph.zero:
+            if node not in self._graph.zeros:
                 self._lines += [_Line(node, ("out", k)) for k in outputs.get(node, ())]
         self.length = len(self._lines)
         self.count = sum(line.place is None or line.place[0] == "s" for line in self._lines)
@@ -205,7 +205,7 @@ class _Writer:
 
     def zeros(self) -> list[str]:
         """A line for the results that are zero, if there are any."""
-        if self._graph.zero not in self._results:
+        if not {*self._graph.zeros} & {*self._results}:
             return []
         return [f"    memset(out, 0, {len(self._results)} * sizeof(double));"]
 

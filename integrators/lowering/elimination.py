@@ -98,7 +98,7 @@ def _eliminated(
         for i in range(k + 1, n):
             _bring_up_the_larger(graph, rows, k, i)
         for i in range(k + 1, n):
-            if rows[i][k] == graph.zero:
+            if rows[i][k] in graph.zeros:
                 continue
             factor = graph.apply("div", rows[i][k], rows[k][k])
             for j in range(k + 1, n + m):
@@ -117,9 +117,9 @@ def _eliminated(
 
 def _bring_up_the_larger(graph: Graph, rows: list[list[int]], k: int, i: int) -> None:
     """Exchange rows k and i from column k on if the entry of row i there is larger."""
-    if rows[i][k] == graph.zero:
+    if rows[i][k] in graph.zeros:
         return
-    if rows[k][k] == graph.zero:
+    if rows[k][k] in graph.zeros:
         rows[k], rows[i] = rows[i], rows[k]
         return
     sizes = (graph.apply("abs", rows[at][k]) for at in (i, k))

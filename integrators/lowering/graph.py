@@ -2,8 +2,12 @@
 
 A value is the number of its node. Equal operations on equal values are one node, operations on
 constants are computed at once, and x + 0, 1 x, 0 x, x / 1 and double signs disappear. So a
-derivative along a unit vector has only the operations that matter. 0 x is taken for 0 although x
-may turn infinite.
+derivative along a unit vector has only the operations that matter.
+
+Zeros have the signs that XLA gives them, as atan2 tells them apart: x + 0 is x there, too, and
+0 - x is not -x. There are two exceptions. 0 x and 0 / x are taken for a 0 whose sign is not known,
+although x may turn infinite or zero. And sums begin with a term, not with 0: of -0 alone they are
+-0.
 """
 
 from __future__ import annotations
@@ -57,16 +61,21 @@ class Graph:
         self._kinds: list[str] = []
         self._known: dict[Any, int] = {}
         self.zero, self.one = self.constant(0.0), self.constant(1.0)
+        #: 0 x, whose sign is not known.
+        self._nothing = self._node("nothing", "constant", 0.0, "f")
+        self.zeros = self.zero, self._nothing
 
     def constant(self, value: Any) -> int:
         """The node of a float, a whole number, or true or false."""
-        kind = {"b": "b", "i": "i", "u": "i", "f": "f"}.get(np.asarray(value).dtype.kind)
-        if kind is None:
-            raise NotLowered(f"it has a constant of type {np.asarray(value).dtype}")
+        kind = {"b": "b", "i": "i", "u": "i", "f": "f"}[np.asarray(value).dtype.kind]
         # Of floats the bits count: 0.0 equals -0.0, and NaN nothing.
         plain = {"b": bool, "i": int, "f": float}[kind](value)
         key = kind, struct.pack("d", plain) if kind == "f" else plain
         return self._node(key, "constant", plain, kind)
+
+    def other_constant(self, value: Any) -> int:
+        """The node of a constant that is no number of C, such as a key of random numbers."""
+        return self._node(("other", len(self.nodes)), "constant", value, "other")
 
     def input(self, argument: int, entry: int, kind: str = "f") -> int:
         """The node of an entry of an argument of the function."""
@@ -177,20 +186,24 @@ class Graph:
     def _simplest(self, operator: str, given: tuple[int, ...], key: Any) -> int:
         if operator == "choose" and given[1] == given[2]:
             return given[1]
+        if operator == "choose" and given[1] in self.zeros and given[2] in self.zeros:
+            return self._nothing
         if operator == "choose" and self.is_constant(given[0]):
             return given[1] if self.value(given[0]) else given[2]
-        if all(self.is_constant(node) for node in given):
-            return self.constant(self._computed(operator, given))
+        kinds = [self._kinds[node] for node in given]
+        # JAX wraps whole numbers that are too large for their type.
+        wraps = "i" in kinds and (operator not in _COUNT or any(map(self._is_large, given)))
+        if all(self.is_constant(node) for node in given) and not wraps:
+            known = self.constant(self._computed(operator, given))
+            return self._nothing if self._nothing in given and self._is_zero(known) else known
         simple = self._signed(operator, *given) if operator in _ARITHMETIC else None
         if simple is not None:
             return simple
-        kinds = [self._kinds[node] for node in given]
         kind = kinds[1] if operator == "choose" else OPERATORS[operator].kind
-        if "i" in kinds:
-            if operator not in _COUNT or any(map(self._is_large, given)):
-                return self.unknown("arithmetic of whole numbers", "i")
-            if operator in _ARITHMETIC or operator in ("max", "min"):
-                kind = "i"
+        if wraps:
+            return self.unknown("arithmetic of whole numbers", "i")
+        if "i" in kinds and (operator in _ARITHMETIC or operator in ("max", "min")):
+            kind = "i"
         return self._node(key, operator, given, kind)
 
     def _is_large(self, node: int) -> bool:
@@ -201,9 +214,7 @@ class Graph:
     def _computed(self, operator: str, given: tuple[int, ...]) -> Any:
         values = [np.asarray(self.value(node)) for node in given]
         with np.errstate(all="ignore"):
-            result = np.asarray(OPERATORS[operator].numpy(*values))[()]
-        # JAX cuts off quotients of whole numbers.
-        return int(result) if operator == "div" and values[0].dtype.kind == "i" else result
+            return np.asarray(OPERATORS[operator].numpy(*values))[()]
 
     def _signed(self, operator: str, a: int, b: int = -1) -> int | None:
         """A simpler node for -a, a + b, a - b, a b or a / b, or None."""
@@ -211,17 +222,21 @@ class Graph:
         if operator == "neg":
             return minus_a
         if operator == "add":
-            if self.zero in (a, b):
-                return b if a == self.zero else a
+            if self._is_zero(a) or self._is_zero(b):
+                return b if self._is_zero(a) else a
             if minus_b is not None:
                 return self.apply("sub", a, minus_b)
             return None if minus_a is None else self.apply("sub", b, minus_a)
         if operator == "sub":
-            if self.zero in (a, b):
-                return a if b == self.zero else self.apply("neg", b)
-            return None if minus_b is None else self.apply("add", a, minus_b)
-        if a == self.zero or (operator == "mul" and b == self.zero):
-            return self.zero
+            if self._is_zero(b):
+                return a
+            if a == self._nothing:
+                return self.apply("neg", b)
+            if minus_b is None or self._is_zero(a):
+                return None
+            return self.apply("add", a, minus_b)
+        if a in self.zeros or (operator == "mul" and b in self.zeros):
+            return self._nothing
         if b == self.one or (operator == "mul" and a == self.one):
             return a if b == self.one else b
         if minus_a is None and minus_b is None:
@@ -230,6 +245,10 @@ class Graph:
             operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b)))
         )
         return self.apply("neg", product) if None in (minus_a, minus_b) else product
+
+    def _is_zero(self, node: int) -> bool:
+        """Whether it is a constant float, 0 or -0."""
+        return self._kinds[node] == "f" and self.is_constant(node) and self.value(node) == 0
 
     def _negated(self, node: int) -> int | None:
         """-x if x is a node with a minus sign, else None."""

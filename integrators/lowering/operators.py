@@ -32,9 +32,13 @@ OPERATORS = {
     "rem": _like_c("fmod", arguments=2),
     "neg": Operator("-{}", np.negative),
     "abs": _like_c("fabs"),
-    # As in JAX, NaN wins.
-    "max": Operator("{0} > {1} || {0} != {0} ? {0} : {1}", np.maximum),
-    "min": Operator("{0} < {1} || {0} != {0} ? {0} : {1}", np.minimum),
+    # As in JAX, NaN wins, and -0 is less than 0.
+    "max": Operator(
+        "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}", np.maximum
+    ),
+    "min": Operator(
+        "{0} < {1} || {0} != {0} || ({0} == {1} && signbit((double){0})) ? {0} : {1}", np.minimum
+    ),
     "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
     "sqrt": _like_c("sqrt"),
     "cbrt": _like_c("cbrt"),

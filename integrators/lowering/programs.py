@@ -3,12 +3,15 @@
 A program is followed operation by operation. Its arrays are arrays of nodes: whatever moves numbers
 moves nodes here, once and for all, and what computes with numbers adds nodes
 (`integrators.lowering.primitives`). Indices have to be known beforehand. A loop with a known number
-of turns is written out; any other one is an operator with programs of its own. An operation
-without a rule spoils only the results that need it.
+of turns is written out; any other one is an operator with programs of its own. What depends on no
+argument is computed by JAX, with numbers of any type. An operation without a rule, or on others
+than 64-bit floats, whole numbers that are counters, true and false, spoils only the results that
+need it.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +27,8 @@ from problems.runtime import jax
 _MOST_ENTRIES = 10_000_000
 #: Turns of loops that are written out one after the other, as their number is known.
 _MOST_TURNS = 1000
+#: Types of numbers in C. C keeps whole numbers as floats, and JAX wraps those of fewer bits.
+_TYPES = {"bool", "int32", "int64", "float64"}
 
 
 def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
@@ -87,19 +92,18 @@ class _Follower:
         self._entries += sum(int(np.prod(shape)) for shape in shapes)
         if self._entries > _MOST_ENTRIES:
             raise NotLowered("its arrays are too large")
-        types = [var.aval.dtype for var in equation.outvars]
-        if any(kind.kind == "c" or (kind.kind == "f" and kind != np.float64) for kind in types):
-            raise NotLowered("it computes with numbers that are no 64-bit floats")
-        try:
-            if name in RULES:
-                results = RULES[name](self._graph, equation, *given)
-            else:
+        types = {str(var.aval.dtype) for var in (*equation.invars, *equation.outvars)}
+        others = sorted(types - _TYPES)
+        results = None
+        with contextlib.suppress(NotLowered):
+            if name not in RULES or types - {"bool", "float64"}:  # whole numbers wrap
                 results = self._known_beforehand(equation, given)
-                if results is None and name in _FLOW:
-                    results = _FLOW[name](self, params, given)
-        except NotLowered:
-            results = None
+            if results is None and name in _FLOW:
+                results = _FLOW[name](self, params, given)
+            elif results is None and name in RULES and not others:
+                results = RULES[name](self._graph, equation, *given)
         if results is None:
+            name = f"{name} of {others[0]}" if others else name
             return [self._unknown(name, var.aval) for var in equation.outvars]
         results = results if isinstance(results, list) else [results]
         return [np.asarray(r, int).reshape(s) for r, s in zip(results, shapes, strict=True)]
@@ -154,6 +158,8 @@ class _Follower:
 
         consts = [inside(array) for array in given[: tested + kept]]
         kinds = [outer.kind(node) for array in first for node in array.flat]
+        if "other" in kinds:
+            raise NotLowered("a loop changes values that are no numbers")
         nodes = np.array([graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
         values = _parts(nodes, first)
         (goes_on,) = follower.called(params["cond_jaxpr"], [*consts[:tested], *values])
@@ -185,23 +191,34 @@ class _Follower:
 
     def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
         """The results of an operation on constants, computed by JAX; None if others take part."""
-        graph, values = self._graph, []
-        for nodes, var in zip(given, equation.invars, strict=True):
-            if not all(graph.is_constant(node) for node in nodes.flat):
-                return None
-            numbers = [graph.value(node) for node in nodes.flat]
-            values.append(np.array(numbers, var.aval.dtype).reshape(nodes.shape))
+        if not all(self._graph.is_constant(node) for nodes in given for node in nodes.flat):
+            return None
+        kinds = [var.aval.dtype for var in equation.invars]
         with jax.ensure_compile_time_eval():
-            results = equation.primitive.bind(*map(jax.numpy.asarray, values), **equation.params)
+            values = map(self._values, given, kinds)
+            results = equation.primitive.bind(*values, **equation.params)
         several = equation.primitive.multiple_results
         return [self._constants(result) for result in (results if several else [results])]
 
+    def _values(self, nodes: np.ndarray, dtype: Any) -> Any:
+        """The array of JAX for constant nodes."""
+        values = [self._graph.value(node) for node in nodes.flat]
+        if _is_key(dtype):
+            return jax.numpy.stack(values).reshape(nodes.shape)
+        return jax.numpy.asarray(np.array(values, dtype).reshape(nodes.shape))
+
     def _constants(self, value: Any) -> np.ndarray:
+        if _is_key(getattr(value, "dtype", float)):
+            with jax.ensure_compile_time_eval():
+                array, constant = value.reshape(-1), self._graph.other_constant
+                return np.array([constant(key) for key in array], int).reshape(value.shape)
         array = np.asarray(value)
-        return np.array([self._graph.constant(v) for v in array.flat], int).reshape(array.shape)
+        number = array.dtype.kind in "biuf"
+        constant = self._graph.constant if number else self._graph.other_constant
+        return np.array([constant(v) for v in array.flat], int).reshape(array.shape)
 
     def _unknown(self, name: str, aval: Any) -> np.ndarray:
-        kind = {"b": "b", "f": "f"}.get(aval.dtype.kind, "i")
+        kind = {"b": "b", "f": "f"}.get(getattr(aval.dtype, "kind", ""), "i")
         nodes = [self._graph.unknown(name, kind) for _ in range(int(np.prod(aval.shape)))]
         return np.array(nodes, int).reshape(aval.shape)
 
@@ -211,6 +228,11 @@ _FLOW = {
     "while": _Follower._looped,
     "cond": _Follower._chosen,
 }
+
+
+def _is_key(dtype: Any) -> bool:
+    """Whether a type is that of keys of random numbers, which are no numbers."""
+    return jax.numpy.issubdtype(dtype, jax.dtypes.extended)
 
 
 def _parts(nodes: np.ndarray, like: list[np.ndarray]) -> list[np.ndarray]:
