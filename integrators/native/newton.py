@@ -35,6 +35,8 @@ class _Iteration(NamedTuple):
     #: Size of the last update, and of the one before it; 1 is just small enough.
     size: Scalar
     before: Scalar
+    #: True if each group of the last update is small enough, or noise.
+    quiet: Bool[Array, ""] | bool
     #: True if the last update came from a new tangent.
     exact: Bool[Array, ""] | bool
     kept: Array | None
@@ -53,6 +55,7 @@ def newton(
     kept: Array | None,
     linear: LinearSolver,
     enough: Scalar = math.inf,
+    noise: Sequence[Scalar] | None = None,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -66,7 +69,11 @@ def newton(
     d_k r/(1 - r). The iteration ends when this error (or d_k itself) is small enough in every
     group: below ``tol`` times the size of the group, now or in ``old``, plus the group's entry of
     ``rounding``. It also ends when updates by new tangents are tiny and no longer shrink: they
-    have met round-off.
+    have met round-off. Tiny is below ``_STAGNANT`` times the size of the group. At rest the
+    unknowns are zero, and what is left is the rounding of forces that balance, of which the
+    unknowns know nothing: there updates within ``noise`` that shrink by less than quadratic
+    convergence does have met it. Updates that go to and fro over a jump of the force do not shrink
+    either; they are larger than ``noise``, and a failure.
 
     Parameters
     ----------
@@ -89,6 +96,9 @@ def newton(
     enough
         Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
         the guess is one, 1 for linear equations.
+    noise
+        Largest update of each group, in its unit, that rounding explains where updates do not
+        shrink as they should; zero if not given.
 
     Returns
     -------
@@ -96,29 +106,30 @@ def newton(
         The solution, the tangent to keep for the next call, and the report.
     """
 
-    def measure(du: Array, u: Array, exact: Bool[Array, ""] | bool) -> Float[Array, ""]:
+    def measure(
+        du: Array, u: Array, exact: Bool[Array, ""] | bool
+    ) -> tuple[Float[Array, ""], Bool[Array, ""] | bool]:
         # Errors left by an old tangent point the same way in every step and add up; a new tangent
         # leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
         # An old tangent may send u far away, so u then does not set the scale.
         split = [jnp.split(part, cuts) for part in (du, jnp.where(exact, u, guess), old)]
-        return jnp.max(
-            jnp.stack(
-                [
-                    largest(d)
-                    / (tol * jnp.maximum(largest(a), largest(b)) + factor * error + 1e-300)
-                    for d, a, b, error in zip(*split, rounding, strict=True)
-                    if d.size
-                ]
-            )
-        )
+        sizes, quiet = [], noise is not None
+        for k, (d, a, b) in enumerate(zip(*split, strict=True)):
+            if d.size:
+                update = largest(d)
+                bound = tol * jnp.maximum(largest(a), largest(b)) + factor * rounding[k] + 1e-300
+                sizes.append(update / bound)
+                quiet = noise is not None and quiet & (update < bound + noise[k])
+        return jnp.max(jnp.stack(sizes)), quiet
 
     def settled(now: _Iteration) -> Bool[Array, ""]:
         # The first update has no predecessor to be compared with: before is infinite.
         size, before = now.size, now.before
         left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
         small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-        stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
+        stagnant = (size > 0.5 * before) & (size * tol < _STAGNANT)
+        stagnant = now.exact & (stagnant | (now.quiet & (size > _CONTRACTION * before)))
         done = (now.k >= enough) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
         return small | stagnant | done
 
@@ -130,7 +141,7 @@ def newton(
         return (now.remaining > 0) & ~settled(now) & ~failed
 
     def iterate(now: _Iteration) -> _Iteration:
-        u, k, remaining, size, before, exact, kept, tangents = now
+        u, k, remaining, size, before, _, exact, kept, tangents = now
         if kept is None:
             du = linear.once(residual, u)
         else:
@@ -149,12 +160,12 @@ def newton(
             exact = stale | too_large | (remaining <= most)
             kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
             du = linear.update(kept, residual(u))
-        size, before = measure(du, u - du, exact), size
-        return _Iteration(u - du, k + 1, remaining - 1, size, before, exact, kept, tangents + exact)
+        (size, quiet), before, tangents = measure(du, u - du, exact), size, tangents + exact
+        return _Iteration(u - du, k + 1, remaining - 1, size, before, quiet, exact, kept, tangents)
 
     modified = kept is not None
     allowed = 2 * most if modified else most
-    start = _Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
+    start = _Iteration(guess, 0, allowed, jnp.inf, jnp.inf, False, not modified, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
     report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
     return end.u, end.kept, report

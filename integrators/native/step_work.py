@@ -68,6 +68,7 @@ class StepWork:
         split: StageTangents | None = None,
         evaluations: int = 1,
         enough: Scalar = math.inf,
+        noise: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
 
@@ -92,6 +93,8 @@ class StepWork:
         enough
             Number of updates by new tangents that certainly suffice: 0 if the guess is the
             solution, 1 for linear equations.
+        noise
+            See `integrators.native.newton.newton`.
 
         Returns
         -------
@@ -113,6 +116,7 @@ class StepWork:
             kept,
             solver,
             enough,
+            noise,
         )
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
@@ -210,6 +214,7 @@ class EquationsFinder(StepWork):
         split: StageTangents | None = None,
         evaluations: int = 1,
         enough: Scalar = math.inf,
+        noise: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))
