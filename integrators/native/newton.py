@@ -32,11 +32,9 @@ class _Iteration(NamedTuple):
     k: Int[Array, ""] | int
     #: Number of updates that are still allowed.
     remaining: Scalar
-    #: Size of the last update, and of the one before it; 1 is just small enough.
+    #: Size of the last update, and of the one before it; 1 is just small enough, 0 is noise.
     size: Scalar
     before: Scalar
-    #: True if each group of the last update is small enough, or noise.
-    quiet: Bool[Array, ""] | bool
     #: True if the last update came from a new tangent.
     exact: Bool[Array, ""] | bool
     kept: Array | None
@@ -52,10 +50,10 @@ def newton(
     tol: Scalar,
     most: Scalar,
     rounding: Sequence[Scalar],
+    noise: Sequence[Scalar],
     kept: Array | None,
     linear: LinearSolver,
     enough: Scalar = math.inf,
-    noise: Sequence[Scalar] | None = None,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -89,6 +87,9 @@ def newton(
         Limit of iterations; modified Newton may add as many of full Newton.
     rounding
         Rounding error of each group, in its unit; no update can fall below it.
+    noise
+        Largest update of each group, in its unit, that rounding explains where updates do not
+        shrink as they should.
     kept
         The last tangent in the form in which modified Newton keeps it (see `LinearSolver`).
     linear
@@ -96,9 +97,6 @@ def newton(
     enough
         Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
         the guess is one, 1 for linear equations.
-    noise
-        Largest update of each group, in its unit, that rounding explains where updates do not
-        shrink as they should; zero if not given.
 
     Returns
     -------
@@ -107,29 +105,29 @@ def newton(
     """
 
     def measure(
-        du: Array, u: Array, exact: Bool[Array, ""] | bool
-    ) -> tuple[Float[Array, ""], Bool[Array, ""] | bool]:
+        du: Array, u: Array, exact: Bool[Array, ""] | bool, before: Scalar
+    ) -> Float[Array, ""]:
         # Errors left by an old tangent point the same way in every step and add up; a new tangent
         # leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
         # An old tangent may send u far away, so u then does not set the scale.
         split = [jnp.split(part, cuts) for part in (du, jnp.where(exact, u, guess), old)]
-        sizes, quiet = [], noise is not None
-        for k, (d, a, b) in enumerate(zip(*split, strict=True)):
+        sizes, quiet = [], exact
+        for d, a, b, error, explained in zip(*split, rounding, noise, strict=True):
             if d.size:
                 update = largest(d)
-                bound = tol * jnp.maximum(largest(a), largest(b)) + factor * rounding[k] + 1e-300
+                bound = tol * jnp.maximum(largest(a), largest(b)) + factor * error + 1e-300
                 sizes.append(update / bound)
-                quiet = noise is not None and quiet & (update < bound + noise[k])
-        return jnp.max(jnp.stack(sizes)), quiet
+                quiet = quiet & (update < bound + explained)
+        size = jnp.max(jnp.stack(sizes))
+        return jnp.where(quiet & (size > _CONTRACTION * before), 0.0, size)
 
     def settled(now: _Iteration) -> Bool[Array, ""]:
         # The first update has no predecessor to be compared with: before is infinite.
         size, before = now.size, now.before
         left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
         small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-        stagnant = (size > 0.5 * before) & (size * tol < _STAGNANT)
-        stagnant = now.exact & (stagnant | (now.quiet & (size > _CONTRACTION * before)))
+        stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
         done = (now.k >= enough) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
         return small | stagnant | done
 
@@ -141,7 +139,7 @@ def newton(
         return (now.remaining > 0) & ~settled(now) & ~failed
 
     def iterate(now: _Iteration) -> _Iteration:
-        u, k, remaining, size, before, _, exact, kept, tangents = now
+        u, k, remaining, size, before, exact, kept, tangents = now
         if kept is None:
             du = linear.once(residual, u)
         else:
@@ -160,15 +158,15 @@ def newton(
             exact = stale | too_large | (remaining <= most)
             kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
             du = linear.update(kept, residual(u))
-        (size, quiet), before, tangents = measure(du, u - du, exact), size, tangents + exact
-        return _Iteration(u - du, k + 1, remaining - 1, size, before, quiet, exact, kept, tangents)
+        size, before = measure(du, u - du, exact, size), size
+        return _Iteration(u - du, k + 1, remaining - 1, size, before, exact, kept, tangents + exact)
 
     modified = kept is not None
     allowed = 2 * most if modified else most
-    start = _Iteration(guess, 0, allowed, jnp.inf, jnp.inf, False, not modified, kept, 0)
+    start = _Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
-    report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
-    return end.u, end.kept, report
+    solved, counts = settled(end), (end.k, end.k, end.tangents, end.tangents, end.k)
+    return end.u, end.kept, StepReport(solved, *counts, solved)
 
 
 def _as_it_is(_: Any, kept: Array) -> Array:

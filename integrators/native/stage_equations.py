@@ -148,8 +148,10 @@ def stage_equations(
         rows += formulations.control_residuals(scene, for_controller(z), xdot)
         return jnp.concatenate(rows)
 
-    rounding = _rounding(scene, formulation, base, slopes)
-    return StageEquations(residual, at, cuts, rounding, resting(scene, base, slopes))
+    rounding, noise = _rounding(scene, formulation, base, slopes), resting(scene, base, slopes)
+    if scene.sizes.nl and formulation == "index3":
+        noise = (0.0, 0.0, 0.0, *noise[3:])  # these groups' errors of rounding are as large
+    return StageEquations(residual, at, cuts, rounding, noise)
 
 
 def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:
@@ -165,7 +167,7 @@ def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scala
     place. Multipliers balance such accelerations, and controllers may see them. Outputs follow
     from the rest; one that jumps moves what it acts on.
     """
-    of_a = jnp.minimum(16 * _EPS * largest(base.q, 1.0) / slopes.q, _REST)
+    of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
     of_x = jnp.minimum((16 * _EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
     return of_a, of_a * formulations.largest_inertia(scene, base.q), of_a, of_x, math.inf
 
@@ -178,8 +180,13 @@ def _rounding(
     End positions and velocities have rounding errors eps |q| and eps |v|. The scaled constraint
     rows turn them into errors of a.
     """
-    # Constraints also contain lengths, which do not vanish with q: the size is at least one unit.
-    of_q = 2 * _EPS * largest(base.q, 1.0) / slopes.q
+    of_q = _of_position(base, slopes)
     of_v = 2 * _EPS * largest(base.v) / slopes.v
     of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
     return of_a, of_a * formulations.largest_inertia(scene, base.q), of_q
+
+
+def _of_position(base: Base, slopes: Slopes) -> Scalar:
+    """The acceleration that moves q by its rounding error."""
+    # Scenes also contain lengths, which do not vanish with q: the size is at least one unit.
+    return 2 * _EPS * largest(base.q, 1.0) / slopes.q

@@ -94,7 +94,8 @@ class StepWork:
             Number of updates by new tangents that certainly suffice: 0 if the guess is the
             solution, 1 for linear equations.
         noise
-            See `integrators.native.newton.newton`.
+            Largest update of each group that rounding explains where updates do not shrink as
+            they should (see `integrators.native.newton`). Zero if not given.
 
         Returns
         -------
@@ -113,10 +114,10 @@ class StepWork:
             self._tolerance,
             self._most,
             rounding,
+            (0.0,) * len(rounding) if noise is None else noise,
             kept,
             solver,
             enough,
-            noise,
         )
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
@@ -166,9 +167,16 @@ class StepWork:
         solves: int = 0,
         newton: int = 0,
         converged: Bool[Array, ""] | bool = True,
+        refused: Bool[Array, ""] | bool = False,
     ) -> None:
-        """Count work outside of `solve`; the run ends if ``converged`` is false."""
-        self._add(StepReport(converged, newton, residuals, jacobians, factorisations, solves))
+        """Count work outside of `solve`.
+
+        The run ends if ``converged`` is false, an iteration of the method's own failed, or if
+        ``refused`` is true: the step was solved, but its result means nothing.
+        """
+        fine = jnp.logical_and(converged, jnp.logical_not(refused))
+        counts = newton, residuals, jacobians, factorisations, solves
+        self._add(StepReport(fine, *counts, converged))
 
     def report(self) -> StepReport:
         """Return the counts of this step, and the success of its equations."""
@@ -179,8 +187,12 @@ class StepWork:
         if before is None:
             self._report = more
             return
-        counts = (a + b for a, b in zip(before[1:], more[1:], strict=True))
-        self._report = StepReport(jnp.logical_and(before.converged, more.converged), *counts)
+        counts = (a + b for a, b in zip(before.counts, more.counts, strict=True))
+        self._report = StepReport(
+            jnp.logical_and(before.converged, more.converged),
+            *counts,
+            solved=jnp.logical_and(before.solved, more.solved),
+        )
 
 
 def keeper(solver: LinearSolver, split: StageTangents | None) -> LinearSolver:
