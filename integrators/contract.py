@@ -13,8 +13,8 @@ Rules for an integrator:
 - A run does not raise for numerical trouble. It returns a status of `STATUSES` and a message that
   names the time and a remedy.
 - Work is counted where it happens. A count that a library does not give is None, not a guess.
-- Accelerations solve the equations of motion at the reported time. A recurrence's auxiliary
-  accelerations are not reported.
+- Accelerations solve the equations of motion at the reported time, not a recurrence's auxiliary
+  ones, unless the method says otherwise and claims their order.
 """
 
 from __future__ import annotations
@@ -364,7 +364,7 @@ class Integrator(ABC):
         ----------
         scene
             Scene with its parameters; the run starts at ``scene.interval[0]`` from the consistent
-            values of ``problems.formulations.consistent_start``.
+            values of ``problems.initial_values.consistent_start``.
         t_end
             End of the run in s.
         resolution

@@ -225,7 +225,7 @@ class Trouble(MechatronicSystem):
         ),
         ({"nan_after": 1.0}, {}, "diverged", "Ended at t=1 s of 2 s: the equations are not finite"),
         ({"growth": 2.0}, {}, "diverged", "grew beyond all bounds"),
-        ({"growth": 2.0}, {"max_steps": 3000}, "budget_exceeded", "use a larger rtol"),
+        ({"growth": 2.0}, {"max_steps": 3000}, "budget_exceeded", "a larger rtol or step"),
     ],
 )
 def test_trouble_is_a_status_with_a_time_and_a_cure(trouble, options, status, words):
@@ -295,4 +295,4 @@ def test_what_is_not_a_number_is_left_at_once():
 
     run = GeneralizedAlpha(newton="modified").prepare(Broken(), 1.0, Steps(0.01)).measure()
     assert run.status in ("diverged", "newton_failed")
-    assert run.work.newton <= 3 * run.work.steps
+    assert run.work.newton <= 3 * (run.work.steps + 1)  # the step that failed does not count

@@ -18,7 +18,7 @@ from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel
 from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
-from integrators.native.step_records import StepReport
+from integrators.native.step_records import COUNTS
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Times(Protocol):
 class ConstantSteps:
     """Runs at constant steps, or patterns of them."""
 
-    counts = ("steps", *StepReport._fields[1:])
+    counts = ("steps", *COUNTS)
 
     def __init__(self, steps: Sequence[Steps], t0: float, t_end: float, every_row: bool) -> None:
         self._t_end = t_end
@@ -123,7 +123,7 @@ class ConstantSteps:
 class ChosenSteps:
     """Runs whose steps follow a tolerance."""
 
-    counts = ("steps", "rejected", *StepReport._fields[1:])
+    counts = ("steps", "rejected", *COUNTS)
 
     def __init__(
         self,

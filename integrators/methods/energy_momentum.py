@@ -121,7 +121,7 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
         if self.formulation == "stabilised_index2" and scene.sizes.nl:
             e = _stabilised(scene, e, now, base, slopes, t)
         z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
-        work.count(residuals=1, converged=_explained(scene, z.q, z.v, t))
+        work.count(residuals=1, refused=~_explained(scene, z.q, z.v, t))
         shown = self.reported(scene, z, xdot, work)
         return EnergyMomentumState(shown, state.guess.after(z, xdot, h))
 

@@ -10,7 +10,7 @@ import numpy as np
 from integrators.methods.rattle import refused_control, refused_mass
 from integrators.native.guesses import Guess
 from integrators.native.own_values import OwnValues
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Slopes, resting, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, largest
 from problems import formulations
@@ -100,7 +100,11 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
         of_a = 16 * _EPS * largest(q, 1.0) / h**2 if nl else 0.0
         of_lam = of_a * formulations.largest_inertia(scene, q)
         rounding = (of_a, of_a, of_lam, of_lam)
-        u = work.solve(residual, guess.ahead(h), guess.last, cuts, rounding, evaluations=2)
+        of_a, of_lam, *_ = resting(scene, Base(q, v, x), Slopes(h**2 / 8, h, h))
+        noise = (of_a, of_a, of_lam, of_lam)
+        u = work.solve(
+            residual, guess.ahead(h), guess.last, cuts, rounding, noise=noise, evaluations=2
+        )
         a1, a2, lam1, lam2 = jnp.split(u, cuts)
         (_, _, v3), (_, _, q3) = stages(a1, a2)
 

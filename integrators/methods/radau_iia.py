@@ -35,7 +35,7 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.own_values import Formulated, FreeSteps, Needs, OwnValues
-from integrators.native.stage_equations import Base, Slopes, inherited, stage_equations
+from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, largest
@@ -227,8 +227,9 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         guess = jnp.where(state.smooth, ahead, held)
         # Positions and velocities round, and the scaled rows turn this into errors of b.
         eps = _ROUNDED * _EPS
-        of_q = eps * largest(now.q, 1.0) / h**2 * abs(np.linalg.inv(of_b)).sum(axis=1).max()
-        of_v = eps * largest(now.v) / h * abs(np.linalg.inv(r.a)).sum(axis=1).max()
+        to_b, to_a = (abs(np.linalg.inv(part)).sum(axis=1).max() for part in (of_b, r.a))
+        of_q = eps * largest(now.q, 1.0) / h**2 * to_b
+        of_v = eps * largest(now.v) / h * to_a
         # b follows positions but in index 2; what they round cancels in a of the stabilised form.
         first = of_v if self.formulation == "index2" else of_q
         of_a = of_q if self.formulation == "index3" else of_v
@@ -236,9 +237,10 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         a, _, _, *control = jnp.split(state.stages[-1], cuts)
         of_control = inherited(of_a, a, control)
         rounding = (first, of_lam, of_q, *of_control) if scene.sizes.nl else (0.0,) * 5
+        noise = resting(scene, Base(now.q, now.v, now.x), Slopes(h**2 / to_b, h / to_a, h / to_a))
         u = work.solve(
             residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
-            split=StageTangents(r.a, tangents), evaluations=s,
+            split=StageTangents(r.a, tangents), evaluations=s, noise=noise,
         )  # fmt: skip
 
         variables, rates = at(u)

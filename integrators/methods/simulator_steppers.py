@@ -98,7 +98,7 @@ class SimulatorStepper(OwnValues, StepMethod):
         a, lam, xdot, y = jnp.split(work.once(residual, guess), cuts)
         of_a = a @ inertia(scene, now.q, a)
         sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= -_ROUNDING * of_a
-        work.count(converged=sound)
+        work.count(refused=~sound)
         v = now.v + h * a
         z = Variables(now.q + h * v, v, a, lam, now.x + h * xdot, y, t)
         return self.reported(scene, z, xdot, work)

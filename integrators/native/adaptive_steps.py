@@ -17,11 +17,11 @@ from integrators.native import small_matrices
 from integrators.native.constant_steps import row_slots
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
-from integrators.native.rows import GROWTH_LIMIT, SpreadRows, flat, with_start
+from integrators.native.rows import SpreadRows, bounded, flat, with_start
 from integrators.native.step_control import Span, StepControl
 from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_records import Attempt, Choice, Reading, StepReport, largest
+from integrators.native.step_records import COUNTS, Attempt, Choice, Reading, StepReport, largest
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
@@ -168,11 +168,12 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         h0 = jnp.maximum(program.first_step(numbers, control.first_step(start, span)), smallest)
         state = program.begin(scene, numbers, start, h0)
         first = program.read(scene, state)
-        bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
+        bound = bounded(first)
         limits = program.ratios(numbers)
 
         def going(m: _Progress) -> Array:
-            return (m.t < span.t_end) & (m.ending == _OK)
+            left = (m.t < span.t_end) & (m.ending == _OK)
+            return left & (m.counts[0] + m.counts[1] < span.max_steps)
 
         def try_step(m: _Progress) -> _Progress:
             left = span.t_end - m.t
@@ -183,7 +184,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             state, report = advance(p, numbers, m.state, t, h)
             now = program.read(scene, state)
             peaks = tuple(map(jnp.maximum, m.peaks, sizes_of(now)))
-            sane = jnp.isfinite(largest(now.q, now.v, now.a, now.lam))
+            sane = jnp.isfinite(largest(*now[:-1]))
             solved = sane & report.converged
             choice = program.choose(numbers, Attempt(m.state, state, h, solved, span.rtol))
             error = m.error
@@ -197,11 +198,11 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 choice = Choice(solved & (error <= 1.0), ratio)
             accepted, h_next = choice.accepted, h * choice.ratio
 
-            counts = (accepted, ~accepted, *report[1:])
+            counts = (accepted, ~accepted, *report.counts)
             counts = tuple(c + now for c, now in zip(m.counts, counts, strict=True))
             reason = jnp.where(solved, _ERROR, jnp.where(sane, _NEWTON, _NOT_FINITE))
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
-            ending = jnp.where(accepted & ~(largest(now.q, now.v) < bound), _DIVERGED, ending)
+            ending = jnp.where(accepted & ~bound(now), _DIVERGED, ending)
             used = counts[0] + counts[1]
             short = (used >= span.max_steps) & (m.t + h * accepted < span.t_end)
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
@@ -234,7 +235,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 error=jnp.asarray(1.0),
                 peaks=sizes_of(first),
                 ending=jnp.asarray(_OK),
-                counts=(jnp.asarray(0),) * (1 + len(StepReport._fields)),
+                counts=(jnp.asarray(0),) * (2 + len(COUNTS)),
                 rows=SpreadRows.empty(slots, width, spread=wanted is not None),
             ),
         )

@@ -17,10 +17,10 @@ from integrators.kept_rows import kept_rows, most_rows, width_of
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
-from integrators.native.rows import GROWTH_LIMIT, flat, with_start
+from integrators.native.rows import bounded, flat, with_start
 from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_records import StepReport, largest
+from integrators.native.step_records import COUNTS, StepReport
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     from integrators.native.step_records import Scalar, Time
 
-_OK, _NEWTON_FAILED, _DIVERGED = (
-    int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED)
+_OK, _NEWTON_FAILED, _DIVERGED, _REFUSED = (
+    int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED, Ending.REFUSED)
 )
 _PATTERN_SLOTS = 16
 #: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
@@ -107,16 +107,16 @@ class ConstantStepsRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         numbers = kept_rows(self._steps, width_of(self._scene.sizes))[1:]
-        parts, end, slots = [], np.zeros(0), self._slots
+        parts, end, done = [], np.zeros(0), 0
         # Each call begins at the start again, and keeps the next rows.
-        for first in range(0, len(numbers), slots):
-            wanted = numbers[first : first + slots]
-            asked = jnp.asarray(np.resize(wanted, slots)), jnp.asarray(len(wanted))
-            kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
-            # After a failure no row is reached. A slice is no copy of a large table.
-            parts.append(kept[: (kept[: len(wanted), 0] == wanted).sum()])
+        for first in range(0, len(numbers), self._slots):
+            part, end = self._rows(numbers[first : first + self._slots])
+            parts.append(part)
+            done = int(part[-1, 0]) if len(part) else done
             if Ending(int(end[0])) is not Ending.OK:
                 break
+        if int(end[2]) > done:
+            parts.append(self._rows(np.array([int(end[2])]))[0])  # the last good step
         ending, t, *counts = end
         work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
@@ -127,6 +127,13 @@ class ConstantStepsRun(PreparedRun):
         _, sizes = step_times(self._clock, numbers)
         values["notes"].setdefault("h", np.append(np.nan, sizes))
         return Trajectory(**values, status=status, message=message, work=work)
+
+    def _rows(self, wanted: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of wanted steps, up to a failure, and the end of the run."""
+        asked = jnp.asarray(np.resize(wanted, self._slots)), jnp.asarray(len(wanted))
+        kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
+        # After a failure no row is reached. A slice is no copy of a large table.
+        return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
 
     def bill(self, run: Trajectory) -> dict[str, float]:
         return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
@@ -170,7 +177,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         scene = template.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
         first = program.read(scene, state)
-        bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
+        sane = bounded(first)
 
         def one_step(progress: tuple) -> tuple:
             n, state, ending, counts, _ = progress
@@ -180,10 +187,9 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             h = jnp.where(ending == _OK, h, jnp.nan)
             state, report = advance(p, numbers, state, t, h)
             now = program.read(scene, state)
-            # A comparison with NaN is false: not finite counts as grown beyond the bound.
-            sane = (largest(now.q, now.v) < bound) & jnp.isfinite(largest(now.a, now.lam))
-            ending = jnp.where(sane, jnp.where(report.converged, _OK, _NEWTON_FAILED), _DIVERGED)
-            counts = tuple(c + r for c, r in zip(counts, (1, *report[1:]), strict=True))
+            failed = jnp.where(report.solved, _REFUSED, _NEWTON_FAILED)
+            ending = jnp.where(sane(now), jnp.where(report.converged, _OK, failed), _DIVERGED)
+            counts = tuple(c + r for c, r in zip(counts, (1, *report.counts), strict=True))
             return n + 1, state, ending, counts, t
 
         def to_row(carry: tuple) -> tuple:
@@ -196,7 +202,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             row = jnp.concatenate([jnp.stack([reached, t]), flat(program.read(scene, state))])
             return k + 1, kept.at[k].set(row), progress
 
-        counts = (jnp.asarray(0),) * len(StepReport._fields)
+        counts = (jnp.asarray(0),) * (1 + len(COUNTS))
         progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
         width = 2 + flat(first).size
         _, kept, progress = jax.lax.while_loop(
@@ -204,9 +210,9 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             to_row,
             (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
         )
-        _, state, ending, counts, t = progress
+        _, state, ending, (steps, *counts), t = progress
         program.finish(state)
-        return kept, jnp.stack([ending, t, *counts])
+        return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
 
     if program.patterns:
         return _SparseKernel(loop)

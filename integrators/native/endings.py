@@ -28,6 +28,8 @@ class Ending(IntEnum):
     UNBOUNDED = 7
     #: Found after the run: a step failed where constraints depend on each other.
     SINGULAR = 8
+    #: At constant steps: the method itself refused a step, whatever its equations gave.
+    REFUSED = 9
 
     def with_cause(self, scene: MechatronicSystem, q: Float[ndarray, " nq"], t: float) -> Ending:
         """`SINGULAR` in the place of a failed step from coordinates q at t (s) with dependent
@@ -70,7 +72,8 @@ _OUTCOMES = {
     ),
     Ending.BUDGET_EXCEEDED: (
         "budget_exceeded",
-        _ENDED + "{max_steps} steps were used up; raise max_steps or use a larger rtol.",
+        _ENDED + "{max_steps} steps were used up; raise max_steps, or ask for less "
+        "accuracy (a larger rtol or step).",
     ),
     Ending.ERROR_TEST_FAILED: (
         "step_too_small",
@@ -79,8 +82,8 @@ _OUTCOMES = {
     ),
     Ending.NEWTON_KEPT_FAILING: (
         "newton_failed",
-        _ENDED + "Newton's method kept failing down to the smallest step; use another rtol or a "
-        "larger newton_max.",
+        _ENDED + "Newton's method kept failing down to the smallest step; use another rtol, "
+        "or look for a jump in the scene's equations.",
     ),
     Ending.NOT_FINITE: (
         "diverged",
@@ -97,5 +100,10 @@ _OUTCOMES = {
         "The tangent is singular at t={t:.6g} s: constraints depend on each other (redundant, or "
         "at a singular position); use ali3p[values=own], or drop dependent constraints from the "
         "scene.",
+    ),
+    Ending.REFUSED: (
+        "newton_failed",
+        "The step to t={t:.6g} s has no sound solution: the method's equations do not describe the "
+        "scene there; take a smaller step or another method.",
     ),
 }

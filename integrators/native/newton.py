@@ -32,7 +32,7 @@ class _Iteration(NamedTuple):
     k: Int[Array, ""] | int
     #: Number of updates that are still allowed.
     remaining: Scalar
-    #: Size of the last update, and of the one before it; 1 is just small enough.
+    #: Size of the last update, and of the one before it; 1 is just small enough, 0 is noise.
     size: Scalar
     before: Scalar
     #: True if the last update came from a new tangent.
@@ -50,6 +50,7 @@ def newton(
     tol: Scalar,
     most: Scalar,
     rounding: Sequence[Scalar],
+    noise: Sequence[Scalar],
     kept: Array | None,
     linear: LinearSolver,
     enough: Scalar = math.inf,
@@ -66,7 +67,11 @@ def newton(
     d_k r/(1 - r). The iteration ends when this error (or d_k itself) is small enough in every
     group: below ``tol`` times the size of the group, now or in ``old``, plus the group's entry of
     ``rounding``. It also ends when updates by new tangents are tiny and no longer shrink: they
-    have met round-off.
+    have met round-off. Tiny is below ``_STAGNANT`` times the size of the group. At rest the
+    unknowns are zero, and what is left is the rounding of forces that balance, of which the
+    unknowns know nothing: there updates within ``noise`` that shrink by less than quadratic
+    convergence does have met it. Updates that go to and fro over a jump of the force do not shrink
+    either; they are larger than ``noise``, and a failure.
 
     Parameters
     ----------
@@ -82,6 +87,9 @@ def newton(
         Limit of iterations; modified Newton may add as many of full Newton.
     rounding
         Rounding error of each group, in its unit; no update can fall below it.
+    noise
+        Largest update of each group, in its unit, that rounding explains where updates do not
+        shrink as they should.
     kept
         The last tangent in the form in which modified Newton keeps it (see `LinearSolver`).
     linear
@@ -96,22 +104,23 @@ def newton(
         The solution, the tangent to keep for the next call, and the report.
     """
 
-    def measure(du: Array, u: Array, exact: Bool[Array, ""] | bool) -> Float[Array, ""]:
+    def measure(
+        du: Array, u: Array, exact: Bool[Array, ""] | bool, before: Scalar
+    ) -> Float[Array, ""]:
         # Errors left by an old tangent point the same way in every step and add up; a new tangent
         # leaves far less than its last update.
         factor = jnp.where(exact, 8.0, 1.0)
         # An old tangent may send u far away, so u then does not set the scale.
         split = [jnp.split(part, cuts) for part in (du, jnp.where(exact, u, guess), old)]
-        return jnp.max(
-            jnp.stack(
-                [
-                    largest(d)
-                    / (tol * jnp.maximum(largest(a), largest(b)) + factor * error + 1e-300)
-                    for d, a, b, error in zip(*split, rounding, strict=True)
-                    if d.size
-                ]
-            )
-        )
+        sizes, quiet = [], exact
+        for d, a, b, error, explained in zip(*split, rounding, noise, strict=True):
+            if d.size:
+                update = largest(d)
+                bound = tol * jnp.maximum(largest(a), largest(b)) + factor * error + 1e-300
+                sizes.append(update / bound)
+                quiet = quiet & (update < bound + explained)
+        size = jnp.max(jnp.stack(sizes))
+        return jnp.where(quiet & (size > _CONTRACTION * before), 0.0, size)
 
     def settled(now: _Iteration) -> Bool[Array, ""]:
         # The first update has no predecessor to be compared with: before is infinite.
@@ -149,15 +158,15 @@ def newton(
             exact = stale | too_large | (remaining <= most)
             kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
             du = linear.update(kept, residual(u))
-        size, before = measure(du, u - du, exact), size
+        size, before = measure(du, u - du, exact, size), size
         return _Iteration(u - du, k + 1, remaining - 1, size, before, exact, kept, tangents + exact)
 
     modified = kept is not None
     allowed = 2 * most if modified else most
     start = _Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
-    report = StepReport(settled(end), end.k, end.k, end.tangents, end.tangents, end.k)
-    return end.u, end.kept, report
+    solved, counts = settled(end), (end.k, end.k, end.tangents, end.tangents, end.k)
+    return end.u, end.kept, StepReport(solved, *counts, solved)
 
 
 def _as_it_is(_: Any, kept: Array) -> Array:

@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from integrators.kept_rows import most_rows
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, largest
 from problems.formulations import Start
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float, Int
+    from collections.abc import Callable
 
-#: A run whose q or v has grown by this factor is called diverged.
+    from jax import Array
+    from jaxtyping import Bool, Float, Int
+
+#: A run whose q and v, or x, have grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
 #: Rows that are spread over a run, besides the first; fewer of large scenes. They are halved.
 _SPREAD_SLOTS = 400
@@ -24,6 +26,19 @@ _SPREAD_SLOTS = 400
 def flat(reading: Reading) -> Float[Array, " n"]:
     """All numbers of a reading in one array."""
     return jnp.concatenate([jnp.atleast_1d(part) for part in jax.tree.leaves(reading)])
+
+
+def bounded(first: Reading) -> Callable[[Reading], Bool[Array, ""]]:
+    """The test that a reading is finite and has not grown beyond all bounds since the first one."""
+    bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
+    bound_x = GROWTH_LIMIT * (1.0 + largest(first.x, 0.0))
+
+    def sane(now: Reading) -> Bool[Array, ""]:
+        # A comparison with NaN is false: not finite counts as grown beyond the bound.
+        grown_little = (largest(now.q, now.v) < bound) & (largest(now.x, 0.0) < bound_x)
+        return grown_little & jnp.isfinite(largest(now.a, now.lam, now.xdot, now.y))
+
+    return sane
 
 
 class SpreadRows(NamedTuple):

@@ -41,6 +41,10 @@ if TYPE_CHECKING:
 _EPS = float(np.finfo(float).eps)
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.
 _MOST_ROUNDING = 1e-6
+#: Largest acceleration, and rate of a controller state, in units per s^2 and s, that is called rest
+#: where Newton's updates stop to shrink. In tiny steps positions resolve less, but a jump of the
+#: force by more than this is none of rounding.
+_REST = 1e-4
 
 
 class Base(NamedTuple):
@@ -63,13 +67,15 @@ class StageEquations(NamedTuple):
     """Equations for the unknowns u = [a, lam, mu, xdot, y] of a stage.
 
     ``at(u)`` are the variables and xdot at its end, ``cuts`` the indices between groups of u,
-    ``rounding`` the rounding errors of a, lam and mu.
+    ``rounding`` the rounding errors of a, lam and mu, ``noise`` what forces that balance may leave
+    in each group of u (see `resting`).
     """
 
     residual: Callable[[Float[Array, " n"]], Float[Array, " n"]]
     at: Callable[[Float[Array, " n"]], tuple[Variables, Array]]
     cuts: Sequence[int]
     rounding: tuple[Scalar, Scalar, Scalar]
+    noise: Sequence[Scalar] | None = None
 
     def solve(
         self, work: StepWork, guess: Array, old: Array, enough: Scalar = math.inf
@@ -86,7 +92,10 @@ class StageEquations(NamedTuple):
         guess, old = self._with_mu(guess), self._with_mu(old)
         a, _, _, *control = jnp.split(old, self.cuts)
         rounding = (*self.rounding, *inherited(self.rounding[0], a, control))
-        return self.at(work.solve(self.residual, guess, old, self.cuts, rounding, enough=enough))
+        u = work.solve(
+            self.residual, guess, old, self.cuts, rounding, enough=enough, noise=self.noise
+        )
+        return self.at(u)
 
     def _with_mu(self, u: Array) -> Array:
         no_mu = jnp.zeros(self.cuts[2] - self.cuts[1])
@@ -139,13 +148,28 @@ def stage_equations(
         rows += formulations.control_residuals(scene, for_controller(z), xdot)
         return jnp.concatenate(rows)
 
-    return StageEquations(residual, at, cuts, _rounding(scene, formulation, base, slopes))
+    rounding, noise = _rounding(scene, formulation, base, slopes), resting(scene, base, slopes)
+    if scene.sizes.nl and formulation == "index3":
+        noise = (0.0, 0.0, 0.0, *noise[3:])  # these groups' errors of rounding are as large
+    return StageEquations(residual, at, cuts, rounding, noise)
 
 
 def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:
     """Rounding errors of the controller's values, xdot and y, which inherit those of a."""
     part = jnp.minimum(of_a / (largest(a) + 1e-300), _MOST_ROUNDING)
     return [part * largest(now, 0.0) for now in control]
+
+
+def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scalar, ...]:
+    """Largest updates of a, lam, mu, xdot and y that rounding of q and x explains at rest.
+
+    Accelerations move q by slopes.q a: forces cannot follow where this is some units in the last
+    place. Multipliers balance such accelerations, and controllers may see them. Outputs follow
+    from the rest; one that jumps moves what it acts on.
+    """
+    of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
+    of_x = jnp.minimum((16 * _EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
+    return of_a, of_a * formulations.largest_inertia(scene, base.q), of_a, of_x, math.inf
 
 
 def _rounding(
@@ -156,8 +180,13 @@ def _rounding(
     End positions and velocities have rounding errors eps |q| and eps |v|. The scaled constraint
     rows turn them into errors of a.
     """
-    # Constraints also contain lengths, which do not vanish with q: the size is at least one unit.
-    of_q = 2 * _EPS * largest(base.q, 1.0) / slopes.q
+    of_q = _of_position(base, slopes)
     of_v = 2 * _EPS * largest(base.v) / slopes.v
     of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
     return of_a, of_a * formulations.largest_inertia(scene, base.q), of_q
+
+
+def _of_position(base: Base, slopes: Slopes) -> Scalar:
+    """The acceleration that moves q by its rounding error."""
+    # Scenes also contain lengths, which do not vanish with q: the size is at least one unit.
+    return 2 * _EPS * largest(base.q, 1.0) / slopes.q

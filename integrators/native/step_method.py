@@ -115,6 +115,11 @@ class NativeMethod(Integrator):
         if isinstance(resolution, Steps) != (self.controls == "step"):
             takes = "Steps(h)" if self.controls == "step" else "Tolerances(rtol)"
             raise SpecError(f"{self.spec} takes {takes}; {resolution} came.")
+        if not scene.interval[0] < t_end:
+            raise SpecError(
+                f"The end {t_end:g} s does not lie after the start {scene.interval[0]:g} s; give a "
+                f"later one."
+            )
         program, numbers = self.program(scene)
         if isinstance(resolution, Steps):
             return ConstantStepsRun(program, numbers, self.noted, scene, t_end, resolution)

@@ -43,6 +43,17 @@ class StepReport(NamedTuple):
     jacobians: Int[Array, ""] | int = 0
     factorisations: Int[Array, ""] | int = 0
     solves: Int[Array, ""] | int = 0
+    #: True if the equations are solved, even if the method refuses what they give.
+    solved: Bool[Array, ""] | bool = True
+
+    @property
+    def counts(self) -> tuple[Int[Array, ""] | int, ...]:
+        """The counts in the order of `COUNTS`."""
+        return self[1:-1]
+
+
+#: Names of the counts of a step.
+COUNTS = StepReport._fields[1:-1]
 
 
 class Errors(NamedTuple):

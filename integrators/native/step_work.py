@@ -68,6 +68,7 @@ class StepWork:
         split: StageTangents | None = None,
         evaluations: int = 1,
         enough: Scalar = math.inf,
+        noise: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
 
@@ -92,6 +93,9 @@ class StepWork:
         enough
             Number of updates by new tangents that certainly suffice: 0 if the guess is the
             solution, 1 for linear equations.
+        noise
+            Largest update of each group that rounding explains where updates do not shrink as
+            they should (see `integrators.native.newton`). Zero if not given.
 
         Returns
         -------
@@ -110,6 +114,7 @@ class StepWork:
             self._tolerance,
             self._most,
             rounding,
+            (0.0,) * len(rounding) if noise is None else noise,
             kept,
             solver,
             enough,
@@ -162,9 +167,16 @@ class StepWork:
         solves: int = 0,
         newton: int = 0,
         converged: Bool[Array, ""] | bool = True,
+        refused: Bool[Array, ""] | bool = False,
     ) -> None:
-        """Count work outside of `solve`; the run ends if ``converged`` is false."""
-        self._add(StepReport(converged, newton, residuals, jacobians, factorisations, solves))
+        """Count work outside of `solve`.
+
+        The run ends if ``converged`` is false, an iteration of the method's own failed, or if
+        ``refused`` is true: the step was solved, but its result means nothing.
+        """
+        fine = jnp.logical_and(converged, jnp.logical_not(refused))
+        counts = newton, residuals, jacobians, factorisations, solves
+        self._add(StepReport(fine, *counts, converged))
 
     def report(self) -> StepReport:
         """Return the counts of this step, and the success of its equations."""
@@ -175,8 +187,12 @@ class StepWork:
         if before is None:
             self._report = more
             return
-        counts = (a + b for a, b in zip(before[1:], more[1:], strict=True))
-        self._report = StepReport(jnp.logical_and(before.converged, more.converged), *counts)
+        counts = (a + b for a, b in zip(before.counts, more.counts, strict=True))
+        self._report = StepReport(
+            jnp.logical_and(before.converged, more.converged),
+            *counts,
+            solved=jnp.logical_and(before.solved, more.solved),
+        )
 
 
 def keeper(solver: LinearSolver, split: StageTangents | None) -> LinearSolver:
@@ -210,6 +226,7 @@ class EquationsFinder(StepWork):
         split: StageTangents | None = None,
         evaluations: int = 1,
         enough: Scalar = math.inf,
+        noise: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))

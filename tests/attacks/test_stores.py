@@ -119,7 +119,8 @@ def test_a_run_measures_spoilt_cells_anew(folder: Path, kind: str):
             key: SimpleNamespace(key=key, fingerprint=lambda registry: "")
             for key in sorted({*names})
         }
-        suite = SimpleNamespace(cells=cells, plan=SimpleNamespace(budget_s=1.0))
+        plan = SimpleNamespace(budget_s=1.0)
+        suite = SimpleNamespace(cells=cells, plan=plan, memory_gib=4.0)
         missing = missing_cells(suite, store, None)  # type: ignore[arg-type]
     assert [cell.key for cell in missing] == [f"pendulum | {METHOD} | h=0.1"]
 

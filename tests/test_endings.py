@@ -1,0 +1,152 @@
+"""Endings of runs: their statuses, messages, counts and last rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long
+from test_rest import Rough
+
+from bench.plugins.registry import Registry
+from integrators import Steps, Tolerances
+from integrators.native.endings import Ending
+from problems import MechatronicSystem, State, jnp, parameter
+from problems.scenes.pendulum import Pendulum
+from problems.spec import SpecError
+
+REGISTRY = Registry()
+
+
+@dataclass(frozen=True)
+class Filtered(MechatronicSystem):
+    """An oscillator with a fast filter that nothing feeds back."""
+
+    interval = (0.0, 6.0)
+    nominal_step = 0.01
+    rate: float = parameter(1e3, "1/s", "rate of the filter")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -q
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.zeros(1), x=np.zeros(1))
+
+    def state_rate(self, z):
+        return self.rate * (z.q - z.x)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "half_explicit_euler",
+        *long(
+            "phem56[steps=constant]",
+            "noh_bathe",
+            "explicit_generalized_alpha",
+            "semi_implicit_euler",
+        ),
+    ],
+)
+@pytest.mark.parametrize("t_end", [0.5, 6.0])
+def test_a_state_that_nothing_feeds_back_diverges(method, t_end):
+    run = REGISTRY.integrator(method).prepare(Filtered(), t_end, Steps(0.01)).measure()
+    assert run.status == "diverged", run.x[-1]
+    assert np.isfinite(run.x).all()
+    assert run.work.steps == len(run.t) - 1
+
+
+def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
+    method = REGISTRY.integrator("generalized_alpha_adaptive")
+    run = method.prepare(Filtered(rate=-100.0), 6.0, Tolerances(1e-3)).measure()
+    assert run.status == "diverged"
+    assert 0.25 < run.t[-1] < 0.35  # exp(100 t) passes 1e12
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "generalized_alpha_adaptive",
+        *long("rodas5p", "bdf_adaptive", "phem56"),
+    ],
+)
+def test_sparse_tangents_that_are_singular_from_the_first_end_with_their_name(method):
+    method = REGISTRY.integrator(f"{method}[linear_solver=sparse]")
+    run = method.prepare(Pendulum(copies=2), 0.45, Tolerances(1e-4)).measure()
+    assert run.status == "newton_failed"
+    assert run.message.startswith("The tangent is singular at t=0.35 s")
+    assert (len(run.t), run.work.steps) == (1, 0)
+
+
+def test_a_run_ends_after_its_start():
+    for method, resolution in (("phem56", Tolerances(1e-6)), ("generalized_alpha", Steps(0.1))):
+        for t_end in (0.1, 0.35, np.nan):
+            with pytest.raises(SpecError, match=r"does not lie after the start 0\.35 s"):
+                REGISTRY.integrator(method).prepare(Pendulum(), t_end, resolution)
+
+
+def test_remedies_name_what_a_method_takes():
+    run = REGISTRY.integrator("hht_i3[control=chrono,max_steps=3]")
+    run = run.prepare(Pendulum(), 1.35, Steps(0.01)).measure()
+    assert run.status == "budget_exceeded"
+    assert "a larger rtol or step" in run.message
+    for ending in Ending:
+        assert "newton_max" not in ending.outcome(0.0, 1.0)[1]
+
+
+@dataclass(frozen=True)
+class Falling(MechatronicSystem):
+    """A mass is driven away by a spring, far more than steps can follow."""
+
+    interval = (0.0, 1.0)
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return 1e4 * q
+
+    def initial_state(self):
+        return State(q=np.full(1, 1e-3), v=np.zeros(1))
+
+
+def test_a_refused_step_is_no_failure_of_newton():
+    method = REGISTRY.integrator("linearly_implicit_euler")
+    run = method.prepare(Falling(), 1.0, Steps(0.05)).measure()
+    assert (run.status, run.work.newton, run.work.steps) == ("newton_failed", 0, 0)
+    assert "no sound solution" in run.message
+    assert "Newton" not in run.message
+
+
+@pytest.mark.parametrize(
+    ("most", "reason"), [(1, "Newton's method did not converge"), (20, "no sound solution")]
+)
+def test_a_step_that_newton_did_not_solve_is_not_called_refused(most, reason):
+    class Driven(Falling):
+        def energy(self, q, v):
+            return v @ v / 2 + q[0] ** 4
+
+        def force(self, q, v, t):
+            return 1.0 - 4 * q**3
+
+    method = REGISTRY.integrator(f"energy_momentum[newton_max={most}]")
+    run = method.prepare(Driven(), 1.0, Steps(0.5)).measure()
+    assert run.status == "newton_failed"
+    assert reason in run.message
+
+
+@pytest.mark.parametrize(("steps", "t_end"), [(2, 5.0), (20_003, 40_000.0)])
+def test_a_failed_run_keeps_its_last_good_step(steps, t_end):
+    method = REGISTRY.integrator("generalized_alpha")
+    scene = Rough(1.0, steps + 0.345)
+    run = method.prepare(scene, t_end, Steps(1.0)).measure()
+    assert run.status == "newton_failed"
+    assert run.t[-1] == pytest.approx(steps, abs=1.0)
+    assert run.work.steps == round(run.t[-1])
+    assert f"to t={run.t[-1] + 1:.6g} s" in run.message
+    assert len(run.notes["h"]) == len(run.t) <= 8192
+    assert (np.diff(run.t) > 0).all()

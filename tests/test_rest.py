@@ -1,0 +1,186 @@
+"""Newton's method at rest, where rounding is all that is left, and at forces that jump."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long
+
+from bench.plugins.registry import Registry
+from integrators import Steps
+from problems import MechatronicSystem, State, jnp, parameter
+
+REGISTRY = Registry()
+
+
+@dataclass(frozen=True)
+class Settling(MechatronicSystem):
+    """A mass on a damped spring settles where the spring bears its weight."""
+
+    interval = (0.0, 3.0)
+    nominal_step = 0.01
+    k: float = parameter(1e3, "N/m", "stiffness of the spring")
+    c: float = parameter(50.0, "N s/m", "damping")
+    length: float = parameter(1.0, "m", "length of the unloaded spring")
+    q0: float = parameter(1.1, "m", "position at the start")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -self.k * (q - self.length) - self.c * v - 9.81
+
+    def initial_state(self):
+        return State(q=np.array([self.q0]), v=np.zeros(1))
+
+
+@dataclass(frozen=True)
+class Tilted(MechatronicSystem):
+    """A damped pendulum in tilted gravity, whose way along the arc a state integrates."""
+
+    interval = (0.0, 20.0)
+    nominal_step = 0.01
+    tilt: float = parameter(0.4, "rad", "angle of gravity")
+    off: float = parameter(0.0, "rad", "angle from equilibrium at the start")
+    c: float = parameter(3.0, "1/s", "damping")
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return 9.81 * jnp.stack([jnp.sin(self.tilt), -jnp.cos(self.tilt)]) - self.c * v
+
+    def constraint(self, q, t):
+        return (q @ q - 1.0)[None] / 2
+
+    def initial_state(self):
+        angle = self.tilt + self.off
+        return State(q=np.array([np.sin(angle), -np.cos(angle)]), v=np.zeros(2))
+
+
+@dataclass(frozen=True)
+class Held(Tilted):
+    """The pendulum is held by a controller with a force along the arc."""
+
+    def _along(self, w):
+        return jnp.cos(self.tilt) * w[0] + jnp.sin(self.tilt) * w[1]
+
+    def initial_state(self):
+        return super().initial_state()._replace(x=np.zeros(1))
+
+    def state_rate(self, z):
+        return self._along(z.q)[None]
+
+    def output(self, z):
+        return (-5 * z.x[0] - 20 * self._along(z.q) - 3 * self._along(z.v))[None]
+
+    def actuation(self):
+        return np.array([[np.cos(0.4)], [np.sin(0.4)]])
+
+
+def ended(method, scene, h=0.01, t_end=None):
+    t_end = scene.interval[1] if t_end is None else t_end
+    return REGISTRY.integrator(method).prepare(scene, t_end, Steps(h)).measure()
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "generalized_alpha",
+        "generalized_alpha[newton=modified]",
+        *long(
+            "hht",
+            "newmark",
+            "bdf2",
+            "houbolt",
+            "bathe",
+            "wilson_theta",
+            "radau_iia[steps=constant]",
+            "hht_i3[steps=constant]",
+            "stormer_verlet",
+            "lobatto_iiia_iiib",
+            "ali3p",
+        ),
+    ],
+)
+def test_a_mass_comes_to_rest(method):
+    for scene in (Settling(), Settling(k=1e4, c=200.0), Settling(length=0.0, q0=0.1)):
+        run = ended(method, scene)
+        assert run.status == "ok", (scene, run.message)
+        assert run.q[-1, 0] == pytest.approx(scene.length - 9.81 / scene.k, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("method", "scene"),
+    [
+        ("bdf2[formulation=stabilised_index2]", Tilted()),
+        ("generalized_alpha[formulation=stabilised_index2]", Held()),
+        *long(
+            ("generalized_alpha", Held()),
+            ("bdf2[formulation=index2]", Tilted()),
+            ("radau_iia[steps=constant,formulation=index2]", Tilted()),
+            ("generalized_alpha[formulation=stabilised_index2]", Tilted(off=0.5)),
+            ("bdf2[formulation=stabilised_index2]", Tilted(off=0.5)),
+            ("bdf2[formulation=index2]", Tilted(off=0.5)),
+            ("radau_iia[steps=constant,formulation=index2]", Tilted(off=0.5)),
+            ("bdf2[newton=modified]", Held()),
+        ),
+    ],
+)
+def test_a_pendulum_rests_in_every_formulation(method, scene):
+    run = ended(method, scene)
+    assert run.status == "ok", run.message
+    assert run.lam[-1] == pytest.approx(9.81, rel=1e-5)  # index 2 drifts
+
+
+@dataclass(frozen=True)
+class Rough(MechatronicSystem):
+    """A mass slides on a rough plane until it would stick; the force jumps there."""
+
+    interval = (0.0, 1.0)
+    friction: float = parameter(1.0, "m/s^2", "friction by mass")
+    v0: float = parameter(1e-3, "m/s", "velocity at the start")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -self.friction * jnp.sign(v)
+
+    def initial_state(self):
+        return State(q=np.zeros(1), v=np.array([self.v0]))
+
+
+@dataclass(frozen=True)
+class Relay(MechatronicSystem):
+    """A state is driven to zero at a rate that jumps there; nothing else moves."""
+
+    interval = (0.0, 1.0)
+    rate: float = parameter(1.0, "1/s", "rate of the state")
+    x0: float = parameter(1e-3, "1", "state at the start")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return jnp.zeros(1)
+
+    def state_rate(self, z):
+        return -self.rate * jnp.sign(z.x)
+
+    def initial_state(self):
+        return State(q=np.zeros(1), v=np.zeros(1), x=np.array([self.x0]))
+
+
+@pytest.mark.parametrize(
+    "method", ["generalized_alpha", *long("bdf2", "radau_iia[steps=constant]")]
+)
+@pytest.mark.parametrize("jump", [1.0, 1e-3])
+def test_a_force_or_a_rate_that_jumps_is_no_rest_in_any_step(method, jump):
+    for h in (1e-2, 1e-5, 1e-8):
+        for scene in (Rough(jump, 2.345 * h * jump), Relay(jump, 2.345 * h * jump)):
+            run = ended(method, scene, h, 10 * h)
+            assert run.status == "newton_failed", (scene, h)
+            assert 1 <= run.work.steps <= 4
