@@ -26,7 +26,7 @@ _T = TypeVar("_T")
 _BUILT_IN = {
     "generalized_alpha": (222, 0, 0),
     "generalized_alpha_adaptive": (188, 1, 2),
-    "generalized_alpha_classical": (206, 5, 3),
+    "generalized_alpha_classical": (206, 0, 3),
     "hht": (270, 3, 4),
     "hht_classical": (280, 1, 0),
     "wbz": (296, 1, 3),
