@@ -227,7 +227,7 @@ def load(folder: str | Path = options.RESULTS) -> Results:
                 {"key": r.key, "problem": r.problem, "integrator": r.integrator}
                 | {"number": number, "seconds": seconds}
                 for r in records
-                for number, seconds in enumerate(r.run_s)
+                for (_, number), seconds in zip(r.rounds, r.run_s, strict=True)
             ]
         ),
         scenes=frame(
