@@ -91,4 +91,5 @@ class Choice(NamedTuple):
 
 def largest(*parts: Array | Scalar) -> Float[Array, ""]:
     """Largest absolute value over arrays, some of them empty; NaN if an entry is NaN."""
-    return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts])))
+    # JAX 0.10.2 cannot compile some programs with empty arrays and LAPACK's factorisation.
+    return jnp.max(jnp.abs(jnp.concatenate([jnp.atleast_1d(p) for p in parts if jnp.size(p)])))
