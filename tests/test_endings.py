@@ -67,6 +67,7 @@ def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
     assert 0.25 < run.t[-1] < 0.35  # exp(100 t) passes 1e12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "method",
     [

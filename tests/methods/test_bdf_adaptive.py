@@ -42,6 +42,7 @@ def _states(method, scene, steps):
     return states
 
 
+@pytest.mark.long
 def test_steps_are_those_of_polynomials_through_the_last_values():
     steps = np.array([0.02, 0.03, 0.025, 0.02, 0.03, 0.04, 0.03, 0.02, 0.03, 0.025])
     states = _states(BDFAdaptive(), ForcedOscillator(), steps)
@@ -99,6 +100,7 @@ def test_index_3_follows_it_in_q_and_v_and_loses_part_of_a_and_lam():
     assert 5 < runs[0]["lam"] / runs[1]["lam"] < 40
 
 
+@pytest.mark.long
 def test_a_controller_that_begins_at_zero_does_not_hold_up_index_3():
     method = BDFAdaptive(formulation="index3")
     for rtol in (1e-4, 1e-6, 1e-9):

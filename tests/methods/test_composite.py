@@ -87,6 +87,7 @@ class Weighed(Pendulum):
         return np.zeros((2, 1))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [TRBDF2(), *long(Bathe(), RhoInfBathe())])
 def test_an_output_that_sees_the_multiplier_of_index_3_is_first_order(method):
     scene = Weighed()

@@ -78,6 +78,7 @@ def test_two_rods_are_second_order(method, formulation):
     assert min(found[group].order_at_end for group in ("q", "v", "a", "lam")) > 1.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pattern", [(0.3, 0.7), (0.6, 0.4)])
 def test_varying_steps_keep_the_order(pattern):
     scene = ForcedOscillator()

@@ -169,6 +169,7 @@ class CubicDamper(DampedPair):
         return State(q=np.array([1.5, 0.3]), v=np.array([1.0, -2.0]))
 
 
+@pytest.mark.long
 def test_a_damper_between_two_masses_that_changes_costs_an_order():
     scene, method = CubicDamper(), CR(start="corrected")
     assert method.claims(DampedPair()) == {"q": 2, "v": 2, "a": 2}

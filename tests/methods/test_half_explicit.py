@@ -117,6 +117,7 @@ class HeldByAcceleration(Held):
         return super().output(z) - 0.1 * z.a
 
 
+@pytest.mark.long
 def test_outputs_are_iterated_only_where_they_depend_on_what_a_stage_solves_for():
     plain, sensed = (
         HalfExplicitEuler().prepare(scene, 1.0, Steps(0.1)).measure().work

@@ -81,12 +81,14 @@ class AbsoluteAngles(MechatronicSystem):
         return State(q=np.array([1.5, 0.3]), v=np.array([1.0, -2.0]))
 
 
+@pytest.mark.long
 def test_a_mass_that_depends_on_a_difference_of_angles_costs_an_order():
     method, scene = HHTI3(steps="constant"), AbsoluteAngles()
     found = orders(method, 400, (scene, 0.2))
     assert found["q"].order_at_end == pytest.approx(method.claims(scene)["q"], abs=0.1)
 
 
+@pytest.mark.long
 def test_the_published_control_holds_the_local_error():
     errors, steps = [], []
     for rtol in (1e-4, 1e-6, 1e-8):
@@ -125,6 +127,7 @@ def test_chronos_rule_does_not_know_of_errors():
         HHTI3(control="chrono").prepare(Pendulum(), 1.35, Steps(0.1, (0.3, 0.7)))
 
 
+@pytest.mark.long
 def test_no_step_is_so_small_that_a_is_rounding_of_positions():
     # The controller's state is 0 at the start: a step that follows it has 2e-8 s at most.
     scene = DoublePendulumControlled()
