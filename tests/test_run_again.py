@@ -1,4 +1,4 @@
-"""What a suite finds missing in a store: results of a smaller budget, or of another source."""
+"""Cells that a suite finds missing in a store: results of a smaller budget, or of another source."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
 
 
 def missing(store: Store, **more: float) -> tuple[int, int]:
-    """How many cells and scenes of a suite with these budgets are missing."""
+    """Count the cells and scenes of a suite with these budgets that are missing."""
     asked = suite(**more)
     cells, scenes = missing_cells(asked, store, REGISTRY), missing_scenes(asked, store, REGISTRY)
     return len(cells), len(scenes)

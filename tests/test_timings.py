@@ -128,7 +128,7 @@ def test_the_rounds_that_are_missing_are_taken_once(tmp_path, taken):
 
 
 def cheapest(folder: Path) -> dict[tuple, set[str]]:
-    """Who wins or ties, by group, accuracy, scene and cost."""
+    """Integrators that win or tie, by group, accuracy, scene and cost."""
     with Store(folder) as store:
         records = list(store.records().values())
     names = dict.fromkeys(r.problem for r in records)

@@ -41,7 +41,7 @@ class Outcome:
 
     @property
     def interrupted(self) -> int:
-        """How many cells something ended from outside."""
+        """Number of cells that something ended from outside."""
         return sum(record.status == INTERRUPTED for record in self.records)
 
     @property

@@ -222,7 +222,7 @@ def _look(name: str, flag: int) -> None:
 
 
 def _made(name: str, address: int | None) -> int:
-    """What a function of SUNDIALS made; the run ends if it made nothing."""
+    """Return the address of a thing that SUNDIALS made; the run ends if there is none."""
     if not address:
         raise EarlyEnd("crashed", f"{name} of SUNDIALS made nothing")
     return address

@@ -1,4 +1,4 @@
-"""What JAX's primitives do to arrays of nodes: one rule each, by the name of the primitive.
+"""Effects of JAX's primitives on arrays of nodes: one rule each, by the name of the primitive.
 
 A rule gets the graph, the equation of the program and the arrays of nodes, and returns the array
 of the result, or a list of several.

@@ -195,7 +195,7 @@ def _stabilised(
 
 
 def _fault(scene: MechatronicSystem) -> str | None:
-    """Why the energies of a scene do not give its motion, or None."""
+    """Reason why the energies of a scene do not give its motion, or None."""
     template, (t0, t_end) = scene.template(), scene.interval
     if operation := _unknown_operation(template):
         return (

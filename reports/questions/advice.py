@@ -112,7 +112,7 @@ def on_silent_errors(
 def on_energy(
     question: Question, drifts: Mapping[str, Mapping[str, float]], words: Words
 ) -> list[Sentence]:
-    """Who changes the energy least among the cheapest runs that answer the question.
+    """Methods that change the energy least among the cheapest runs that answer the question.
 
     ``drifts`` are the changes by scene and label.
     """

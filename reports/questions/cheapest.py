@@ -152,7 +152,7 @@ def _alone(alone: str, wins: int, count: int) -> str:
 
 
 def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Part]:
-    """How much the next one costs where integrators are first with none but each other."""
+    """Cost of the next one where integrators are first with none but each other."""
     seconds = [
         s.verdict.second for s in voting.values() if {e.label for e in s.verdict.first} <= set(lead)
     ]

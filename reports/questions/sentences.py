@@ -84,7 +84,7 @@ def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words)
 
 
 def _reached(found: Answer, words: Words) -> list[Sentence]:
-    """Who reaches the accuracy on the most scenes; nothing for one scene."""
+    """Integrators that reach the accuracy on the most scenes; nothing for one scene."""
     rows = found.standings
     if len(found.scenes) < 2 or (most := max(s.reached for s in rows)) < 2:
         return []

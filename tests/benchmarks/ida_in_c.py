@@ -164,7 +164,7 @@ def costs(scene: MechatronicSystem, rounds: int) -> list[dict[str, Any]]:
 
 
 def costs_table(rows: list[dict[str, Any]]) -> str:
-    """What Python costs, in Markdown."""
+    """Table of the costs of Python, in Markdown."""
     lines = [
         f"| rtol={_RTOL:g} | solver | steps | residual calls | ms: median (least) "
         "| least µs per call | time/in C (quartiles) | settled error in a |",

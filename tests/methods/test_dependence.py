@@ -1,4 +1,4 @@
-"""What blocks of a scene depend on, as claims and refusals of methods ask it."""
+"""Variables on which blocks of a scene depend, as claims and refusals of methods ask it."""
 
 from __future__ import annotations
 
