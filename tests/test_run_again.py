@@ -1,4 +1,4 @@
-"""Cells that a suite finds missing in a store: results of a smaller budget, or of another source."""
+"""Cells that a suite finds missing: results of a smaller budget, or of another source."""
 
 from __future__ import annotations
 
