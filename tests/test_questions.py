@@ -253,7 +253,7 @@ costs = st.one_of(st.none(), st.integers(1, 4))
 fields = st.lists(st.tuples(costs, costs, costs), min_size=2, max_size=6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(fields, st.sets(st.integers(0, 5)))
 def test_the_counts_are_those_of_the_records(wins, chosen):
     """Counted again from the costs alone, for all scenes and for some of them."""
