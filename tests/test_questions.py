@@ -238,6 +238,17 @@ def test_unknown_costs_are_told():
     )
 
 
+def test_who_is_alone_stands_before_who_ties():
+    """Both are first on three scenes, "solo" on one of them by itself."""
+    records = field((1, 1, 5), (5, 1, 5), (1, 5, 1), (1, 1, 1), rivals=("twin", "solo", "other"))
+    found = answer(scenes_of(records), COUNTS)
+    assert [s.label for s in found.standings] == ["solo", "twin", "other"]
+    assert said(records)[0].startswith(f"{AIM}solo needs")
+    text = said(records[:6])[0]
+    assert text.startswith(f"{AIM}solo needs the fewest residual evaluations on s1 (1 at")
+    assert "; twin and solo tie on s0 (" in text
+
+
 def test_integrators_that_fail_on_the_same_scenes_share_them():
     ends = {"status": "newton_failed", "errors": {}}
     records = [*field((1, 2), (1, 2), (1, 2), (1, 2))]
