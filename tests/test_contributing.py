@@ -17,16 +17,21 @@ from integrators.native import step_work
 from integrators.native.step_work import EquationsFinder, StepWork
 from problems.scenes.duffing import Duffing
 
-DOCUMENTS = ("CONTRIBUTING.md", "docs/integrators.md")
+ROOT = Path(__file__).parent.parent
+TEXT = "".join(
+    (ROOT / name).read_text(encoding="utf-8") for name in ("CONTRIBUTING.md", "docs/integrators.md")
+)
 EXAMPLES = {
     block.split("\n", 1)[0].removeprefix("# "): block
-    for name in DOCUMENTS
-    for block in re.findall(
-        r"```python\n(.*?)```",
-        (Path(__file__).parent.parent / name).read_text(encoding="utf-8"),
-        re.DOTALL,
-    )
+    for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 }
+
+
+def test_the_lines_that_import_something_do():
+    lines = re.findall(r"^from \S+ import .*|(?<=`)from [^`]+(?=`)", TEXT, re.MULTILINE)
+    assert sum("integrators.native" in line for line in lines) > 4
+    for line in dict.fromkeys(lines):
+        exec(line, {})
 
 
 @pytest.fixture(scope="module")
