@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +53,8 @@ def orders_table(
     """
     registry, (name, profile) = Inventory(plugins), read_profile(SUITE)
     if integrators:
-        profile = _with(profile, registry, problems, integrators)
-    suite = make_suite(name, profile, registry, problems)
+        profile = _only(profile, registry, problems, integrators)
+    suite = make_suite(name, profile, registry, problems, integrators)
     outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
     tables = view("order_tables")(out)
     if not tables:
@@ -68,35 +69,29 @@ def orders_table(
     write_reports(out)
 
 
-def _with(
+def _only(
     profile: ProfileFile, registry: Inventory, problems: Sequence[str], integrators: Sequence[str]
 ) -> ProfileFile:
     """The studies of these methods alone; those that none of a scene has get one more."""
     asked = {}
     for text in integrators:
-        try:
-            method = registry.integrator(text)
-        except PluginFailed:
-            asked[text] = text  # the suite says why
-            continue
-        if method.controls != "step":
-            raise SpecError(
-                f"{method.spec} chooses its own steps, over which no order can be measured; name "
-                "methods of constant steps, for some with the option steps=constant."
-            )
-        asked[method.spec] = text
+        with suppress(PluginFailed):  # the suite says why
+            method = asked[text] = registry.integrator(text)
+            if method.controls != "step":
+                raise SpecError(
+                    f"{method.spec} chooses its own steps, over which no order can be measured; "
+                    "name methods of constant steps, for some with the option steps=constant."
+                )
     files = []
     every = [problem for file in profile.study for problem in file.problems]
     for problem in dict.fromkeys(problems or every):
-        rest = dict(asked)
-        for file in profile.study:
-            specs = [registry.integrator(i).spec for i in file.integrators]
-            own = [rest.pop(s) for s in specs if problem in file.problems and s in rest]
+        rest = {method.spec for method in asked.values()}
+        more = StudyFile(problems=[problem], integrators=[*asked], figures=profile.study[0].figures)
+        more.title = f"{problem}: methods named"
+        for file in [*(file for file in profile.study if problem in file.problems), more]:
+            own = [text for text in file.integrators if registry.integrator(text).spec in rest]
+            rest -= {registry.integrator(text).spec for text in own}
             files += [replace(file, problems=[problem], integrators=own)] if own else []
-        if rest:
-            more = StudyFile(problems=[problem], integrators=[*rest.values()])
-            more.title, more.figures = f"{problem}: methods named", profile.study[0].figures
-            files.append(more)
     return replace(profile, study=files)
 
 

@@ -184,7 +184,9 @@ def make_suite(
                 cells.update(more)
     if not cells:
         raise SpecError(
-            " ".join(["Nothing is left to run; check the names given with -p and -i.", *lost])
+            " ".join(
+                dict.fromkeys(["Nothing is left to run; check the names that are given.", *lost])
+            )
         )
     plan = Plan(
         name=name,
