@@ -84,7 +84,7 @@ def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integra
 
 
 @pytest.mark.parametrize("newton", ["full", *long("modified")])
-def test_stages_in_a_loop_are_those_one_by_one_and_are_traced_fewer_times(plugins, monkeypatch, newton):
+def test_stages_in_a_loop_are_those_one_by_one_with_fewer_traces(plugins, monkeypatch, newton):
     example = type(Registry([plugins]).integrator("sdirk3"))
     runs, traced, solve = [], [0, 0], step_work.newton
 

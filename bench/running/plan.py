@@ -183,11 +183,8 @@ def make_suite(
                 studies.append(study)
                 cells.update(more)
     if not cells:
-        raise SpecError(
-            " ".join(
-                dict.fromkeys(["Nothing is left to run; check the names that are given.", *lost])
-            )
-        )
+        reason = "Nothing is left to run; check the names that are given."
+        raise SpecError(" ".join([reason, *dict.fromkeys(lost)]))
     plan = Plan(
         name=name,
         title="" if problems or integrators or own_method else profile.title or name,

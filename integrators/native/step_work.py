@@ -161,8 +161,8 @@ class StepWork:
         self._calls = calls + len(reports.converged) * (self._calls - calls)
         self.kept = kept + list((self._before or [None] * self._calls)[calls : self._calls])
         self._report = outer
-        fine, *counts, solved = reports
-        self._add(StepReport(fine.all(), *(count.sum() for count in counts), solved.all()))
+        fine, solved = reports.converged.all(), reports.solved.all()
+        self._add(StepReport(*map(jnp.sum, reports))._replace(converged=fine, solved=solved))
         return carry, ys
 
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
