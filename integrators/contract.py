@@ -319,6 +319,7 @@ class Integrator(ABC):
         super().__init_subclass__(**kwargs)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
+        spec.forget_derived(cls, Integrator)
 
     @property
     def spec(self) -> str:
