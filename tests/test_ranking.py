@@ -220,6 +220,13 @@ def test_of_runs_at_the_same_cost_the_coarser_one_is_named():
         assert {s.run.h for s in entries if s.run} == {0.01}
 
 
+def test_those_who_tie_stand_in_the_order_of_the_plan():
+    plan = ("quick", 105), ("lean", 100), ("other", 103)
+    by = judged(*(run("one", n, 0.01, None, k, {"a": (k / 200, 2)}) for n, k in plan))
+    assert first(by["operations"]) == ["quick", "lean", "other"]
+    assert by["operations"].text == "quick, lean and other tie (1000)"
+
+
 def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
     early = run("one", "quick", 0.01, 1e-3, 1)
     early.errors["a"] |= {"max": 1e-2, "end": 1e-9}
