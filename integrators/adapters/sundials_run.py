@@ -137,7 +137,7 @@ class SundialsRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
-        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
+        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2], self._t_end)
         flag, early_end, work = 0, None, Work(steps=0)
         try:
             with self._solver() as solver:
