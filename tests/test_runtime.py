@@ -123,14 +123,13 @@ def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatc
     assert not list(tmp_path.iterdir())  # and no verdict is kept
 
 
-def test_flags_of_ours_that_are_refused_together_alone_are_left_out(monkeypatch, caplog, refusing):
+def test_flags_of_ours_that_are_refused_together_alone_are_left_out(monkeypatch, refusing):
     both = "--xla_one=1 --xla_two=2"
     monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "odd" if flags == both else "")
     monkeypatch.setattr(runtime, "_FLAGS", both.split())
     monkeypatch.setenv("XLA_FLAGS", both)
     runtime._leave_out_refused_flags()
     assert os.environ["XLA_FLAGS"] == ""
-    assert both in caplog.text
 
 
 @pytest.mark.parametrize(
