@@ -115,7 +115,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
             "line 0 of draw() is an array of float64 of shape (4, 3), "
             "expected an array of shape (points",
         ),
-        ("stubborn", "traced", "A traced value of m does not act as a plain one"),
+        ("stubborn", "traced", "A traced value of k does not act as a plain one"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),
     ],

@@ -72,7 +72,7 @@ class Started:
 
     def _role(self, process: int, line: bytes) -> str:
         above = parent_of(process)
-        if b"guard/keeper.py" in line:  # the line of what it keeps is in it, too
+        if b"problems/keeper.py" in line:  # the line of what it keeps is in it, too
             return "keeper" if above == self.pid else "keeper of an engine"
         if b"serve(int(" in line:
             return "worker" if parent_of(above) == self.pid else "engine"
