@@ -229,8 +229,8 @@ def _leave_out_refused_flags() -> None:
     refused = [flag for flag in value.split() if _refusal(flag)] or value.split()
     if set(refused) - set(_FLAGS):
         raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
+    # Without a word: the user can do nothing about it.
     os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
-    slower(f"Runs may take longer: XLA no longer knows {' '.join(refused)}.")
 
 
 def _refusal(flags: str) -> str:

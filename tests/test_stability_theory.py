@@ -68,7 +68,7 @@ def test_another_polynomial_is_told_apart():
 
 
 @given(st.floats(0.02, 0.97))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
     r = recurrence_of(GeneralizedAlpha(rho_inf=rho_inf).scheme())
     assert [r.positions.order, r.velocities.order, r.controller.order] == [2, 2, 2]

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
+from msgspec.structs import replace
 
 from bench.commands import completion, options
 from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
+from bench.running.inventory import Inventory, PluginFailed
+from bench.running.plan import make_suite
+from bench.running.profiles import ProfileFile, StudyFile, read_profile
+from problems.spec import SpecError
 
 SUITE = "orders"
 
@@ -34,8 +40,9 @@ def orders_table(
     """Measure the orders that methods claim.
 
     For each method and formulation and each group of variables the table has the order that is
-    claimed, the one after the start transient, and the one from the first step. Without INTEGRATORS
-    it has the methods of the suite orders.
+    claimed, the one after the start transient, and the one from the first step. INTEGRATORS are
+    taken as they are written, at constant steps; without them it has the methods of the suite
+    orders.
 
     \b
     Examples:
@@ -43,12 +50,10 @@ def orders_table(
       stepbench orders-table my_method --plugins my_method.py
       stepbench orders-table bdf2 "bdf2[formulation=index2]" --markdown
     """
-    from bench.running.inventory import Inventory
-    from bench.running.plan import make_suite
-    from bench.running.profiles import read_profile
-
-    registry = Inventory(plugins)
-    suite = make_suite(*read_profile(SUITE), registry, problems, integrators)
+    registry, (name, profile) = Inventory(plugins), read_profile(SUITE)
+    if integrators:
+        profile = _with(profile, registry, problems, integrators)
+    suite = make_suite(name, profile, registry, problems)
     outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
     tables = view("order_tables")(out)
     if not tables:
@@ -61,6 +66,38 @@ def orders_table(
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
+
+
+def _with(
+    profile: ProfileFile, registry: Inventory, problems: Sequence[str], integrators: Sequence[str]
+) -> ProfileFile:
+    """The studies of these methods alone; those that none of a scene has get one more."""
+    asked = {}
+    for text in integrators:
+        try:
+            method = registry.integrator(text)
+        except PluginFailed:
+            asked[text] = text  # the suite says why
+            continue
+        if method.controls != "step":
+            raise SpecError(
+                f"{method.spec} chooses its own steps, over which no order can be measured; name "
+                "methods of constant steps, for some with the option steps=constant."
+            )
+        asked[method.spec] = text
+    files = []
+    every = [problem for file in profile.study for problem in file.problems]
+    for problem in dict.fromkeys(problems or every):
+        rest = dict(asked)
+        for file in profile.study:
+            specs = [registry.integrator(i).spec for i in file.integrators]
+            own = [rest.pop(s) for s in specs if problem in file.problems and s in rest]
+            files += [replace(file, problems=[problem], integrators=own)] if own else []
+        if rest:
+            more = StudyFile(problems=[problem], integrators=[*rest.values()])
+            more.title, more.figures = f"{problem}: methods named", profile.study[0].figures
+            files.append(more)
+    return replace(profile, study=files)
 
 
 def _show(table: Any) -> None:

@@ -33,12 +33,12 @@ DROPS = {
     "a flag": (
         "import os\nruntime._FLAGS += ('--xla_dropped=1',)\n"
         "os.environ['XLA_FLAGS'] += ' --xla_dropped=1'",
-        "XLA no longer knows --xla_dropped=1",
+        "",
     ),
     "joined loops": ("runtime._JOINED = 'xla_backend_extra'", ""),
     "XLA's interface": (
         "from integrators.adapters import counting\ncounting.header = lambda: ''",
-        "has another major version",
+        "cc failed",
     ),
     "shared memory": (
         "import jax, numpy\njax.dlpack.from_dlpack = lambda x, copy: jax.numpy.array(x, copy=True)",
