@@ -374,12 +374,12 @@ def test_a_kept_file_that_is_no_library_is_made_anew(empty_cache):
 
 
 def test_what_a_killed_compilation_has_left_is_removed_when_it_is_old(empty_cache):
-    for name in ("compiling-old", "compiling-new"):
+    for name in ("tmp-old", "tmp-new"):
         (empty_cache / name).mkdir(parents=True)
         (empty_cache / name / "functions.c").write_text(SOURCE)
-    os.utime(empty_cache / "compiling-old", (0, 0))
+    os.utime(empty_cache / "tmp-old", (0, 0))
     assert twice() == 3.0
-    assert [folder.name for folder in empty_cache.glob("c*")] == ["compiling-new"]
+    assert [folder.name for folder in empty_cache.glob("tmp*")] == ["tmp-new"]
 
 
 def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):

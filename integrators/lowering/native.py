@@ -61,10 +61,11 @@ def load(source: str) -> ctypes.CDLL:
 
 def _compile(compiler: str, source: str) -> bytes:
     _CACHE.mkdir(parents=True, exist_ok=True)
-    for left in _CACHE.glob("compiling-*"):
-        if time.time() - left.stat().st_mtime > _OLD:
-            shutil.rmtree(left, ignore_errors=True)
-    with tempfile.TemporaryDirectory(prefix="compiling-", dir=_CACHE) as folder:
+    for left in _CACHE.iterdir():
+        with suppress(OSError):  # another process may remove it, too
+            if left.is_dir() and time.time() - left.stat().st_mtime > _OLD:
+                shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(dir=_CACHE) as folder:
         text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
         text.write_text(source, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
