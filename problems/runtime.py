@@ -102,6 +102,8 @@ def _loaded(name: str) -> ModuleType:
         _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
     module = importlib.import_module(name)
+    # It imports more of JAX, which has all that was compiled before compiled again.
+    importlib.import_module("jax.extend")
     runs_at_once()
     return module
 
