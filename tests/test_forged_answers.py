@@ -50,6 +50,16 @@ def test_what_short_jobs_have_used_is_not_charged_to_the_next(monkeypatch):
     assert "3 s of processor time" in meter.excess(1).reason
 
 
+def test_a_job_shorter_than_a_look_costs_none(monkeypatch):
+    looks = []
+    monkeypatch.setattr(limits, "usage", lambda process: looks.append(process) or Usage())
+    monkeypatch.setattr(limits.time, "monotonic", lambda: 1.0)
+    meter = Meter(Limits(budget_s=3.0))
+    for _ in range(100):
+        meter.start(1)
+    assert looks == [1]
+
+
 def test_a_process_that_halts_itself_is_given_up(monkeypatch):
     times = iter(range(100))
     monkeypatch.setattr(limits, "usage", lambda process: Usage(stopped=True))
