@@ -162,11 +162,12 @@ class _LateModule:
 
 
 # ---- the user's environment, and newer libraries ---------------------------------------
-def check_runtime() -> str:
+def check_runtime(foreign: bool = True) -> str:
     """Return the sentence on what makes the numbers of this process wrong, or nothing.
 
     To be called before anything is measured, and after plugins are loaded: JAX starts, on this
-    computer's processor, with 64-bit floats, and nobody patched the functions that measure.
+    computer's processor, with 64-bit floats, and nobody patched the functions that measure. Those
+    of JAX are tried only if ``foreign`` code is here, as tracing them takes long.
     """
     try:
         platform = jax.local_devices()[0].platform
@@ -178,12 +179,12 @@ def check_runtime() -> str:
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
     try:
-        if jnp.zeros(1).dtype.itemsize != 8:
+        if jnp.result_type(float).itemsize != 8:
             return (
                 "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
                 "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
             )
-        wrong = wrong_functions(jax, jnp)
+        wrong = wrong_functions(jax, jnp, foreign)
     except Exception as error:  # a patched function may do anything
         wrong = [f"one raised {type(error).__name__}"]
     if not wrong:
