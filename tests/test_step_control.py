@@ -198,7 +198,7 @@ def test_steps_go_to_the_steady_error_and_meet_the_end():
     run, h = run_of()
     assert (run.status, run.t[-1], run.work.rejected) == ("ok", 1.0, 0)
     assert h[0] == pytest.approx(0.01)
-    assert h[40:-3] == pytest.approx(0.02 * STEADY ** (1 / 3), rel=1e-5)
+    assert h[40:-3] == pytest.approx(0.02 * STEADY ** (1 / 3), rel=1e-4)
     assert h[-1] == pytest.approx(h[-2], rel=1e-12)  # the rest is halved, so that no step is tiny
     assert h[-1] > h[-3] / 2
 
