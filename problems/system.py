@@ -253,8 +253,9 @@ class MechatronicSystem:
     # ---- derived -----------------------------------------------------------------------
     @classmethod
     def has(cls, block: str) -> bool:
-        """Whether the scene states this block."""
-        return getattr(cls, block) is not getattr(MechatronicSystem, block)
+        """Whether the scene states this block; ``None`` leaves out an inherited one."""
+        own = getattr(cls, block)
+        return own is not None and own is not getattr(MechatronicSystem, block)
 
     @classmethod
     @cache

@@ -14,7 +14,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -24,6 +23,7 @@ from typing import NamedTuple
 
 from bench.plugins.registry import FILE_PREFIX
 from bench.results.environment import library_versions
+from integrators.lowering.native import compiler_version
 
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
@@ -57,18 +57,14 @@ def fingerprint(made: type | Callable) -> str:
 
 def forget() -> None:
     """Read sources, versions and flags anew from now on."""
-    for cached in (fingerprint, _compiler, _file_of, _source, library_versions):
+    for cached in (fingerprint, compiler_version, _file_of, _source, library_versions):
         cached.cache_clear()
 
 
-@cache
 def _compiler() -> str:
-    """The first line of what the C compiler says of itself; empty if there is none."""
-    with suppress(OSError, subprocess.SubprocessError):
-        done = subprocess.run(
-            ["cc", "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=10
-        )
-        return "cc: " + done.stdout.decode(errors="replace").partition("\n")[0]
+    """The first line of what the C compiler says of itself; empty if there is none, or it hangs."""
+    with suppress(OSError):
+        return f"cc: {compiler_version()}"
     return ""
 
 

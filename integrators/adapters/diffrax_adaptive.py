@@ -12,7 +12,7 @@ import numpy as np
 from integrators.adapters.counting import (
     EVALUATION,
     LINEARISATION,
-    names_are_registered,
+    counts_by_name,
     run_counted,
     watch,
 )
@@ -72,7 +72,6 @@ def adaptive_programs(
 
     The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
     """
-    by_name = names_are_registered()
 
     def program(counts: bool) -> Callable:
         import diffrax
@@ -119,7 +118,7 @@ def adaptive_programs(
         timed=exported(lambda: program(counts=False), lambda: (*about, "timed")),
         counted=exported(
             lambda: program(counts=True),
-            lambda: (*about, "counted", by_name),
+            lambda: (*about, "counted", counts_by_name()),
             calls=(EVALUATION, LINEARISATION),
         ),
     )
