@@ -35,13 +35,15 @@ CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 _JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
-#: compiled piece to the next would cost more than their work. XLA's older way of writing a piece
-#: takes two thirds of the time to compile, and the program is as fast.
+#: compiled piece to the next would cost more than their work.
 _FLAGS = (
     "--xla_cpu_multi_thread_eigen=false",
     f"--xla_backend_extra_options={_JOINED}=1000000",
-    "--xla_cpu_use_fusion_emitters=false",
 )
+if version("jaxlib").startswith(("0.9.", "0.10.")):
+    # XLA had two ways of writing a piece then, and as fast a program by the older one is compiled
+    # sooner. Later releases end a process at this flag, also one whose plugin imports JAX first.
+    _FLAGS += ("--xla_cpu_use_fusion_emitters=false",)
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
