@@ -45,10 +45,22 @@ def damping_varies(scene: MechatronicSystem) -> bool:
 
 def output_takes(scene: MechatronicSystem, *groups: str) -> bool:
     """Whether the outputs depend on one of these groups of variables."""
+    return bool(scene.sizes.ny) and _takes(scene.output, scene, groups)
+
+
+def states_follow_accelerations(scene: MechatronicSystem) -> bool:
+    """Whether the rates of controller states depend on a or lam, also through the outputs."""
+    through = output_takes(scene, "a", "lam")
+    groups = ("a", "lam", "y") if through else ("a", "lam")
+    return bool(scene.sizes.nx) and _takes(scene.state_rate, scene, groups)
+
+
+def _takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> bool:
+    """Whether a block of all variables depends on one of these groups."""
     nq, nl, nx, ny = scene.sizes
     z = [*map(np.zeros, (nq, nq, nq, nl, nx, ny)), np.zeros(())]
     places = map(Variables._fields.index, groups)
-    return bool(ny) and depends(lambda *z: scene.output(Variables(*z)), places, *z)
+    return depends(lambda *z: block(Variables(*z)), places, *z)
 
 
 def _motion(scene: MechatronicSystem) -> tuple[np.ndarray, ...]:

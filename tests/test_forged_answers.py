@@ -8,7 +8,6 @@ import pytest
 
 from bench.guard import limits
 from bench.guard.limits import PREPARING, RUNNING, Limits, Meter
-from bench.guard.usage import Usage
 from bench.results.records import Rows
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
@@ -16,6 +15,7 @@ from bench.running.runner import Runner, time_task
 from bench.running.session import result_of
 from bench.running.worker import CellResult
 from integrators import Steps
+from problems.usage import Usage
 
 CELL = Cell("oscillator", "newmark", 1.0, Steps(0.1))
 

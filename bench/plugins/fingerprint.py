@@ -14,7 +14,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -27,6 +26,7 @@ import msgspec
 
 from bench.plugins.registry import FILE_PREFIX
 from bench.results.environment import library_versions
+from integrators.lowering.native import compiler_version
 from problems.runtime import CACHE
 from problems.whole_files import keep, kept
 
@@ -63,18 +63,14 @@ def fingerprint(made: type | Callable) -> str:
 
 def forget() -> None:
     """Read sources, versions and flags anew from now on."""
-    for cached in (fingerprint, _compiler, _file_of, _source, _imports, library_versions):
+    for cached in (fingerprint, compiler_version, _file_of, _source, _imports, library_versions):
         cached.cache_clear()
 
 
-@cache
 def _compiler() -> str:
-    """The first line of what the C compiler says of itself; empty if there is none."""
-    with suppress(OSError, subprocess.SubprocessError):
-        done = subprocess.run(
-            ["cc", "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=10
-        )
-        return "cc: " + done.stdout.decode(errors="replace").partition("\n")[0]
+    """The first line of what the C compiler says of itself; empty if there is none, or it hangs."""
+    with suppress(OSError):
+        return f"cc: {compiler_version()}"
     return ""
 
 
