@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 DENSE_LIMIT = 100
 #: Libraries of the extra.
 _NEEDED = ("asdex", "klujax")
+_ADVICE = "Sparse tangents need asdex and klujax; install them by: pip install 'stepbench[sparse]'."
 #: A Jacobian with more than this part of its entries is treated as dense.
 _MOST_FILL = 0.1
 
@@ -44,7 +45,10 @@ def available() -> bool:
 def prefers_sparse(scene: MechatronicSystem) -> bool:
     """Whether a scene is large enough for sparse linear algebra, and the extra is installed."""
     sizes = scene.sizes
-    return sizes.nq + sizes.nl + sizes.ny > DENSE_LIMIT and available()
+    is_large = sizes.nq + sizes.nl + sizes.ny > DENSE_LIMIT
+    if is_large and not available():
+        slower(f"Large scenes take full matrices. {_ADVICE}")
+    return is_large and available()
 
 
 def uses_sparse(
@@ -69,10 +73,7 @@ def uses_sparse(
     if linear_solver == "dense" or (linear_solver == "auto" and not prefers_sparse(scene)):
         return False
     if not available():
-        raise SpecError(
-            "Sparse tangents need asdex and klujax; install them by: "
-            "pip install 'stepbench[sparse]'."
-        )
+        raise SpecError(_ADVICE)
     try:
         found = pattern()
     except NoPattern:
