@@ -23,7 +23,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -32,6 +32,8 @@ from problems.whole_files import keep, kept
 
 if TYPE_CHECKING:
     from jax.export import Exported
+
+T = TypeVar("T")
 
 _PROJECT = Path(__file__).parents[1]
 _PACKAGES = ("problems", "integrators", "bench")
@@ -92,6 +94,31 @@ def exported(
             return made()(*arguments)
 
     return jax.jit(program)
+
+
+def found_once(find: Callable[[], T], about: Callable[[], Sequence[Any]], kind: type[T]) -> T:
+    """Return ``find()``, which are numbers that tracing finds, read from a file if there is one.
+
+    Parameters
+    ----------
+    about
+        Returns all that decides the numbers beside the code of this project.
+    kind
+        Their type, one of msgspec's.
+    """
+    if not _used:
+        return find()
+    try:
+        file = _file(kind, *about())
+    except Exception:  # it is not ours
+        return find()
+    with suppress(msgspec.DecodeError):
+        return msgspec.msgpack.decode(kept(file) or b"", type=kind)
+    found = find()
+    with suppress(OSError):
+        if _sources.__wrapped__() == _sources():
+            keep(file, msgspec.msgpack.encode(found))
+    return found
 
 
 def _file(*about: Any) -> Path:

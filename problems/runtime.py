@@ -35,13 +35,15 @@ CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 _JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
-#: compiled piece to the next would cost more than their work. XLA's older way of writing a piece
-#: takes two thirds of the time to compile, and the program is as fast.
+#: compiled piece to the next would cost more than their work.
 _FLAGS = (
     "--xla_cpu_multi_thread_eigen=false",
     f"--xla_backend_extra_options={_JOINED}=1000000",
-    "--xla_cpu_use_fusion_emitters=false",
 )
+if version("jaxlib").startswith(("0.9.", "0.10.")):
+    # XLA had two ways of writing a piece then, and as fast a program by the older one is compiled
+    # sooner. Later releases end a process at this flag, also one whose plugin imports JAX first.
+    _FLAGS += ("--xla_cpu_use_fusion_emitters=false",)
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
@@ -162,11 +164,12 @@ class _LateModule:
 
 
 # ---- the user's environment, and newer libraries ---------------------------------------
-def check_runtime() -> str:
+def check_runtime(foreign: bool = True) -> str:
     """Return the sentence on what makes the numbers of this process wrong, or nothing.
 
     To be called before anything is measured, and after plugins are loaded: JAX starts, on this
-    computer's processor, with 64-bit floats, and nobody patched the functions that measure.
+    computer's processor, with 64-bit floats, and nobody patched the functions that measure. Those
+    of JAX are tried only if ``foreign`` code is here, as tracing them takes long.
     """
     try:
         platform = jax.local_devices()[0].platform
@@ -178,12 +181,12 @@ def check_runtime() -> str:
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
     try:
-        if jnp.zeros(1).dtype.itemsize != 8:
+        if jnp.result_type(float).itemsize != 8:
             return (
                 "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
                 "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
             )
-        wrong = wrong_functions(jax, jnp)
+        wrong = wrong_functions(jax, jnp, foreign)
     except Exception as error:  # a patched function may do anything
         wrong = [f"one raised {type(error).__name__}"]
     if not wrong:

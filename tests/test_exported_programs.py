@@ -16,9 +16,10 @@ from bench.running import worker
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import constant_steps
+from integrators.operations import Operations
 from problems import exported_programs, jnp
 from problems.compiled import _compiled
-from problems.exported_programs import exported
+from problems.exported_programs import exported, found_once
 from problems.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum
 from problems.whole_files import keep
@@ -58,6 +59,17 @@ def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
         exported(never, lambda: about)({"k": 2.0}, np.arange(4.0))
     with pytest.raises(AssertionError, match="again"):  # another value of what decides it
         exported(never, lambda: ("sine and cosine", Pendulum(l=2.0)))({"k": 2.0}, np.arange(3.0))
+
+
+def test_numbers_that_tracing_finds_are_found_once(folder):
+    about, costs = ("costs of a step", Pendulum()), Operations(3.0, 4.0)
+    assert found_once(lambda: costs, lambda: about, Operations) == costs
+    assert found_once(never, lambda: about, Operations) == costs
+    (file,) = files(folder)
+    spoilt = bytearray(file.read_bytes())
+    spoilt[2] ^= 1
+    file.write_bytes(spoilt)
+    assert found_once(lambda: costs, lambda: about, Operations) == costs
 
 
 def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, monkeypatch):

@@ -169,7 +169,6 @@ def _bytes(links):
 
 @pytest.mark.long
 def test_memory_is_linear_in_the_number_of_links():
-    pytest.importorskip("asdex")
     pytest.importorskip("klujax")
     _bytes(200)  # what is made once
     (few, fewer_rows), (many, rows) = _bytes(3000), _bytes(6000)
@@ -236,7 +235,6 @@ np.savez(path, **last, memory=1024 * largest)
 
 @pytest.mark.long
 def test_a_chain_of_many_links_fits_into_memory_and_moves_as_by_hand(tmp_path):
-    pytest.importorskip("asdex")
     pytest.importorskip("klujax")
     scene, t_end, h = Chain(links=100_000), 1e-3, 1e-4
     numbers = [str(value) for value in (scene.links, t_end, h, tmp_path / "end.npz")]

@@ -89,7 +89,7 @@ def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
 
 
 def test_entries_of_a_sparse_jacobian_are_those_of_jax():
-    pytest.importorskip("asdex")
+    pytest.importorskip("klujax")
     scene = Registry([]).problem("chain[links=3]")
     assert max(differences(scene, "stabilised_index2", sparse=True)) < ROUNDING
 

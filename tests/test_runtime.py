@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import sys
 from unittest.mock import Mock
 
 import jax
@@ -22,7 +23,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
 from integrators.native.kernel import Kernel
 from integrators.native.step_method import NativeMethod
-from problems import other_programs, runtime
+from problems import other_programs, runtime, sparsity
 from problems.canary import wrong_functions
 from problems.runtime import check_runtime
 from problems.scenes.oscillator import Oscillator
@@ -200,6 +201,7 @@ def _forgotten():
     tried = (
         *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
         *(callbacks.memory_is_shared, diffrax_adaptive._traced_once, klu.works),
+        sparsity._asdex,
     )
     for remembered in tried:
         remembered.cache_clear()
@@ -307,13 +309,22 @@ def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, 
 
 
 @pytest.mark.usefixtures("_forgotten")
-def test_without_klus_own_functions_large_scenes_are_dense(monkeypatch, caplog):
-    klujax = pytest.importorskip("klujax")
-    monkeypatch.delattr(klujax, "analyze")
-    method = GeneralizedAlpha(rho_inf=0.8, linear_solver="sparse")
+@pytest.mark.parametrize("library", ["asdex", "klujax"])
+def test_without_what_sparse_tangents_need_large_scenes_are_dense(
+    monkeypatch, caplog, tmp_path, library
+):
+    pytest.importorskip("klujax")
+    if library == "asdex":
+        (tmp_path / "asdex.py").write_text("from jax.nowhere import anything")
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "asdex", raising=False)
+    else:
+        monkeypatch.delattr("klujax.analyze")
     with pytest.raises(Exception, match="take linear_solver=dense"):
-        method.prepare(Pendulum(), 1.0, Steps(0.05))
-    assert "klujax gives no sparse factorisation" in caplog.text
+        GeneralizedAlpha(linear_solver="sparse").prepare(Pendulum(), 1.0, Steps(0.05))
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 0)
+    assert solved(GeneralizedAlpha(), Steps(0.05)).status == "ok"
+    assert f"Large scenes run slowly: {library}" in caplog.text
 
 
 @pytest.mark.usefixtures("_forgotten")

@@ -97,14 +97,17 @@ class Meter:
     """
 
     def __init__(self, limits: Limits) -> None:
-        self._limits, self._last = limits, Usage()
+        self._limits, self._last, self._seen = limits, Usage(), 0.0
         self.phase = LOADING
         self.start()
 
     def start(self, process: int | None = None) -> None:
-        """Begin a job, which has used nothing: jobs before it may have ended without a look."""
-        if process:
-            self._last = usage(process) or self._last
+        """Begin a job, which has used nothing: jobs before it may have ended without a look.
+
+        They are looked at now and then, as a look takes longer than many a job.
+        """
+        if process and time.monotonic() - self._seen >= _BETWEEN:
+            self._last, self._seen = usage(process) or self._last, time.monotonic()
         self._used: defaultdict[str, _Used] = defaultdict(_Used)
         self._looked = self._compared = time.monotonic()
 

@@ -145,7 +145,7 @@ class GuardedProcess:
             for message in self._inbox.messages():
                 if message.kind == wire.PHASE:
                     phase, self._words = wire.decode(message.content, tuple[str, str])
-                    self._meter.begin(phase, self.pid)
+                    self._meter.begin(phase, self.pid if self._meter.is_due else None)
                 else:
                     return self._answer(message)
         except wire.BrokenMessage as error:

@@ -112,7 +112,7 @@ class ConstantStepsRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self._slots = row_slots(scene)
-        self.end_only = jnp.full(self._slots, self._steps, dtype=int), jnp.asarray(1)
+        self.end_only = jnp.asarray(np.full(self._slots, self._steps)), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
 

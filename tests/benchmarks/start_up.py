@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 from statistics import median
 
 ROUNDS = 3
@@ -43,7 +42,9 @@ def compare(name: str, kept: str | None) -> None:
     for _ in range(ROUNDS):
         with tempfile.TemporaryDirectory() as new:
             rounds.append((seconds(BARE, new), seconds(COMMANDS[name], kept or new)))
-    bare, measured = ([median(t) for t in zip(*times)] for times in zip(*rounds))
+    bare, measured = (
+        [median(t) for t in zip(*times, strict=True)] for times in zip(*rounds, strict=True)
+    )
     print(
         f"{name + (' warm' if kept else ' cold'):16}{measured[0]:7.1f} s{measured[1]:7.1f} s"
         f"{measured[0] / bare[0]:7.1f}{measured[1] / bare[1]:7.1f}   bare start"
