@@ -23,7 +23,7 @@ from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
 from integrators.native.kernel import Kernel
-from problems import runtime, sparsity
+from problems import other_programs, runtime, sparsity
 from problems.canary import wrong_functions
 from problems.runtime import check_runtime
 from problems.scenes.oscillator import Oscillator
@@ -122,6 +122,32 @@ def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatc
     monkeypatch.setattr(runtime, "CACHE", tmp_path)
     runtime._leave_out_refused_flags()
     assert not list(tmp_path.iterdir())  # and no verdict is kept
+
+
+def test_flags_of_ours_that_are_refused_together_alone_are_left_out(monkeypatch, refusing):
+    both = "--xla_one=1 --xla_two=2"
+    monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "odd" if flags == both else "")
+    monkeypatch.setattr(runtime, "_FLAGS", both.split())
+    monkeypatch.setenv("XLA_FLAGS", both)
+    runtime._leave_out_refused_flags()
+    assert os.environ["XLA_FLAGS"] == ""
+
+
+@pytest.mark.parametrize(
+    "fate", ["os.kill(os.getpid(), 9)", "os.kill(os.getpid(), 15)", "time.sleep(1000)"]
+)
+def test_a_trial_that_something_else_ends_is_no_verdict(monkeypatch, tmp_path, fate):
+    monkeypatch.setattr(runtime, "_START_XLA", f"import os, time; {fate}")
+    monkeypatch.setattr(runtime, "CACHE", tmp_path)
+    monkeypatch.setattr(other_programs, "_BETWEEN", 0.05)
+    monkeypatch.setattr(other_programs, "_IDLE", 0.2)
+    assert runtime._refusal("--xla_any=1") == ""
+    refuses = "import os, sys; sys.exit(os.environ['XLA_FLAGS'] or 0)"
+    monkeypatch.setattr(runtime, "_START_XLA", refuses)
+    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # it is tried again
+    (file,) = (tmp_path / "flags").iterdir()
+    file.write_bytes(file.read_bytes().replace(b"any", b"all"))
+    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # a file that was changed, too
 
 
 def test_the_same_line_of_several_workers_is_told_once():

@@ -141,7 +141,9 @@ def measure_suite(
         # So that no worker is left alone with the longest group in the end.
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
         runner.expect(groups)
-        progress.phase("measuring", sum(len(group) for group in groups))
+        # Scenes are counted if there is nothing else to do: people ask for cells.
+        counted = Worker.measure if cells else Worker.scene
+        progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
             if task.job is Worker.scene:
                 if fault := _fault_of_scene(task, answer):
@@ -151,7 +153,8 @@ def measure_suite(
                     store.save_scene(answer)
             else:
                 keep(task.arguments[0], answer)
-            progress.advance()
+            if task.job is counted:
+                progress.advance()
     return count
 
 

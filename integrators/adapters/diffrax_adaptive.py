@@ -164,7 +164,8 @@ class AdaptiveRun(PreparedRun):
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
         status, message = self._outcome(good, number, t[-1], s[-1])
-        keep, nq = kept_rows(accepted), self._scene.sizes.nq
+        parts, nq = (t - self._t0) / (self._t_end - self._t0), self._scene.sizes.nq
+        keep = kept_rows(parts)
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
         work = work_of(self._scheme, counts, accepted, rejected)

@@ -59,8 +59,8 @@ class Pendulum(MechatronicSystem):
         return 0.5 * self.m * (v @ v) + self.m * self.g * q[1]
 
     def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0] + self.radial / self.length * start["q"][0])
+        e_r = np.array([np.sin(self.th0), -np.cos(self.th0)])
+        return State(q=self.length * e_r, v=self.radial * e_r)
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """th(t) = 2 asin(k sn(K - w t, k^2)) with k = sin(th0/2), w = sqrt(g/length)."""

@@ -66,7 +66,7 @@ def numbers(drop: str, cache: str) -> tuple[list, str]:
         env=os.environ | {"XDG_CACHE_HOME": cache, "XLA_FLAGS": FLAGS},
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=500,
         check=False,
     )
     assert done.returncode == 0, done.stderr
