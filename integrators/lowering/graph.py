@@ -73,17 +73,9 @@ class Graph:
         key = kind, struct.pack("d", plain) if kind == "f" else plain
         return self._node(key, "constant", plain, kind)
 
-    def other_constant(self, value: Any) -> int:
-        """The node of a constant that is no number of C, such as a key of random numbers."""
-        return self._node(("other", len(self.nodes)), "constant", value, "other")
-
     def input(self, argument: int, entry: int, kind: str = "f") -> int:
         """The node of an entry of an argument of the function."""
         return self._node(("input", argument, entry), "input", (argument, entry), kind)
-
-    def fresh(self) -> int:
-        """A new node for which any value may stand."""
-        return self._node(("fresh", len(self.nodes)), "input", (-1, len(self.nodes)), "f")
 
     def left_by(
         self, operator: Loop | Solve, given: tuple[int, ...], kinds: Iterable[str]
@@ -142,7 +134,7 @@ class Graph:
             if operator in ("constant", "input") or node in order:
                 continue
             if operator == "unknown":
-                raise NotLowered(f"it has the operation {given!r}")
+                raise NotLowered(f"it has the operation {given}")
             if ready:
                 order[node] = None
             else:
