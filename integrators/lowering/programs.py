@@ -2,7 +2,7 @@
 
 Its program (`integrators.programs`) is followed step by step. Arrays that depend on arguments are
 arrays of nodes: whatever moves numbers moves nodes here, once and for all, and what computes with
-numbers adds nodes (`integrators.lowering.numbers`). All others are arrays of numbers; indices have
+numbers adds nodes (`integrators.lowering.rules`). All others are arrays of numbers; indices have
 to be among them. A loop whose number of turns is known is written out; any other one is an operator
 with programs of its own. A step without a rule, or on others than 64-bit floats, whole numbers that
 are counters, true and false, spoils only the results that need it.
@@ -14,13 +14,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import erfinv
 
 from integrators.lowering import moves
 from integrators.lowering.elimination import solve
 from integrators.lowering.graph import Graph, Loop, NotLowered, Program
-from integrators.lowering.numbers import ENTRYWISE, RULES, entrywise, operator
-from integrators.lowering.operators import OPERATORS
+from integrators.lowering.known import on_numbers
+from integrators.lowering.rules import ENTRYWISE, RULES, entrywise, operator
 from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
 
@@ -30,11 +29,6 @@ _MOST_ENTRIES = 10_000_000
 _MOST_TURNS = 1000
 #: Types of numbers in C. C keeps whole numbers as floats, and JAX wraps those of fewer bits.
 _TYPES = {"bool", "int32", "int64", "float64"}
-#: Functions of numbers that have no form in C; random numbers need them.
-_OF_NUMBERS: dict[str, Callable[..., np.ndarray]] = {
-    "erf_inv": erfinv, "real": np.real, "imag": np.imag, "shift_left": np.left_shift, "shift_right_arithmetic": np.right_shift,
-    "shift_right_logical": lambda x, by: (x.view(f"u{x.itemsize}") >> by.view(f"u{x.itemsize}")),
-}  # fmt: skip
 
 
 class _Known(NamedTuple):
@@ -124,7 +118,7 @@ class _Follower(Follower[_Value]):
         if name == "optimization_barrier":
             return given
         if all(isinstance(value, _Known) for value in given):
-            found = _on_numbers(step, *map(self._numbers, given))
+            found = on_numbers(step, *map(self._numbers, given))
             if found is not None:
                 return [_Known(found)]
         if name in moves.INDEXED or name == "scatter":
@@ -290,43 +284,6 @@ class _Follower(Follower[_Value]):
 
 def _types(step: Step) -> set[str]:
     return {str(one.dtype) for one in (*step.taken, *step.made)}
-
-
-def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
-    """The result of a step on numbers; None if this is not known here."""
-    name, (made, *_) = step.name, step.made
-    if name == "constant":
-        return np.broadcast_to(np.asarray(step.value), made.shape)
-    if name == "iota":
-        return np.indices(made.shape)[step.numbers("iota_dimension")[0]].astype(made.dtype)
-    if name in moves.MOVES:
-        return moves.MOVES[name](step, *given)
-    with np.errstate(all="ignore"):
-        if name == "convert":
-            return _converted(*given, made.dtype)
-        if name == "bitcast_convert":
-            return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
-        if name == "fft":
-            transform = getattr(np.fft, step.attributes["fft_type"].split()[-1][:-1].lower() + "n")
-            lengths = step.numbers("fft_length")
-            return transform(given[0], lengths, range(-len(lengths), 0)).astype(made.dtype)
-        if name == "divide" and made.dtype.kind in "iu":
-            return given[0] // given[1] + (
-                (given[0] % given[1] != 0) & ((given[0] < 0) != (given[1] < 0))
-            )
-        by = operator(step)
-        function = _OF_NUMBERS.get(name) if by is None else OPERATORS[by].numpy
-        return None if function is None else function(*given).astype(made.dtype)
-
-
-def _converted(x: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Numbers of another type; XLA turns too large ones into the largest whole number, NaN to 0."""
-    if dtype.kind not in "iu" or x.dtype.kind != "f":
-        return x.astype(dtype)
-    x, limits = np.nan_to_num(x), np.iinfo(dtype)
-    ends = np.where(x < limits.max, limits.min, limits.max)
-    inside = (x > limits.min) & (x < limits.max)
-    return np.where(inside, x.astype(dtype), ends).astype(dtype)
 
 
 def _sides(step: Step) -> tuple[bool, bool, bool]:
