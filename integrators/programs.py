@@ -50,7 +50,8 @@ class Step:
     taken, made
         Their types.
     scope
-        Names that the traced function gave to this part of it (`jax.named_scope`).
+        Names that the traced function gave to this part of it (`jax.named_scope`); a follower adds
+        those of the functions that call it.
     value
         Of a constant.
     """
@@ -202,7 +203,7 @@ class Follower(ABC, Generic[T]):
             taken, within = [values[k] for k in step.given], f"{scope}/{step.scope}"
             if step.name in _CALLS:
                 callee = step.attributes[_CALLS[step.name]].strip('@"')
-                found = self.called(callee, taken, within)
+                found = self.called(callee, taken, f"{within}/{callee}")
             else:
                 found = self.step(step, taken, values, within)
             values.update(zip(step.results, found, strict=True))

@@ -103,7 +103,8 @@ class _Follower(Follower[_Value]):
             others = sorted(_types(step) - _TYPES)
             name = repr(f"{step.name} of {others[0]}" if others else step.name)
             name = f"{name} ({reason})" if str(reason) else name
-            return [self._unknown(name, made) for made in step.made]
+            around = (values[k] for body in step.bodies for k in body.used if k in values)
+            return [self._unknown(name, made, [*given, *around]) for made in step.made]
         pairs = zip(results, step.made, strict=True)
         return [x if isinstance(x, _Known) else x.reshape(made.shape) for x, made in pairs]
 
@@ -164,7 +165,7 @@ class _Follower(Follower[_Value]):
 
         Whoever solves a system with both gets the solution; the factors themselves are unknown.
         """
-        factors = self._unknown(repr(step.name), step.made[0])
+        factors = self._unknown(repr(step.name), step.made[0], [matrices])
         for place in np.ndindex(*matrices.shape[:-2]):
             self._factored[factors[place].tobytes()] = matrices[place]
         pivots, info = step.made[1:]
@@ -276,9 +277,11 @@ class _Follower(Follower[_Value]):
             chosen = [entrywise(graph, "choose", taken, yes, no) for yes, no in pairs]
         return chosen
 
-    def _unknown(self, name: str, made: Type) -> np.ndarray:
+    def _unknown(self, name: str, made: Type, given: Sequence[_Value]) -> np.ndarray:
+        """Nodes of an operation without a rule, which may depend on all that it is given."""
         kind = {"b": "b", "f": "f"}.get(made.dtype.kind, "i")
-        nodes = [self._graph.unknown(name, kind) for _ in range(made.size)]
+        on = (*{node for value in given if not isinstance(value, _Known) for node in value.flat},)
+        nodes = [self._graph.unknown(name, kind, on) for _ in range(made.size)]
         return np.array(nodes, int).reshape(made.shape)
 
 
