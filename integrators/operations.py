@@ -331,7 +331,7 @@ def _known(step: Step, given: list[int | None]) -> int | None:
         return None
     pairs = zip(given, step.taken, strict=True)
     found = on_numbers(step, *(np.asarray(value, one.dtype) for value, one in pairs))
-    return None if found is None else int(found)
+    return None if found is None else int(found[0])
 
 
 def _turns(

@@ -81,7 +81,7 @@ class Step:
         (body,) = self.bodies
         if not body.steps and body.returned == body.parameters[1:]:
             return "second"
-        if len(body.steps) != 1 or sorted(body.steps[0].given) != sorted(body.parameters):
+        if len(body.steps) != 1 or sorted(body.steps[0].given) != body.parameters[:2]:
             return None
         return body.steps[0].name
 

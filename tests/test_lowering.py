@@ -154,6 +154,26 @@ def test_a_linear_system_is_solved_with_pivots(n):
 
 
 @pytest.mark.parametrize("n", [3, 6])
+def test_a_derivative_solves_the_transposed_system(n):
+    def gradient(u):
+        matrix = u[: n * n].reshape(n, n)
+        return jax.grad(lambda b: jnp.sum(jnp.linalg.solve(matrix, b) * u[-n:]))(u[-n:])
+
+    u = np.random.default_rng(5).normal(size=n * (n + 1))
+    matrix, b = u[: n * n].reshape(n, n), u[-n:]
+    assert in_c(gradient, len(u))(u) == pytest.approx(np.linalg.solve(matrix.T, b), rel=1e-10)
+
+
+@pytest.mark.parametrize("unit", [True, False])
+def test_a_triangle_that_is_no_factor_is_refused(unit):
+    def solution(u):
+        return jax.scipy.linalg.solve_triangular(u[:4].reshape(2, 2), u[4:], unit_diagonal=unit)
+
+    with pytest.raises(NotLowered, match=r"trsm|triangular"):
+        in_c(solution, 6)
+
+
+@pytest.mark.parametrize("n", [3, 6])
 def test_systems_with_one_matrix_are_solved_together(n):
     def parts(u):
         return u[: n * n].reshape(n, n), u[n * n :].reshape(n, 20)

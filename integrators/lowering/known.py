@@ -26,31 +26,39 @@ _OF_NUMBERS: dict[str, Callable[..., np.ndarray]] = {
 }  # fmt: skip
 
 
-def on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
-    """The result of a step on numbers of any type; None if it has no rule here."""
+def on_numbers(step: Step, *given: np.ndarray) -> list[np.ndarray] | None:
+    """The results of a step on numbers of any type; None if it has no rule here."""
+    if step.name == "sort" and step.operation == "compare" and given[0].ndim == 1:
+        order = np.argsort(given[0], kind="stable")
+        return (
+            [x[order] for x in given] if "LT" in str(step.bodies[0].steps[0].attributes) else None
+        )
+    with np.errstate(all="ignore"):
+        found = _on_numbers(step, *given)
+    return None if found is None else [found.astype(step.made[0].dtype)]
+
+
+def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
     name, (made, *_) = step.name, step.made
     if name == "constant":
         return np.broadcast_to(np.asarray(step.value), made.shape)
     if name == "iota":
-        return np.indices(made.shape)[step.numbers("iota_dimension")[0]].astype(made.dtype)
+        return np.indices(made.shape)[step.numbers("iota_dimension")[0]]
     if name in MOVES:
         return MOVES[name](step, *given)
-    with np.errstate(all="ignore"):
-        if name == "convert":
-            return _converted(*given, made.dtype)
-        if name == "bitcast_convert":
-            return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
-        if name == "fft":
-            transform = getattr(np.fft, step.attributes["fft_type"].split()[-1][:-1].lower() + "n")
-            lengths = step.numbers("fft_length")
-            return transform(given[0], lengths, range(-len(lengths), 0)).astype(made.dtype)
-        if name == "divide" and made.dtype.kind in "iu":
-            return given[0] // given[1] + (
-                (given[0] % given[1] != 0) & ((given[0] < 0) != (given[1] < 0))
-            )
-        by = operator(step)
-        function = _OF_NUMBERS.get(name) if by is None else OPERATORS[by].numpy
-        return None if function is None else function(*given).astype(made.dtype)
+    if name == "convert":
+        return _converted(*given, made.dtype)
+    if name == "bitcast_convert":
+        return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
+    if name == "fft":
+        transform = getattr(np.fft, step.attributes["fft_type"].split()[-1][:-1].lower() + "n")
+        lengths = step.numbers("fft_length")
+        return transform(given[0], lengths, range(-len(lengths), 0))
+    if name == "divide" and made.dtype.kind in "iu":
+        return (given[0] - np.fmod(*given)) // given[1]
+    by = operator(step)
+    function = _OF_NUMBERS.get(name) if by is None else OPERATORS[by].numpy
+    return None if function is None else function(*given)
 
 
 def _converted(x: np.ndarray, dtype: np.dtype) -> np.ndarray:

@@ -85,9 +85,9 @@ def scatter(
     x: np.ndarray,
     updates: np.ndarray,
     indices: np.ndarray,
-    combined: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    combined: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda _, new: new,
 ) -> np.ndarray:
-    """x with windows combined with updates; windows outside are left out."""
+    """x with windows combined with updates, or replaced; windows outside are left out."""
     numbers = step.fields("scatter_dimension_numbers")
     dropped = {*numbers["inserted_window_dims"], *numbers["input_batching_dims"]}
     window = [k for k in range(updates.ndim) if k in numbers["update_window_dims"]]
@@ -109,6 +109,7 @@ INDEXED: dict[str, tuple[Callable[..., np.ndarray], int]] = {
     "dynamic_slice": (dynamic_slice, 1),
     "dynamic_update_slice": (dynamic_update_slice, 2),
     "gather": (gather, 1),
+    "scatter": (scatter, 2),
 }
 
 

@@ -11,6 +11,7 @@ are counters, true and false, spoils only the results that need it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,8 @@ class _Known(NamedTuple):
 
 
 _Value = _Known | np.ndarray
+#: No half of a solution.
+_NO = b"", False, np.zeros(0, int)
 
 
 def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
@@ -74,6 +77,8 @@ class _Follower(Follower[_Value]):
         self._graph, self._entries, self._turns = graph, 0, 0
         #: Matrices by the nodes that stand for their factors.
         self._factored: dict[bytes, np.ndarray] = {}
+        #: Factors, which of them, and right sides, by the nodes that stand for a half solution.
+        self._halves: dict[bytes, tuple[bytes, bool, np.ndarray]] = {}
 
     def nodes(self, value: _Value) -> np.ndarray:
         """The nodes of a value."""
@@ -121,8 +126,8 @@ class _Follower(Follower[_Value]):
         if all(isinstance(value, _Known) for value in given):
             found = on_numbers(step, *map(self._numbers, given))
             if found is not None:
-                return [_Known(found)]
-        if name in moves.INDEXED or name == "scatter":
+                return [_Known(one) for one in found]
+        if name in moves.INDEXED:
             return [self._indexed(step, given)]
         nodes = [self.nodes(value) for value in given]
         if name in moves.MOVES:
@@ -142,19 +147,15 @@ class _Follower(Follower[_Value]):
 
     def _indexed(self, step: Step, given: list[_Value]) -> _Value:
         """Entries at indices that are known beforehand."""
-        if step.name == "scatter":
-            x, places, updates = given
-            by = ENTRYWISE.get(step.operation or "")
-            if by is None and step.operation != "second":
-                raise NotLowered("it scatters by other operations than sums")
-
-            def combined(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-                return new if by is None else entrywise(self._graph, by, old, new)
-
-            arrays = self.nodes(x), self.nodes(updates), self._numbers(places)
-            return moves.scatter(step, *arrays, combined)
         function, count = moves.INDEXED[step.name]
+        if step.name == "scatter":
+            given = [given[0], given[2], given[1]]
         arrays, places = given[:count], map(self._numbers, given[count:])
+        if step.name == "scatter" and step.operation != "second":
+            if step.operation not in ENTRYWISE:
+                raise NotLowered("it scatters by other operations than sums")
+            combined = partial(entrywise, self._graph, ENTRYWISE[step.operation])
+            return function(step, *map(self.nodes, arrays), *places, combined)
         if all(isinstance(array, _Known) for array in arrays):
             return _Known(function(step, *map(self._numbers, arrays), *places))
         return function(step, *map(self.nodes, arrays), *places)
@@ -163,7 +164,7 @@ class _Follower(Follower[_Value]):
     def _factors(self, step: Step, matrices: np.ndarray) -> list[_Value]:
         """Nodes that stand for the factors L and U of matrices, without exchanged rows.
 
-        Whoever solves a system with both gets the solution; the factors themselves are unknown.
+        Whoever solves with both of them gets the solution; all else is unknown.
         """
         factors = self._unknown(repr(step.name), step.made[0], [matrices])
         for place in np.ndindex(*matrices.shape[:-2]):
@@ -173,20 +174,18 @@ class _Follower(Follower[_Value]):
         return [factors, _Known(order), _Known(np.zeros(info.shape, info.dtype))]
 
     def _solved(self, step: Step, factors: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """The solution with one of the factors of matrices: with L, whose diagonal is 1, the right
-        side itself, with U that of the whole system."""
+        """The solution with both factors of matrices; nodes that stand for it after the first."""
         unit, transposed, left = _sides(step)
-        if unit:
-            return right
-        x = np.empty_like(right)
+        x = self._unknown(repr(step.name), step.made[0], [factors, right])
         for place in np.ndindex(*factors.shape[:-2]):
-            matrix = self._factored.get(factors[place].tobytes())
-            if matrix is None:
-                raise NotLowered("it solves with a triangle")
-            if left:
-                x[place] = solve(self._graph, matrix.T if transposed else matrix, right[place])
-            else:
-                x[place] = solve(self._graph, matrix if transposed else matrix.T, right[place].T).T
+            key, b = factors[place].tobytes(), right[place]
+            matrix, (by, other, first) = self._factored.get(key), self._halves.get(b.tobytes(), _NO)
+            self._halves[x[place].tobytes()] = key, unit, b
+            if matrix is not None and by == key and other != unit:
+                a = matrix if transposed != left else matrix.T
+                x[place] = (
+                    solve(self._graph, a, first) if left else solve(self._graph, a, first.T).T
+                )
         return x
 
     # ---- loops and branches ------------------------------------------------------------

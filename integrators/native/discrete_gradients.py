@@ -27,6 +27,7 @@ import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
+from integrators.native.dependencies import parts
 from integrators.native.equations import bound, evaluated
 from problems.runtime import jax, jnp
 
@@ -160,31 +161,36 @@ def _changes(equation: Any, given: list, start: list, end: list) -> list:
         return [-x.change * jnp.sin(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
     if name == "exp":
         return [x.change * jnp.exp(x.mean) * _sinc((x.end - x.start) / 2, jnp.sinh, -1.0)]
-    if sum(pairs) == 1:
+    if sum(pairs) == 1 and len(end) == 1:
         place = pairs.index(True)
-        pair = given[place]
+        if (name in _ELEMENTARY and place == 0) or _is_smooth(equation, given, place):
 
-        def function(x: Any) -> Any:
-            return bind(*given[:place], x, *given[place + 1 :])[0]
+            def function(x: Any) -> Any:
+                return bind(*given[:place], x, *given[place + 1 :])[0]
 
-        if (name in _ELEMENTARY and place == 0) or (len(end) == 1 and _is_smooth(function, pair)):
-            distance = _ELEMENTARY.get(name, jnp.ones_like)
-            return [pair.change * _secant(function, pair, distance)]
+            pair = given[place]
+            return [pair.change * _secant(function, pair, _ELEMENTARY.get(name, jnp.ones_like))]
     raise NoDiscreteGradient(f"the operation {name!r}")
 
 
-def _is_smooth(function: Callable[[Any], Any], x: _Pair) -> bool:
-    """Whether an operation without a rule is a smooth function of each entry by itself."""
-    shape, size = jnp.shape(x.start), jnp.size(x.start)
-    if jax.eval_shape(function, x.start).shape != shape or not _is_real(x):
+def _is_smooth(equation: Any, given: list, place: int) -> bool:
+    """Whether an operation without a rule is a smooth function of each entry of an operand."""
+    avals = [atom.aval for atom in equation.invars]
+    shapes = [(aval.shape, aval.dtype) for aval in avals]
+    if equation.outvars[0].aval.shape != avals[place].shape or not _is_real(given[place]):
         return False
+
+    def function(numbers: Array) -> Array:
+        return bound(equation, parts(numbers, shapes))[0]
+
     try:
-        graph, nodes = lowered(lambda numbers: function(numbers.reshape(shape)), (size,))
+        graph, nodes = lowered(function, tuple(aval.size for aval in avals))
         operators = {graph.nodes[node][0] for node in graph.needed(nodes.ravel().tolist())}
     except NotLowered:
         return False
-    places = graph.origins(nodes.ravel().tolist(), [graph.input(0, k) for k in range(size)])
-    return operators <= _SMOOTH and all(on <= {k} for k, on in enumerate(places))
+    entries = [graph.input(place, k) for k in range(avals[place].size)]
+    on = graph.origins(nodes.ravel().tolist(), entries)
+    return operators <= _SMOOTH and all(found <= {k} for k, found in enumerate(on))
 
 
 def _secant(function: Callable[[Any], Any], x: _Pair, distance: Callable[[Any], Any]) -> Any:
