@@ -156,8 +156,8 @@ def test_a_member_that_ends_early_leaves_the_others_as_they_are():
     assert found.work["steps"][2] + found.work["rejected"][2] == 500
     # It takes further steps with the others, which Newton's method ends at once.
     assert found.work["newton"][2] < 5 * 500
-    for k, whole in enumerate(ensemble(scene, method, {"rtol": tolerances[:2]}).ends["q"]):
-        assert (found.ends["q"][k] == whole).all()
+    whole = ensemble(scene, method, {"rtol": [*tolerances[:2], 1e-2]})  # the same program
+    assert (found.ends["q"][:2] == whole.ends["q"][:2]).all()
 
 
 def test_newton_failures_are_told_as_in_single_runs():
@@ -180,8 +180,8 @@ def test_ok_means_finite_values_in_every_group(monkeypatch):
 
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     monkeypatch.setattr(Kernel, "batched", spoiled)
-    found = ensemble(scene, method, {"g": [9.0, 10.0]}, t_end=1.0)  # [n, t, q1, q2, v1, v2, ...]
-    assert found.status == ["diverged"] * 2
+    found = ensemble(scene, method, {"h": [0.01] * 4})  # [n, t, q1, q2, v1, v2, ...]
+    assert found.status == ["diverged"] * 4
     assert found.message[0] == "It ended with values that are not finite."
 
 
