@@ -72,7 +72,7 @@ def test_members_are_single_runs_whatever_varies():
     ("problem", "integrator", "name", "values"),
     [
         *long(("pendulum", "generalized_alpha[newton=modified,gamma=guarded]", "th0", [0.5, 2.0])),
-        ("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4]),
+        *long(("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4])),
         *long(("spring_mass", "kvaerno5[steps=constant]", "b", [0.0, 1.4])),
         *long(("pendulum", "dopri8[steps=constant]", "g", [5.0, 9.81])),
     ],
@@ -93,11 +93,12 @@ def test_every_kind_of_method_and_patterns(problem, integrator, name, values):
         check_member(found, k, run, 1e-9)
 
 
-def test_a_plugin_runs_in_numbers(plugins):
+def test_a_plugin_runs_in_numbers_and_follows_a_pattern(plugins):
     scene, method = plugins.problem("ramp_oscillator"), plugins.integrator("bathe_ode")
-    found = ensemble(scene, method, {"k": [1.0, 2.0, 4.0]}, Steps(0.1), 2.0)
+    pattern = (0.3, 0.7)
+    found = ensemble(scene, method, {"k": [1.0, 2.0, 4.0]}, Steps(0.1, pattern), 2.0)
     for k, stiffness in enumerate((1, 2, 4)):
-        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe_ode", 0.1, 2.0, plugins)
+        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe_ode", 0.1, 2.0, plugins, pattern)
         check_member(found, k, run, 1e-12)
 
 
