@@ -30,7 +30,7 @@ def registry():
         *long(("integrators", "newmark")),
         *long(("integrators", "generalized_alpha[rho_inf=0.5]"), ("integrators", "kvaerno5")),
         *long(("integrators", "semi_implicit_euler"), ("integrators", "ida")),
-        ("integrators", "wrong"),
+        *long(("integrators", "wrong")),
     ],
 )
 def test_what_is_right_passes_every_check(registry, kind, text):
