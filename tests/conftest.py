@@ -54,7 +54,10 @@ SLOWEST = (
     "test_tutorial",
 )
 
-QUICKLY_COMPILED = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+QUICKLY_COMPILED = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_parallel_codegen_split_count=1"
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -114,7 +117,7 @@ def stepbench():
 
 @pytest.fixture
 def without_processes(monkeypatch):
-    """Do jobs of commands in this process; for commands that are refused before they compute."""
+    """Do jobs of commands in this process, and take no times; where no process is the point."""
     from bench.guard import process
     from bench.guard.process import Refused
     from bench.running import worker
@@ -128,8 +131,9 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
-    def run_here(self, groups):
-        for (task,) in groups:
+    def run_here(self, groups, on_start=lambda task: None):
+        for task in (task for group in groups for task in group):
+            on_start(task)
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
                 yield task, task.job(state, *task.arguments)
@@ -137,6 +141,8 @@ def without_processes(monkeypatch):
                 yield task, Refused(status="crashed", message=f"{said(error)}.")
 
     monkeypatch.setattr(Runner, "run", run_here)
+    monkeypatch.setattr(Runner, "expect", lambda self, groups: None)
+    monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)
     # In this process tests patch functions: what is traced here must not be kept.
