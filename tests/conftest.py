@@ -115,7 +115,7 @@ def without_processes(monkeypatch):
     """Do jobs of commands in this process; for commands that are refused before they compute."""
     from bench.guard import process
     from bench.guard.process import Refused
-    from bench.running import worker
+    from bench.running import inventory, worker
     from bench.running.runner import Runner
     from problems.plain_text import said
     from problems.spec import SpecError
@@ -126,7 +126,7 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
-    def run_here(self, groups):
+    def run_here(self, groups, working=None):
         for (task,) in groups:
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
@@ -137,5 +137,6 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)
-    # In this process tests patch functions: what is traced here must not be kept.
+    # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(worker, "use_exports", lambda: None)
+    monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)

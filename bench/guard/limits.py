@@ -13,6 +13,8 @@ from bench.guard.usage import Usage, usage
 #: Phases of a job; each has a budget of its own.
 LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
 RUNNING, MEASURING = "running", "measuring"
+#: The phase in which another process makes what is needed; it may be idle for `LEAST_SECONDS`.
+WAITING = "waiting"
 #: Processor time in s for loading plugins, and at least for each phase but that and a run.
 LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 #: Each phase but loading and running may take so many budgets of a run.
@@ -147,13 +149,14 @@ class Meter:
         if used.computed_s > allowed:
             reason = f"it took more than {allowed:g} s of processor time, its budget"
             return Excess("budget_exceeded", reason, self._limits.advice)
-        if used.idle_s > self._limits.idle_seconds:
+        idle = LEAST_SECONDS if self.phase == WAITING else self._limits.idle_seconds
+        if used.idle_s > idle:
             return Excess(
                 "budget_exceeded",
-                f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
+                f"it did nothing for {idle:g} s: it sleeps or waits",
                 self._limits.advice,
             )
-        stopped = _STOPPED * self._limits.idle_seconds
+        stopped = _STOPPED * idle
         if used.stopped_s > stopped:
             return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if use.memory > self._limits.memory_gib * 2**30:

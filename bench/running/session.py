@@ -127,7 +127,7 @@ def measure_suite(
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
         runner.expect(groups)
         progress.phase("measuring", sum(len(group) for group in groups))
-        for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
+        for task, answer in runner.run(groups, progress.working):
             if task.job is Worker.scene:
                 if fault := _fault_of_scene(task, answer):
                     progress.note(f"No picture of {task.arguments[0]}: {fault}")
@@ -167,6 +167,7 @@ def solve_cells(
     budget_s: float,
     memory_gib: float = 4.0,
     printed: Callable[[str, str], None] = lambda label, text: None,
+    working: Callable[[str], None] = lambda text: None,
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
@@ -180,7 +181,7 @@ def solve_cells(
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
     with Runner(1, Limits(budget_s, memory_gib), printed) as runner:
-        for task, answer in runner.run([tasks]):
+        for task, answer in runner.run([tasks], working):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)
             elif not isinstance(answer, NoAnswer):
@@ -203,7 +204,7 @@ def describe_scenes(
     groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
     progress.phase("references", len(groups))
     with Runner(2, Limits(budget_s, memory_gib), teller(progress)) as runner:
-        for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
+        for task, answer in runner.run(groups, progress.working):
             if fault := _fault_of_scene(task, answer):
                 progress.note(f"No picture of {task.arguments[0]}: {fault}")
             else:
