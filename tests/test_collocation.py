@@ -24,7 +24,7 @@ def solved(rates, start, end, method, longest=1.0, tolerance=3e-14) -> tuple[Mot
     return integrate(counted, start, (0.0, end), groups, method, tolerance, longest), calls
 
 
-@pytest.mark.parametrize("name, order", [("gauss", 24), ("radau", 23)])
+@pytest.mark.parametrize(("name", "order"), [("gauss", 24), ("radau", 23)])
 def test_the_nodes_integrate_polynomials_up_to_their_order(name, order):
     m = METHODS[name]
     for power in range(order):

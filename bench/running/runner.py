@@ -210,8 +210,8 @@ class Runner:
                 worker.start(task.job, *task.arguments, **named)
 
     def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
-        """The first group of a scene that the worker has had, else of one that no other has: each
-        worker makes its own references, which can take longer than the runs."""
+        """The first group of a scene that the worker has had, else of one that no other has: else
+        it would compile the scene's functions again, and may wait for its reference."""
         others = set().union(*(w.scenes for w in self.workers if w is not worker))
         fit = [k for k, group in enumerate(queue) if group[0].sources == worker.sources]
         if not fit:
