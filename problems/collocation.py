@@ -30,6 +30,8 @@ _ROUND_OFF = 2e-16
 _MOST_UPDATES, _CONTRACTION = 20, 0.4
 #: Where half the step is no better, and the error is below this, rounding is all that is left.
 _ROUNDING = 1e-11
+#: So many steps after one that was too long, steps grow fast again.
+_CALM = 8
 #: A component below this part of its group's size is measured by the group.
 SMALL_PART = 1e-3
 
@@ -203,6 +205,7 @@ def integrate(
     (t, end), u, largest = interval, start, np.abs(start)
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
     ends, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
+    calm = _CALM
     h = longest / 100
     while t < end:
         h = min(h, longest, end - t)
@@ -220,9 +223,10 @@ def integrate(
             error = max(error, np.max(np.abs(piece[-1]) / size))
         factor = 0.9 * (tolerance / 2 / max(error, 1e-20)) ** (1 / STAGES)
         if not (error <= tolerance or before / 2 < error < _ROUNDING):
-            h, before = h * min(0.7, max(0.1, factor)), error
+            h, before, calm = h * min(0.7, max(0.1, factor)), error, 0
             continue
-        if error < tolerance / 5 and not np.isfinite(before):  # this may be rounding
+        calm += 1
+        if error < tolerance / 5 and calm > _CALM:  # this may be rounding
             factor = 2.0
         elif 0.9 < factor < 1.2:  # what has been inverted serves again
             factor = 1.0
