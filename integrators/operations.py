@@ -32,7 +32,7 @@ _ONE = {"add", "sub", "mul", "div", "add_any", "sqrt", "square"}
 _ELEMENTARY = {
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
     "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "pow", "logistic", "erf", "erfc",
-    "rsqrt", "cbrt",
+    "rsqrt", "cbrt", "log2",
 }  # fmt: skip
 _FREE = {
     "convert_element_type", "broadcast_in_dim", "reshape", "transpose", "squeeze", "slice",
@@ -318,6 +318,8 @@ def _arithmetic(equation: Any) -> float:
     if name == "dot_general":
         (contracted, _), _ = params["dimension_numbers"]
         return float(out.size * (2 * math.prod(first.shape[k] for k in contracted) - 1))
+    if name == "one_minus_square":
+        return float(2 * out.size)
     if name in ("reduce_sum", "reduce_prod"):
         return float(first.size - out.size)
     if name in ("cumsum", "cumprod"):

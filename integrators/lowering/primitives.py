@@ -54,6 +54,18 @@ def _square(graph: Graph, equation: Any, x: np.ndarray) -> np.ndarray:
     return entrywise(graph, "mul", x, x)
 
 
+@_rule("one_minus_square")
+def _one_minus_square(graph: Graph, equation: Any, x: np.ndarray) -> np.ndarray:
+    one = np.array(graph.one)
+    return entrywise(graph, "mul", entrywise(graph, "add", one, x), entrywise(graph, "sub", one, x))
+
+
+@_rule("log2")
+def _log2(graph: Graph, equation: Any, x: np.ndarray) -> np.ndarray:
+    two = np.array(graph.constant(2.0))
+    return entrywise(graph, "div", entrywise(graph, "log", x), entrywise(graph, "log", two))
+
+
 @_rule("rsqrt")
 def _rsqrt(graph: Graph, equation: Any, x: np.ndarray) -> np.ndarray:
     return entrywise(graph, "div", np.array(graph.one), entrywise(graph, "sqrt", x))

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _BY_PLACE = {
     "abs", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "cos",
     "cosh", "div", "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow",
-    "is_finite", "le", "log", "log1p", "logistic", "lt", "max", "min", "ne", "pow", "rem", "round",
+    "is_finite", "le", "log", "log1p", "log2", "logistic", "lt", "max", "min", "ne",
+    "one_minus_square", "pow", "rem", "round",
     "rsqrt", "sign", "sin", "sinh", "sqrt", "square", "stop_gradient", "tan", "tanh",
 }  # fmt: skip
 #: Likewise; the result is zero where all arguments are.

@@ -62,7 +62,7 @@ _BILINEAR = ("mul", "dot_general")
 #: Elementary functions, and the distance of x from where their derivatives grow.
 _ELEMENTARY: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("sinh", "cosh", "tanh", "atan", "logistic"), lambda x: jnp.ones_like(x)),
-    **dict.fromkeys(("log", "pow"), lambda x: jnp.abs(x)),
+    **dict.fromkeys(("log", "log2", "pow"), lambda x: jnp.abs(x)),
     **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
 }
 #: Changes below this part of the distance are integrated: a secant would cancel digits.
@@ -157,8 +157,8 @@ def _changes(
         of_inverse = -by.change * inverse[0] * inverse[1]
         of_x = x.change * (inverse[0] + inverse[1]) / 2 if pairs[0] else 0.0
         return [_mean_of(x) * of_inverse + of_x]
-    if name == "square":
-        return [2 * x.mean * x.change]
+    if name in ("square", "one_minus_square"):
+        return [(2 if name == "square" else -2) * x.mean * x.change]
     if name == "integer_pow":
         n = params["y"]
         terms = (x.start**k * x.end ** (abs(n) - 1 - k) for k in range(abs(n)))
