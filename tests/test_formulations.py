@@ -14,6 +14,7 @@ from problems import formulations as form
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, consistent_start
 from problems.reference import Reference
+from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
@@ -157,6 +158,19 @@ def test_the_constraint_force_is_the_transposed_jacobian_times_lambda():
     jacobian = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.5))(q))
     force = form.constraint_force(scene, q, 0.5, np.array([1.7]))
     assert force == pytest.approx(jacobian.T @ [1.7], rel=1e-14)
+
+
+def test_mu_moves_positions_in_the_directions_of_the_constraints_at_its_time():
+    """They turn with time, here by an eighth of a radian."""
+    scene, t, mu = CarAxis(), 0.15, np.array([0.3, -0.7])
+    q, at = scene.initial_state().q, form.dae_layout(scene.sizes, "stabilised_index2")
+    w = np.zeros((2, at.size))
+    w[:, at.q], w[1, at.mu] = q, mu
+    residual = jax.jit(lambda w: form.dae_residual(scene, "stabilised_index2", t, w, 0 * w))
+    change = np.asarray(residual(w[1]) - residual(w[0]))
+    directions = np.asarray(jax.jacfwd(scene.constraint)(q, t)).T
+    assert change[at.q] == pytest.approx(directions @ mu, abs=1e-14)
+    assert not np.delete(change, at.q).any()
 
 
 @pytest.mark.parametrize(

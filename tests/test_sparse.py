@@ -12,7 +12,16 @@ from integrators.contract import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native import constant_steps
-from problems import MechatronicSystem, State, Variables, jax, jnp, parameter, sparsity
+from problems import (
+    MechatronicSystem,
+    State,
+    Variables,
+    jax,
+    jnp,
+    parameter,
+    runtime,
+    sparsity,
+)
 from problems.compiled import compiled
 from problems.formulations import dynamics_residual
 from problems.initial_values import consistent_start
@@ -264,3 +273,13 @@ def test_a_scene_without_a_product_takes_its_matrix():
     one = end(GeneralizedAlpha(linear_solver="sparse"), Dense(links=4), 5, 1e-3)
     other = end(GeneralizedAlpha(linear_solver="sparse"), Chain(links=4), 5, 1e-3)
     assert one.lam == pytest.approx(other.lam, rel=1e-9)
+
+
+def test_who_lacks_the_extra_is_told_so_once(monkeypatch, caplog):
+    monkeypatch.setattr(sparsity, "available", lambda: False)
+    runtime.slower.cache_clear()
+    for links in (4, 60, 70):
+        assert not sparsity.prefers_sparse(Chain(links=links))
+    (told,) = caplog.messages
+    assert told.startswith("Large scenes take full matrices.")
+    assert "pip install 'stepbench[sparse]'" in told

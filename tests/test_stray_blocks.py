@@ -42,6 +42,14 @@ def scene(**methods):
     return type("Made", (Pendulum,), {"__module__": __name__} | methods)
 
 
+def test_none_leaves_out_an_inherited_block():
+    made = scene(energy=None)
+    assert Pendulum.has("energy")
+    assert not made.has("energy")
+    assert made.fault() == ""
+    assert scene(output=lambda self, z: z.y, actuation=None).fault().startswith("it states output")
+
+
 @pytest.mark.parametrize(
     ("name", "method", "nearest"),
     [
