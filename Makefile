@@ -1,25 +1,29 @@
 # Two commands do everything on a fresh machine with Python >= 3.11: `make run` and `make test`.
 PYTHON ?= python3
 BIN := .venv/bin
-# Hundreds of processes load the same modules: they are compiled once, also where the user's
-# environment says otherwise; those of libraries were, when they were installed.
+# Hundreds of processes load the same modules: Python compiles them at their first import, and once,
+# also where the user's environment says otherwise.
 export PYTHONDONTWRITEBYTECODE :=
 export PYTHONPYCACHEPREFIX :=
 
-TESTS := $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
+TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: run test types tests test-long attack bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	$(BIN)/python .ci/install -e .
+	touch $@
+
+.venv/tested: .venv/installed
+	$(BIN)/python .ci/install -e ".[test]"
 	touch $@
 
 run: .venv/installed  ## run the quick suite and write its report
 	$(BIN)/stepbench run quick
 
-test: .venv/installed  ## check style and types, and pass the tests; five minutes
+test: .venv/tested  ## check style and types, and pass the tests; five minutes
 	$(BIN)/ruff check .
 	$(MAKE) --no-print-directory -j2 types tests
 
@@ -29,14 +33,14 @@ types:
 tests:
 	$(TESTS)
 
-test-long: .venv/installed  ## further scenes, members and sweeps of what `make test` proves
+test-long: .venv/tested  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long
 
-attack: .venv/installed  ## hostile plugins, signals, inputs, stores and machines: tried and held
+attack: .venv/tested  ## hostile plugins, signals, inputs, stores and machines: tried and held
 	$(TESTS) tests/attacks -m "attack or not attack"
 
-bench: .venv/installed  ## our time loop against C, exudyn and other solvers; microseconds per step
-	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
+bench: .venv/tested  ## our time loop against C, exudyn and other solvers; microseconds per step
+	$(BIN)/python tests/benchmarks/start_up.py
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/families.py
 	$(BIN)/python tests/benchmarks/sizes.py

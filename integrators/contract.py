@@ -4,7 +4,7 @@ An integrator is a frozen dataclass of options. The bench calls it in this order
 
 1. ``supports(scene)`` returns None, or the reason why the integrator cannot take the scene.
 2. ``prepare(scene, t_end, resolution)`` does all untimed work (consistent start, tracing,
-   compiling) and returns a prepared run.
+   compiling) and returns a prepared run; SpecError with that reason for a scene it cannot take.
 3. ``measure()`` of that run returns the trajectory with its status and work counts, untimed.
 4. ``execute()`` of that run solves once more from t0 to t_end, as often as the bench times it.
 
@@ -22,8 +22,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -280,6 +281,20 @@ def _stated_by_subclass() -> str:
     return missing
 
 
+def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., PreparedRun]:
+    """`Integrator.prepare` that asks ``supports`` first."""
+
+    @wraps(prepare)
+    def asking(
+        self: Integrator, scene: MechatronicSystem, t_end: float, resolution: Any
+    ) -> PreparedRun:
+        if reason := self.supports(scene):
+            raise spec.SpecError(f"{self.spec} does not take {scene.spec}: {reason}")
+        return prepare(self, scene, t_end, resolution)
+
+    return asking
+
+
 @dataclass(frozen=True)
 class Integrator(ABC):
     """Base class of all integrators.
@@ -319,6 +334,9 @@ class Integrator(ABC):
         super().__init_subclass__(**kwargs)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
+        spec.forget_derived(cls, Integrator)
+        if "prepare" in vars(cls):
+            cls.prepare = _of_taken_scenes(cls.prepare)
 
     @property
     def spec(self) -> str:
@@ -372,6 +390,8 @@ class Integrator(ABC):
 
         Raises
         ------
+        SpecError
+            If ``supports`` gives a reason why the integrator cannot take the scene.
         problems.initial_values.InconsistentStart, problems.initial_values.NoConsistentStart
             From the scene's initial values; the bench turns them into a row with a reason.
         """

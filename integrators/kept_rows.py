@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Int
+    from jaxtyping import Float, Int
 
     from problems.system import Sizes
 
-#: A trajectory has a row for every step of a run with at most so many; a longer run has its first
-#: steps and some thousands spread over the interval. Memory does not grow with the number of steps.
+#: A trajectory has a row for every step of a run with at most so many, and of a longer run those of
+#: `is_row`. Memory does not grow with the number of steps.
 MOST_ROWS = 16_384
 #: Rows of large scenes are fewer, so that a trajectory has at most so many numbers (128 MiB), or
 #: `LEAST_ROWS` rows. Memory grows with the number of unknowns alone.
 MOST_NUMBERS = 2**24
 LEAST_ROWS = 4
-#: Of these rows the first are stored, which show start-up errors, and about SPREAD_ROWS more.
+#: The first steps are rows of every run, as they show start-up errors.
 FIRST_ROWS = 16
+#: Of the rows of a trajectory the first are stored, and about so many more; the rows of a map and
+#: of an ensemble are at so many times.
 SPREAD_ROWS = 200
+#: Times so dense that every step is the first after one of them.
+EVERY_STEP = 10**15
+#: Times of steps are rounded: one that misses a time by this part of the distance has reached it.
+_ROUNDING = 1e-6
 
 
 def width_of(sizes: Sizes) -> int:
@@ -33,8 +40,8 @@ def most_rows(width: int) -> int:
     return int(np.clip(MOST_NUMBERS // max(width, 1), LEAST_ROWS, MOST_ROWS))
 
 
-def kept_rows(steps: int, width: int = 1) -> Int[np.ndarray, " k"]:
-    """Choose the steps whose ends are rows of a trajectory: all, or a quarter of `most_rows`.
+def times_of(steps: int, width: int = 1) -> int:
+    """Return the number of equally spaced times after which steps are rows (see `is_row`).
 
     Parameters
     ----------
@@ -42,15 +49,49 @@ def kept_rows(steps: int, width: int = 1) -> Int[np.ndarray, " k"]:
         Number of steps of the run.
     width
         Numbers in a row.
-
-    Returns
-    -------
-    Step numbers in ascending order, from 0 (the start) to ``steps``.
     """
     most = most_rows(width)
-    if steps <= most:
-        return np.arange(steps + 1)
-    return spread_rows(steps, most // 4, min(FIRST_ROWS, most // 4))
+    return EVERY_STEP if steps <= most else most // 4
+
+
+def is_row(step: Any, before: Any, part: Any, times: Any) -> Any:
+    """Whether steps are rows: the rule for all integrators, whatever chooses their steps.
+
+    Rows are the first steps, the last one, which is known at the end alone, and the first step to
+    end at or after each of so many equally spaced times. So every part of the interval is judged
+    at the same density. All arguments may be arrays, and traced.
+
+    Parameters
+    ----------
+    step
+        Number of the step, from 1.
+    before, part
+        Parts of the interval, from 0 to 1, that lie before the start and the end of the step.
+    times
+        Number of equally spaced times (see `times_of`).
+    """
+    first = (step <= FIRST_ROWS) & (step <= times)
+    return first | (_reached(part, times) > _reached(before, times))
+
+
+def _reached(part: Any, times: Any) -> Any:
+    return (part * times + _ROUNDING) // 1
+
+
+def kept_rows(parts: Float[np.ndarray, " n"], width: int = 1) -> Int[np.ndarray, " k"]:
+    """Choose the rows of a run that is over, in ascending order.
+
+    Parameters
+    ----------
+    parts
+        Parts of the interval, from 0 to 1, at the start and at the ends of all steps.
+    width
+        Numbers in a row.
+    """
+    steps = len(parts) - 1
+    numbers = np.arange(1, steps + 1)
+    rows = numbers[is_row(numbers, parts[:-1], parts[1:], times_of(steps, width))]
+    return np.union1d(rows, [0, steps])
 
 
 def spread_rows(
@@ -82,38 +123,37 @@ def spread_rows(
 
 
 class RowKeeper:
-    """Rows of a run whose number of steps is not known beforehand: all, up to `most_rows`.
-
-    Of more steps every fourth is a row, of more than four times as many every 16th, and so on,
-    beside the first ones and the last. The others are not held in memory.
+    """Rows of a run whose number of steps is not known beforehand; the others are not held.
 
     Parameters
     ----------
     width
         Numbers in a row.
     start
-        The first row.
+        The first row; a row begins with its time in s.
+    t_end
+        End of the run in s.
     """
 
-    def __init__(self, width: int, start: Any) -> None:
-        self._most, self._stride = most_rows(width), 1
-        self._first = min(FIRST_ROWS, self._most // 4)
-        self._rows = [(0, start)]
+    def __init__(self, width: int, start: tuple, t_end: float) -> None:
+        self._width, self._t0, self._length = width, start[0], t_end - start[0]
+        self._rows, self._times = [start], times_of(0)
         self.steps, self.last = 0, start
 
-    def add(self, row: Any) -> None:
+    def add(self, row: tuple) -> None:
         """Take the row of the next step."""
-        self.steps, self.last = self.steps + 1, row
-        if self._stays(self.steps):
-            self._rows.append((self.steps, row))
-        if len(self._rows) > self._most + 1:
-            self._stride *= 4
-            self._rows = [kept for kept in self._rows if self._stays(kept[0])]
+        before, self.last, self.steps = self._part(self.last), row, self.steps + 1
+        if is_row(self.steps, before, self._part(row), self._times):
+            self._rows.append(row)
+        if len(self._rows) > most_rows(self._width) + 1:
+            self._times = times_of(self.steps, self._width)
+            parts = np.array([self._part(kept) for kept in self._rows])
+            stay = is_row(np.arange(1, len(parts)), parts[:-1], parts[1:], self._times)
+            self._rows = [self._rows[0], *compress(self._rows[1:], stay)]
 
-    def rows(self) -> list[Any]:
+    def rows(self) -> list[tuple]:
         """Return the rows in the order of steps, from the start to the last."""
-        rows = [row for _, row in self._rows]
-        return rows if self._rows[-1][0] == self.steps else [*rows, self.last]
+        return self._rows if self._rows[-1] is self.last else [*self._rows, self.last]
 
-    def _stays(self, step: int) -> bool:
-        return step <= self._first or step % self._stride == 0
+    def _part(self, row: tuple) -> float:
+        return (row[0] - self._t0) / self._length

@@ -209,7 +209,7 @@ def state(value: object) -> list[Float[np.ndarray, " n"]]:
             raise refused(f"{name} of {what}", found, f"real numbers of shape (n{name},)")
         shapes.append(found.shape)
     nq, nx = shapes
-    wanted = ("q", q, nq), ("v", v, nq), ("x", x, nx)
+    wanted = ("q", q, nq), ("v = dq/dt", v, nq), ("x", x, nx)
     return [array(part, f"{name} of {what}", shape) for name, part, shape in wanted]
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from problems.runtime import jax, jnp
+import numpy as np
+
+from problems.runtime import jax
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
 
 
 def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
@@ -31,7 +30,7 @@ def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
 
 def mass_varies(scene: MechatronicSystem) -> bool:
     """Whether the mass matrix depends on q."""
-    return depends(scene.mass, [0], jnp.zeros(scene.sizes.nq))
+    return depends(scene.mass, [0], np.zeros(scene.sizes.nq))
 
 
 def force_takes_velocities(scene: MechatronicSystem) -> bool:
@@ -46,12 +45,24 @@ def damping_varies(scene: MechatronicSystem) -> bool:
 
 def output_takes(scene: MechatronicSystem, *groups: str) -> bool:
     """Whether the outputs depend on one of these groups of variables."""
+    return bool(scene.sizes.ny) and _takes(scene.output, scene, groups)
+
+
+def states_follow_accelerations(scene: MechatronicSystem) -> bool:
+    """Whether the rates of controller states depend on a or lam, also through the outputs."""
+    through = output_takes(scene, "a", "lam")
+    groups = ("a", "lam", "y") if through else ("a", "lam")
+    return bool(scene.sizes.nx) and _takes(scene.state_rate, scene, groups)
+
+
+def _takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> bool:
+    """Whether a block of all variables depends on one of these groups."""
     nq, nl, nx, ny = scene.sizes
-    z = [*map(jnp.zeros, (nq, nq, nq, nl, nx, ny)), jnp.asarray(0.0)]
+    z = [*map(np.zeros, (nq, nq, nq, nl, nx, ny)), np.zeros(())]
     places = map(Variables._fields.index, groups)
-    return bool(ny) and depends(lambda *z: scene.output(Variables(*z)), places, *z)
+    return depends(lambda *z: block(Variables(*z)), places, *z)
 
 
-def _motion(scene: MechatronicSystem) -> tuple[Array, Array, Array]:
-    q = jnp.zeros(scene.sizes.nq)
-    return q, q, jnp.asarray(0.0)
+def _motion(scene: MechatronicSystem) -> tuple[np.ndarray, ...]:
+    q = np.zeros(scene.sizes.nq)
+    return q, q, np.zeros(())

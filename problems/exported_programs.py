@@ -19,16 +19,21 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
 
 from problems.runtime import CACHE, jax, jnp, users_settings
-from problems.whole_files import put
+from problems.whole_files import keep, kept
 
 if TYPE_CHECKING:
     from jax.export import Exported
+
+T = TypeVar("T")
 
 _PROJECT = Path(__file__).parents[1]
 _PACKAGES = ("problems", "integrators", "bench")
@@ -49,7 +54,7 @@ class _Foreign(Exception):
 
 
 class _Pickler(pickle.Pickler):
-    """A pickler that refuses what comes from outside of this project."""
+    """Writes objects down for a digest, and refuses what comes from outside of this project."""
 
     def persistent_id(self, obj: Any) -> None:
         if isinstance(obj, type | FunctionType):
@@ -91,6 +96,31 @@ def exported(
     return jax.jit(program)
 
 
+def found_once(find: Callable[[], T], about: Callable[[], Sequence[Any]], kind: type[T]) -> T:
+    """Return ``find()``, which are numbers that tracing finds, read from a file if there is one.
+
+    Parameters
+    ----------
+    about
+        Returns all that decides the numbers beside the code of this project.
+    kind
+        Their type, one of msgspec's.
+    """
+    if not _used:
+        return find()
+    try:
+        file = _file(kind, *about())
+    except Exception:  # it is not ours
+        return find()
+    with suppress(msgspec.DecodeError):
+        return msgspec.msgpack.decode(kept(file) or b"", type=kind)
+    found = find()
+    with suppress(OSError):
+        if _sources.__wrapped__() == _sources():
+            keep(file, msgspec.msgpack.encode(found))
+    return found
+
+
 def _file(*about: Any) -> Path:
     """The file of a program.
 
@@ -125,12 +155,12 @@ def _sources() -> str:
 
 
 def _read(file: Path) -> tuple[Any, Exported] | None:
-    """The form of a program's results, and the program, if there is a file of it."""
+    """The form of a program's results, and the program, if there is a sound file of it."""
     from jax import export
 
     try:
-        form, program = pickle.loads(file.read_bytes())
-        return form, export.deserialize(bytearray(program))
+        form, program = msgspec.msgpack.decode(kept(file) or b"", type=tuple[Any, bytes])
+        return _formed(form), export.deserialize(bytearray(program))
     except Exception:  # there is none, or it is broken
         return None
 
@@ -138,7 +168,13 @@ def _read(file: Path) -> tuple[Any, Exported] | None:
 def _written(
     file: Path, function: Callable, tree: Any, shapes: Sequence[Any], calls: Sequence[str]
 ) -> tuple[Any, Exported]:
-    """Trace a function of leaves, write it to its file, and return what `_read` would."""
+    """Trace a function of leaves, write it to its file, and return what `_read` would.
+
+    Raises
+    ------
+    Exception
+        If results are nested otherwise than by dictionaries and tuples.
+    """
     form: Any = None
 
     def flat(*leaves: Any) -> list[Any]:
@@ -151,9 +187,35 @@ def _written(
 
     allowed = [export.DisabledSafetyCheck.custom_call(name) for name in calls]
     found = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
-    content = pickle.dumps((form, bytes(found.serialize())))
+    plain = _plain(form)
+    if jax.tree.structure(_formed(plain)) != jax.tree.structure(form):
+        raise TypeError(f"{form} cannot be written down")
     with suppress(OSError):  # a full disk, or a folder that cannot be written
         if _sources.__wrapped__() == _sources():  # else the sources are not those that were traced
-            file.parent.mkdir(parents=True, exist_ok=True)
-            put(file, content)
+            keep(file, msgspec.msgpack.encode((plain, bytes(found.serialize()))))
     return form, found
+
+
+def _plain(form: Any) -> Any:
+    """Nested dictionaries and tuples as data; a list begins with the name of its kind."""
+    if isinstance(form, dict):
+        return {name: _plain(part) for name, part in form.items()}
+    if form is None or isinstance(form, int):
+        return form
+    kind = type(form)
+    name = "" if kind is tuple else f"{kind.__module__}:{kind.__qualname__}"
+    return [name, *map(_plain, form)]
+
+
+def _formed(plain: Any) -> Any:
+    """Reverse of `_plain`; only named tuples of this project are made."""
+    if isinstance(plain, dict):
+        return {name: _formed(part) for name, part in plain.items()}
+    if not isinstance(plain, list):
+        return plain
+    name, *parts = plain
+    module, _, kind = name.partition(":")
+    if module.partition(".")[0] not in ("", *_PACKAGES):
+        raise _Foreign(module)
+    made = getattr(import_module(module), kind)._make if module else tuple
+    return made(map(_formed, parts))

@@ -109,11 +109,7 @@ def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None
 def _check_dimensions(scene: MechatronicSystem, state: State) -> None:
     nq = len(state.q)
     mass, force = _block_shapes(scene.template(), nq)
-    shapes = {
-        "v": (np.shape(state.v), (nq,)),
-        "mass": (mass, (nq, nq)),
-        "force": (force, (nq,)),
-    }
+    shapes = {"mass": (mass, (nq, nq)), "force": (force, (nq,))}
     if scene.has("output"):
         shapes["actuation"] = (np.shape(scene.actuation())[:1], (nq,))
     for block, (found, wanted) in shapes.items():

@@ -42,7 +42,7 @@ _BLOCKS = ("mass", "mass_product", "force", "constraint", "state_rate", "output"
 
 def with_named_blocks(scene: MechatronicSystem) -> MechatronicSystem:
     """The scene with blocks whose operations have the name `EQUATIONS` in traced programs."""
-    return MechatronicSystem.with_parameters(object.__new__(_named_class(type(scene))), vars(scene))
+    return scene.with_parameters({}, _named_class(type(scene)))
 
 
 @cache

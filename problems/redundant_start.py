@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from problems.exported_programs import exported
 from problems.formulations import Start, algebraic_residual
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, State, Variables
@@ -63,12 +64,22 @@ def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
     """
     if not scene.sizes.nl or scene.sizes.nq > _MOST_COORDINATES:
         return 0
-    rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, jnp.asarray(t)))(jnp.asarray(q)))
+    rows = np.asarray(_rows(scene.template())(scene.parameters(), q, t))
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     unit = np.divide(rows, sizes, out=np.zeros_like(rows), where=sizes > 0)
     if not np.isfinite(unit).all():
         return 0
     return scene.sizes.nl - int((np.linalg.svd(unit, compute_uv=False) > _REGULAR).sum())
+
+
+@cache
+def _rows(template: MechatronicSystem) -> Callable:
+    """The compiled derivatives of the constraints by q."""
+
+    def rows(p: Any, q: Any, t: Any) -> Any:
+        return jax.jacfwd(lambda q: template.with_parameters(p).constraint(q, t))(q)
+
+    return exported(lambda: rows, lambda: ("rows of the constraints", template))
 
 
 @cache

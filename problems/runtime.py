@@ -14,7 +14,7 @@ import hashlib
 import importlib
 import logging
 import os
-import subprocess
+import signal
 import sys
 import warnings
 from contextlib import suppress
@@ -27,20 +27,23 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from problems.canary import wrong_functions
-from problems.whole_files import put
+from problems.other_programs import asked
+from problems.whole_files import keep, kept
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
 _JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
-#: compiled piece to the next would cost more than their work. XLA's older way of writing a piece
-#: takes two thirds of the time to compile, and the program is as fast.
+#: compiled piece to the next would cost more than their work.
 _FLAGS = (
     "--xla_cpu_multi_thread_eigen=false",
     f"--xla_backend_extra_options={_JOINED}=1000000",
-    "--xla_cpu_use_fusion_emitters=false",
 )
+if version("jaxlib").startswith(("0.9.", "0.10.")):
+    # XLA had two ways of writing a piece then, and as fast a program by the older one is compiled
+    # sooner. Later releases end a process at this flag, also one whose plugin imports JAX first.
+    _FLAGS += ("--xla_cpu_use_fusion_emitters=false",)
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
@@ -101,6 +104,8 @@ def _loaded(name: str) -> ModuleType:
         _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
     module = importlib.import_module(name)
+    # It imports more of JAX, which has all that was compiled before compiled again.
+    importlib.import_module("jax.extend")
     runs_at_once()
     return module
 
@@ -159,11 +164,12 @@ class _LateModule:
 
 
 # ---- the user's environment, and newer libraries ---------------------------------------
-def check_runtime() -> str:
+def check_runtime(foreign: bool = True) -> str:
     """Return the sentence on what makes the numbers of this process wrong, or nothing.
 
     To be called before anything is measured, and after plugins are loaded: JAX starts, on this
-    computer's processor, with 64-bit floats, and nobody patched the functions that measure.
+    computer's processor, with 64-bit floats, and nobody patched the functions that measure. Those
+    of JAX are tried only if ``foreign`` code is here, as tracing them takes long.
     """
     try:
         platform = jax.local_devices()[0].platform
@@ -175,12 +181,12 @@ def check_runtime() -> str:
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
     try:
-        if jnp.zeros(1).dtype.itemsize != 8:
+        if jnp.result_type(float).itemsize != 8:
             return (
                 "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
                 "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
             )
-        wrong = wrong_functions(jax, jnp)
+        wrong = wrong_functions(jax, jnp, foreign)
     except Exception as error:  # a patched function may do anything
         wrong = [f"one raised {type(error).__name__}"]
     if not wrong:
@@ -225,11 +231,11 @@ def _leave_out_refused_flags() -> None:
     words = _refusal(value)
     if not words:
         return
-    refused = [flag for flag in value.split() if _refusal(flag)]
-    if not refused or set(refused) - set(_FLAGS):
+    refused = [flag for flag in value.split() if _refusal(flag)] or value.split()
+    if set(refused) - set(_FLAGS):
         raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
+    # Without a word: the user can do nothing about it.
     os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
-    slower(f"Runs may take longer: XLA no longer knows {' '.join(refused)}.")
 
 
 def _refusal(flags: str) -> str:
@@ -239,27 +245,26 @@ def _refusal(flags: str) -> str:
     """
     key = hashlib.sha256(f"{version('jaxlib')} {flags}".encode()).hexdigest()[:16]
     file = CACHE / "flags" / key
-    with suppress(OSError, UnicodeDecodeError):
-        return file.read_text()
+    if (known := kept(file)) is not None:
+        return known.decode()
     words = _start_of_xla(flags)
-    if words and _start_of_xla(""):  # the flags are not the reason
+    if words is None or (words and _start_of_xla("") != ""):  # the flags are not the reason
         return ""
     with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        put(file, words)
+        keep(file, words.encode())
     return words
 
 
-def _start_of_xla(flags: str) -> str:
-    """The last line that XLA writes if it does not start with these flags, else nothing."""
-    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    command = [sys.executable, "-c", _START_XLA]
-    done = subprocess.run(
-        command, env=environment, capture_output=True, stdin=subprocess.DEVNULL, check=False
-    )
-    if done.returncode == 0:
-        return ""
-    lines = done.stderr.decode(errors="replace").strip().splitlines()
+def _start_of_xla(flags: str) -> str | None:
+    """The last line that XLA writes if it ends itself at these flags, nothing if it starts; None if
+    something else ended it, or it hangs."""
+    try:
+        done = asked([sys.executable, "-c", _START_XLA], XLA_FLAGS=flags, JAX_PLATFORMS="cpu")
+    except OSError:
+        return None
+    if done.returncode < 0 and done.returncode != -signal.SIGABRT:
+        return None
+    lines = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode else [""]
     last = lines[-1] if lines else f"exit code {done.returncode}"
     return last.rpartition("] ")[2]  # XLA's lines begin with [a date and a place]
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import cache
 from importlib.util import find_spec
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from problems.runtime import slower
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 DENSE_LIMIT = 100
 #: Libraries of the extra.
 _NEEDED = ("asdex", "klujax")
+_ADVICE = "Sparse tangents need asdex and klujax; install them by: pip install 'stepbench[sparse]'."
 #: A Jacobian with more than this part of its entries is treated as dense.
 _MOST_FILL = 0.1
 
@@ -41,7 +45,10 @@ def available() -> bool:
 def prefers_sparse(scene: MechatronicSystem) -> bool:
     """Whether a scene is large enough for sparse linear algebra, and the extra is installed."""
     sizes = scene.sizes
-    return sizes.nq + sizes.nl + sizes.ny > DENSE_LIMIT and available()
+    is_large = sizes.nq + sizes.nl + sizes.ny > DENSE_LIMIT
+    if is_large and not available():
+        slower(f"Large scenes take full matrices. {_ADVICE}")
+    return is_large and available()
 
 
 def uses_sparse(
@@ -66,10 +73,7 @@ def uses_sparse(
     if linear_solver == "dense" or (linear_solver == "auto" and not prefers_sparse(scene)):
         return False
     if not available():
-        raise SpecError(
-            "Sparse tangents need asdex and klujax; install them by: "
-            "pip install 'stepbench[sparse]'."
-        )
+        raise SpecError(_ADVICE)
     try:
         found = pattern()
     except NoPattern:
@@ -99,15 +103,15 @@ class Pattern:
     Raises
     ------
     NoPattern
-        If the program has a part that asdex cannot follow, such as a solve.
+        If the program has a part that asdex cannot follow, such as a solve, or asdex cannot be
+        used.
     """
 
     rows: Int32[np.ndarray, " entries"]
     columns: Int32[np.ndarray, " entries"]
 
     def __init__(self, function: Callable[[Array], Array], n: int) -> None:
-        import asdex
-
+        asdex = _asdex()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", asdex.DenseColoringWarning)
@@ -135,7 +139,22 @@ class Pattern:
         self, function: Callable[[Array], Array], u: Float[Array, " n"]
     ) -> Float[Array, " entries"]:
         """Compute the entries at u of the Jacobian of a function with this pattern; traceable."""
-        import asdex
-
+        asdex = _asdex()
         compressed = asdex.compressed_jacobian_from_coloring(function, self._coloring)(u)
         return asdex.decompress_data(compressed, self._coloring)
+
+
+@cache
+def _asdex() -> ModuleType:
+    """asdex, which asks for a class of JAX by the name that it had before JAX 0.12."""
+    try:
+        from jax._src import core
+        from jax.extend.core import ClosedJaxpr
+
+        if not hasattr(core, "ClosedJaxpr"):
+            core.ClosedJaxpr = ClosedJaxpr  # pyright: ignore[reportAttributeAccessIssue]
+        import asdex
+    except (ImportError, AttributeError) as error:
+        slower(f"Large scenes run slowly: asdex cannot be used with this release of JAX ({error}).")
+        raise NoPattern(f"asdex cannot be used ({error}); take linear_solver=dense.") from error
+    return asdex

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, TypeVar
 
 from problems.plain_text import named
@@ -158,6 +159,34 @@ def validate(instance: Any) -> None:
     """
     for name, field in options_of(type(instance)).items():
         convert(instance.name, field, getattr(instance, name))
+
+
+def with_values(instance: _T, values: Mapping[str, Any], cls: type | None = None) -> _T:
+    """Return a copy with other values of fields, which may be traced and are not checked.
+
+    Fields alone are copied: whatever else an instance keeps was derived from its own values.
+
+    Parameters
+    ----------
+    cls
+        Class of the copy, if it is another one.
+    """
+    copy = object.__new__(cls or type(instance))
+    fields: Any = dataclasses.fields(instance)  # pyright: ignore
+    vars(copy).update({f.name: getattr(instance, f.name) for f in fields} | dict(values))
+    return copy
+
+
+def forget_derived(cls: type, base: type) -> None:
+    """Make each `functools.cached_property` that a class adds to its base a plain property.
+
+    A value that is derived while a program is traced belongs to that trace alone.
+    """
+    for name in dir(cls):
+        value = inspect.getattr_static(cls, name)
+        own = value is not inspect.getattr_static(base, name, None)
+        if own and isinstance(value, cached_property):
+            setattr(cls, name, property(value.func, doc=value.__doc__))
 
 
 def format_spec(name: str, instance: object, hidden: Iterable[str] = ()) -> str:

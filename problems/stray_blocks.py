@@ -19,7 +19,7 @@ _MISSPELT = 0.8
 _ALIKE = 0.6
 
 
-def fault_of_blocks(cls: type, contract: type) -> str:
+def fault_of_blocks(cls: Any, contract: type) -> str:
     """Return the sentence on the blocks of a scene that cannot be used, or nothing.
 
     A method that other code of the scene's module calls is a helper, and so is one whose name
@@ -32,7 +32,7 @@ def fault_of_blocks(cls: type, contract: type) -> str:
         The class of the scene, and the class that declares all blocks.
     """
     blocks = {name: _arguments(f) for name, f in vars(contract).items() if _is_declared(name, f)}
-    stated = {name for name in blocks if getattr(cls, name) is not getattr(contract, name)}
+    stated = {name for name in blocks if cls.has(name)}
     for one, other in (("output", "actuation"), ("actuation", "output")):
         if one in stated and other not in stated:
             return f"it states {one} but not {other}; they belong together."

@@ -196,6 +196,7 @@ class MechatronicSystem:
                 cls.nominal_step = float(cls.nominal_step)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)
+        spec.forget_derived(cls, MechatronicSystem)
 
     # ---- blocks: pure functions in jax.numpy -------------------------------------------
     def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
@@ -252,8 +253,9 @@ class MechatronicSystem:
     # ---- derived -----------------------------------------------------------------------
     @classmethod
     def has(cls, block: str) -> bool:
-        """Whether the scene states this block."""
-        return getattr(cls, block) is not getattr(MechatronicSystem, block)
+        """Whether the scene states this block; ``None`` leaves out an inherited one."""
+        own = getattr(cls, block)
+        return own is not None and own is not getattr(MechatronicSystem, block)
 
     @classmethod
     @cache
@@ -328,16 +330,30 @@ class MechatronicSystem:
         title = " ".join(title.split())
         return {"title": title, "description": text.strip(), "parameters": parameters}
 
-    def with_parameters(self, values: Mapping[str, Float[Array | np.ndarray, ""] | float]) -> Self:
-        """A copy with other parameter values, which may be traced arrays."""
-        copy = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__)
-        copy.__dict__.update(values)
+    def with_parameters(
+        self, values: Mapping[str, Float[Array | np.ndarray, ""] | float], cls: type | None = None
+    ) -> Self:
+        """A copy, perhaps of another class, with other values of parameters, traced or not."""
+        copy = spec.with_values(self, values, cls)
+        if "sizes" in vars(self):
+            vars(copy)["sizes"] = self.sizes
         return copy
 
     def template(self) -> Self:
-        """The scene with default float parameters: the key under which compiled code is kept."""
+        """The scene with default float parameters: the key under which compiled code is kept.
+
+        Raises
+        ------
+        SpecError
+            If the scene keeps values that copies with other parameters would lack.
+        """
         self.sizes  # noqa: B018 - copies keep the sizes, which cannot be found while tracing
+        kept = vars(self).keys() - {f.name for f in dataclasses.fields(self)} - {"sizes"}
+        if kept:
+            raise spec.SpecError(
+                f"{self.spec}: it keeps {', '.join(sorted(kept))} beside its parameters, which "
+                f"would not follow other values; compute that in the blocks or in a property."
+            )
         numbers = spec.numbers_of(type(self))
         defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
         return self.with_parameters(defaults)

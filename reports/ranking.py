@@ -204,7 +204,8 @@ class _Ladder:
             steps = self.cheapest[cost] = []
             for _, r, costs in judged:
                 # Of two runs at the same cost the coarser one counts.
-                if (value := costs[cost]) and (best is None or value <= best[0]):
+                value = costs[cost]
+                if value is not None and (best is None or value <= best[0]):
                     best = value, r
                 steps.append(best)
 
@@ -228,12 +229,13 @@ def _entries(
         for label, ladder in ladders.items()
         if able[label] and (found := ladder.cheapest[cost][able[label] - 1])
     }
-    best = min((value for value, _ in cheapest.values()), default=None)
+    # A count of 0 has no multiples; for them it is taken as 1.
+    best = min((value for value, _ in cheapest.values()), default=0) or 1.0
     entries = []
     for s in series:
         first = firsts[s.label]
         value, run = cheapest.get(first, (None, None))
-        ratio = value / best if value is not None and best is not None else None
+        ratio = None if value is None else (value or 1.0) / best
         entries.append(
             RankEntry(
                 scene, s.label, first, s.family, group, target, cost,

@@ -138,8 +138,8 @@ def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
 
 
 def seconds_of(record: Record) -> float | None:
-    """Median seconds per run."""
-    return median(record.run_s)
+    """Median seconds per run; None if a clock did not move."""
+    return median(record.run_s) or None
 
 
 def timing_spread(record: Record) -> float | None:

@@ -29,7 +29,8 @@ class Run(PreparedRun):
         if self.how == "hang":
             time.sleep(3600)
         if self.how == "slow":
-            while time.process_time() < 2.5:
+            started = time.process_time()
+            while time.process_time() < started + 2.5:
                 pass
         if self.how == "hog":
             self.hoard = [np.ones(10**7) for _ in range(60)]

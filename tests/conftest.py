@@ -10,12 +10,17 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from hypothesis import HealthCheck, settings
 
 TESTS = Path(__file__).resolve().parent
 sys.path.insert(0, str(TESTS))
 
 # Shells start background jobs with Ctrl-C ignored, which the processes under test would inherit.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# No test of a property depends on the speed of the machine.
+settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any speed")
 
 #: Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530.
 MOST_MAPPINGS = 30_000
@@ -51,7 +56,7 @@ SLOWEST = (
 
 QUICKLY_COMPILED = (
     "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false"
+    "--xla_cpu_parallel_codegen_split_count=1"
 )
 
 
@@ -112,7 +117,7 @@ def stepbench():
 
 @pytest.fixture
 def without_processes(monkeypatch):
-    """Do jobs of commands in this process; for commands that are refused before they compute."""
+    """Do jobs of commands in this process, and take no times; where no process is the point."""
     from bench.guard import process
     from bench.guard.process import Refused
     from bench.running import worker
@@ -126,8 +131,9 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
-    def run_here(self, groups):
-        for (task,) in groups:
+    def run_here(self, groups, on_start=lambda task: None):
+        for task in (task for group in groups for task in group):
+            on_start(task)
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
                 yield task, task.job(state, *task.arguments)
@@ -135,6 +141,8 @@ def without_processes(monkeypatch):
                 yield task, Refused(status="crashed", message=f"{said(error)}.")
 
     monkeypatch.setattr(Runner, "run", run_here)
+    monkeypatch.setattr(Runner, "expect", lambda self, groups: None)
+    monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)
     # In this process tests patch functions: what is traced here must not be kept.

@@ -10,14 +10,13 @@ from helpers import long, reference, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
-from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
+from integrators.kept_rows import FIRST_ROWS, MOST_ROWS
 from integrators.methods import generalized_alpha_adaptive
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import (
     AdaptiveAlphaStep,
     GeneralizedAlphaAdaptive,
 )
-from integrators.native.constant_steps import ROW_SLOTS
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
@@ -170,17 +169,18 @@ def test_accepted_steps_keep_to_the_guarded_ratios():
 
 
 def test_rows_do_not_grow_with_the_number_of_steps():
-    scene = SpringMass()
-    run = run_of(GeneralizedAlphaAdaptive(), scene, 1e-7)
+    scene, end = Pendulum(), 10.35
+    run = GeneralizedAlphaAdaptive().prepare(scene, end, Tolerances(1e-7)).measure()
     assert run.work.steps > 20_000
-    assert SPREAD_ROWS < len(run.t) <= ROW_SLOTS + 2 * SPREAD_ROWS + 1
-    assert run.t[0] == 0.0
-    assert run.t[-1] == 20.0
+    assert run.t[[0, -1]].tolist() == [0.35, end]
     assert (np.diff(run.t) > 0).all()
-    assert np.diff(run.t).max() < 1.0  # spread over all of the interval
+    # The first step after each of a quarter of as many equally spaced times, and no other.
+    passed = (run.t[FIRST_ROWS + 1 :] - 0.35) / (end - 0.35)
+    reached = np.floor(passed * (MOST_ROWS // 4) + 1e-6)
+    np.testing.assert_array_equal(reached, np.arange(reached[0], MOST_ROWS // 4 + 1))
+    assert len(reached) > MOST_ROWS // 4 - FIRST_ROWS
     np.testing.assert_allclose(np.diff(run.t[:FIRST_ROWS]), run.notes["h"][1:FIRST_ROWS])
-    exact = reference(scene, 20.0)(run.t)
-    assert np.abs(run.q - exact["q"]).max() < 1e-6
+    assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 1e-5
 
 
 def test_counts_add_up():

@@ -28,7 +28,7 @@ LAYERS = [
     {"integrators"},  # its front door, which names what plugins need
     {"bench"},
     {"bench.results"},
-    {"bench.guard.interrupts", "bench.guard.keeper"},
+    {"bench.guard.interrupts"},
     {"bench.plugins"},
     {"bench.guard"},
     {"bench.running"},

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from bench.atlas.experiments import Settings, merged, read_experiments
-from bench.atlas.measures import number_of, value_of, within
+from bench.atlas.measures import number_of, quantity, value_of, within
 from bench.atlas.runs import digest
 from bench.commands.terminal_tables import atlas_tables
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
+from bench.results.quantities import NORM_NAMES
 from bench.results.records import Record, Rows
 from bench.running.inventory import Inventory
 from reports.text.atlas_tables import experiments_table, part_table
@@ -42,6 +43,12 @@ def test_a_better_number_is_never_hit(number, better):
                     improved = value + better if s.take == "slope" else value / (1 + better)
                     if within(value, part.healthy):
                         assert within(improved, part.healthy), (experiment.name, part.text)
+
+
+def test_every_norm_has_its_words(monkeypatch):
+    monkeypatch.setitem(NORM_NAMES, "mean", "mean over time")
+    said = [quantity(Settings(measure="error", group="q", norm=norm)) for norm in NORM_NAMES]
+    assert said == [f"relative error of q, {name}" for name in NORM_NAMES.values()]
 
 
 def planted(number, message="", **changes):

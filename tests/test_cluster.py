@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 import time
 
@@ -141,6 +143,34 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
     assert ran[0] == killed[0]
     assert killed[0] not in ran[1:]  # another worker did it all again
     assert len(ran) >= 3
+
+
+@pytest.fixture
+def lonely(tmp_path, monkeypatch):
+    """A scheduler without workers: its process and its address."""
+    monkeypatch.setattr("bench.running.cluster.CONNECT_SECONDS", 2)
+    file = tmp_path / "scheduler.json"
+    options = ("--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *options]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        while not file.exists() or not file.read_text().endswith("}"):
+            assert process.poll() is None
+            time.sleep(0.05)
+        yield process, json.loads(file.read_text())["address"]
+        process.kill()
+
+
+@pytest.mark.long
+def test_a_scheduler_that_dies_costs_what_it_had(lonely):
+    process, address = lonely
+    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 0.1, 0.05)]
+    with ClusterRunner(address, Limits(60.0, 4.0)) as runner:
+        process.kill()
+        for _ in range(3):  # while the client connects anew, and when it has given up
+            answers = dict(runner.run([[task] for task in tasks]))
+            assert [answers[task].status for task in tasks] == ["interrupted"] * 2
+            assert "The cluster could not run it" in answers[tasks[0]].message
+            assert runner.together(100) == 16
 
 
 @pytest.mark.long

@@ -29,9 +29,8 @@ def registry():
         ("problems", "pendulum[th0=2.0]"),
         *long(("integrators", "newmark")),
         *long(("integrators", "generalized_alpha[rho_inf=0.5]"), ("integrators", "kvaerno5")),
-        *long(("integrators", "semi_implicit_euler")),
-        ("integrators", "ida"),
-        ("integrators", "wrong"),
+        *long(("integrators", "semi_implicit_euler"), ("integrators", "ida")),
+        *long(("integrators", "wrong")),
     ],
 )
 def test_what_is_right_passes_every_check(registry, kind, text):
@@ -115,7 +114,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
             "line 0 of draw() is an array of float64 of shape (4, 3), "
             "expected an array of shape (points",
         ),
-        ("stubborn", "traced", "A traced value of m does not act as a plain one"),
+        ("stubborn", "traced", "A traced value of k does not act as a plain one"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),
     ],
@@ -128,6 +127,7 @@ def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
 
 
 @pytest.mark.parametrize("command", [("solve", "pendulum"), *long((("stability",),))])
+@pytest.mark.usefixtures("without_processes")
 def test_a_run_tells_that_a_step_pattern_is_ignored(stepbench, tmp_path, command):
     method = "wrong[how=unchanging]"
     step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
@@ -164,6 +164,25 @@ def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     assert repeats.verdict == FAILED
     assert sentence in repeats.text
     assert options.verdict == PASSED
+
+
+def test_a_fault_is_told_once(tmp_path, monkeypatch):
+    few = {name: CHECKS["problems"][name] for name in ("description", "start", "blocks")}
+    monkeypatch.setitem(CHECKS, "problems", few)
+    file = tmp_path / "short.py"
+    file.write_text(
+        "import numpy as np\nfrom problems import MechatronicSystem, State\n"
+        "class Short(MechatronicSystem):\n    'A scene.'\n"
+        "    def mass(self, q): return np.eye(4)\n    def force(self, q, v, t): return -q\n"
+        "    def initial_state(self): return State(q=np.zeros(4), v=np.zeros(3))\n"
+    )
+    with Checker(Inventory([file]), 60.0) as checker:
+        first, *others = (found.text for found in checker.check("problems", "short"))
+    assert first == (
+        "v = dq/dt of initial_state() is an array of float64 of shape (3,), expected real numbers "
+        "of shape (4,)."
+    )
+    assert others == ["See description: the same fault."] * 2
 
 
 @pytest.mark.long

@@ -12,17 +12,26 @@ from helpers import long
 from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
+from integrators import Steps
+from integrators.native import step_work
+from integrators.native.step_work import EquationsFinder, StepWork
+from problems.scenes.duffing import Duffing
 
-DOCUMENTS = ("CONTRIBUTING.md", "docs/integrators.md")
+ROOT = Path(__file__).parent.parent
+TEXT = "".join(
+    (ROOT / name).read_text(encoding="utf-8") for name in ("CONTRIBUTING.md", "docs/integrators.md")
+)
 EXAMPLES = {
     block.split("\n", 1)[0].removeprefix("# "): block
-    for name in DOCUMENTS
-    for block in re.findall(
-        r"```python\n(.*?)```",
-        (Path(__file__).parent.parent / name).read_text(encoding="utf-8"),
-        re.DOTALL,
-    )
+    for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 }
+
+
+def test_the_lines_that_import_something_do():
+    lines = re.findall(r"^from \S+ import .*|(?<=`)from [^`]+(?=`)", TEXT, re.MULTILINE)
+    assert sum("integrators.native" in line for line in lines) > 4
+    for line in dict.fromkeys(lines):
+        exec(line, {})
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +43,8 @@ def plugins(tmp_path_factory):
 
 
 def test_the_examples_have_less_than_40_lines_of_code():
-    assert set(EXAMPLES) == {"ramp_oscillator.py", "bathe_ode.py", "euler_dae.py", "euler.py"}
+    names = "ramp_oscillator", "bathe_ode", "euler_dae", "sdirk3", "euler"
+    assert list(EXAMPLES) == [f"{name}.py" for name in names]
     for code in EXAMPLES.values():
         assert sum(bool(line.strip()) for line in code.splitlines()) < 40
 
@@ -43,7 +53,7 @@ def test_the_examples_have_less_than_40_lines_of_code():
     ("kind", "name"),
     [
         ("problems", "ramp_oscillator"),
-        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe_ode"))),
+        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe_ode", "sdirk3"))),
     ],
 )
 def test_the_examples_pass_every_check(plugins, kind, name):
@@ -52,8 +62,10 @@ def test_the_examples_pass_every_check(plugins, kind, name):
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
+@pytest.mark.usefixtures("without_processes")
 @pytest.mark.parametrize(
-    ("integrator", "order"), [("euler_dae", 1), *long(("bathe_ode", 2), ("euler", 1))]
+    ("integrator", "order"),
+    [("euler_dae", 1), *long(("bathe_ode", 2), ("euler", 1), ("sdirk3", 3))],
 )
 def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
     result = stepbench(
@@ -70,3 +82,24 @@ def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integra
     orders = json.loads(result.stdout)["orders"]
     for group in ("q", "v", "a"):
         assert orders[group]["max"] == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("newton", ["full", *long("modified")])
+def test_stages_in_a_loop_are_those_one_by_one_with_fewer_traces(plugins, monkeypatch, newton):
+    example = type(Registry([plugins]).integrator("sdirk3"))
+    runs, traced, solve = [], [0, 0], step_work.newton
+
+    def counted(*given):
+        traced[len(runs)] += 1
+        return solve(*given)
+
+    monkeypatch.setattr(step_work, "newton", counted)
+    for name, scan in (("Loop", StepWork.scan), ("OneByOne", EquationsFinder.scan)):
+        monkeypatch.setattr(StepWork, "scan", scan)
+        method = type(name, (example,), {"__module__": __name__})(newton=newton)
+        runs.append(method.prepare(Duffing(), 0.5, Steps(0.05)).measure())
+    loop, one_by_one = runs
+    assert traced[0] < traced[1] == 3  # JAX may trace a loop twice, for the types of its values
+    assert (loop.work == one_by_one.work) == (newton == "full")
+    for group in ("q", "v", "a"):
+        assert getattr(loop, group) == pytest.approx(getattr(one_by_one, group), rel=1e-9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,15 +13,33 @@ from pathlib import Path
 
 import pytest
 
+from integrators import Tolerances
 from integrators.adapters import counting
 from integrators.adapters.counting import Counts, run_counted, watch
-from problems import jax, jnp
+from integrators.adapters.diffrax_adaptive import adaptive_programs
+from integrators.adapters.diffrax_methods import ImplicitEuler
+from integrators.lowering import native
+from problems import exported_programs, jax, jnp, runtime
+from problems.scenes.oscillator import Oscillator
+
+
+def forget():
+    for remembered in (counting._way, native.load, adaptive_programs, runtime.slower):
+        remembered.cache_clear()
+
+
+@pytest.fixture
+def _forgotten():
+    """Nothing that was tried out is remembered, before and after."""
+    forget()
+    yield
+    forget()
 
 
 @pytest.fixture(params=["by name", "by callback"])
-def _either_way(request, monkeypatch):
+def _either_way(request, monkeypatch, _forgotten):
     if request.param == "by callback":
-        monkeypatch.setattr(counting, "names_are_registered", lambda: False)
+        monkeypatch.setattr(counting, "header", lambda: "")
 
 
 def evaluations(times: int):
@@ -36,7 +55,7 @@ def evaluations(times: int):
 
 # ---- counts ----------------------------------------------------------------------------
 def test_this_release_of_jax_lets_us_count_by_name():
-    assert counting.names_are_registered()
+    assert counting.counts_by_name()
 
 
 @pytest.mark.usefixtures("_either_way")
@@ -76,34 +95,67 @@ def test_runs_in_several_threads_keep_their_counts_apart():
     assert counts == [100, 200, 300, 400]
 
 
-def test_ctrl_c_ends_the_run_and_leaves_no_count_behind(monkeypatch):
-    program, count = evaluations(1000), counting.add_one
-    run_counted(program)
-
-    def interrupt(name):
-        monkeypatch.setattr(counting, "add_one", count)
+@pytest.mark.usefixtures("_either_way")
+def test_ctrl_c_ends_the_wait_and_leaves_no_count_behind():
+    def interrupt():
         os.kill(os.getpid(), signal.SIGINT)
+        return program()
 
-    monkeypatch.setattr(counting, "add_one", interrupt)
+    program = evaluations(1000)
     with pytest.raises(KeyboardInterrupt):
-        run_counted(program)
+        run_counted(interrupt)
     assert run_counted(program)[1] == Counts(1000, 0)
 
 
 # ---- functions that XLA may refuse -----------------------------------------------------
-def test_if_xla_refuses_our_functions_we_say_so_and_count_otherwise(monkeypatch, caplog):
-    def refuse(*_, **__):
-        raise RuntimeError("too old")
-
-    monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
-    assert not counting.names_are_registered.__wrapped__()
-    assert "too old" in caplog.text
+def refuse(*_: object, **__: object) -> None:
+    raise RuntimeError("too old")
 
 
-def test_if_calls_do_not_count_we_say_so_and_count_otherwise(monkeypatch, caplog):
-    monkeypatch.setattr(counting, "_EXECUTE", 99)
-    assert not counting.names_are_registered.__wrapped__()
-    assert "evaluations=0" in caplog.text
+@pytest.mark.usefixtures("_forgotten")
+@pytest.mark.parametrize(
+    ("of", "name", "other", "sentence"),
+    [
+        (shutil, "which", lambda name: None, "there is no C compiler"),
+        (counting, "header", lambda: "", "cc failed"),
+        (jax.ffi, "register_ffi_target", refuse, "too old"),
+        (counting, "_count_by_name", lambda name: None, "evaluations=0"),
+    ],
+)
+def test_callbacks_count_where_xla_calls_no_functions_of_ours(
+    monkeypatch, caplog, of, name, other, sentence
+):
+    monkeypatch.setattr(of, name, other)
+    assert [run_counted(evaluations(4))[1] for _ in range(2)] == [Counts(4, 0)] * 2
+    assert not counting.counts_by_name()
+    assert len(caplog.messages) == 1
+    assert sentence in caplog.text
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_where_neither_way_counts_there_are_no_counts(monkeypatch):
+    monkeypatch.setattr(counting, "header", lambda: "")
+    monkeypatch.setattr(jax.debug, "callback", lambda function: None)
+    with pytest.raises(RuntimeError, match=r"no way to count .*evaluations=0"):
+        run_counted(evaluations(1))
+
+
+@pytest.mark.usefixtures("_forgotten")
+def test_a_diffrax_method_ends_with_the_same_counts_by_either_way(monkeypatch, tmp_path):
+    def work():
+        return ImplicitEuler().prepare(Oscillator(), 1.0, Tolerances(1e-2)).measure().work
+
+    monkeypatch.setattr(exported_programs, "CACHE", tmp_path)
+    monkeypatch.setattr(exported_programs, "_used", True)  # as in a worker
+    by_name = work()
+    forget()
+    monkeypatch.setattr(counting, "header", lambda: "")
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.alarm(60)  # for a run that waits for itself
+    try:
+        assert work() == by_name
+    finally:
+        signal.alarm(0)
 
 
 # ---- the cache -------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from test_rest import Rough
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
+from integrators.methods.energy_momentum import EnergyMomentum
 from integrators.native.endings import Ending
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.scenes.pendulum import Pendulum
@@ -134,8 +135,11 @@ def test_a_step_that_newton_did_not_solve_is_not_called_refused(most, reason):
         def force(self, q, v, t):
             return 1.0 - 4 * q**3
 
-    method = REGISTRY.integrator(f"energy_momentum[newton_max={most}]")
-    run = method.prepare(Driven(), 1.0, Steps(0.5)).measure()
+    class Careless(EnergyMomentum):
+        def supports(self, scene):
+            return None
+
+    run = Careless(newton_max=most).prepare(Driven(), 1.0, Steps(0.5)).measure()
     assert run.status == "newton_failed"
     assert reason in run.message
 

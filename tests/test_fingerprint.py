@@ -19,6 +19,7 @@ from bench.plugins.registry import Registry
 from bench.results import environment
 from bench.running.scene_records import scene_record
 from bench.stability.damping import linear_response
+from problems.scenes.pendulum import Pendulum
 
 PROJECT = Path(bench.__file__).parents[1]
 #: Prints the fingerprints of a scene and an integrator, before and after each edit of a copy.
@@ -204,6 +205,17 @@ def test_a_function_has_a_fingerprint_of_its_module_and_what_that_imports(
     assert fingerprint(function) != before
     monkeypatch.undo()
     fingerprint.cache_clear()
+
+
+def test_a_source_is_parsed_once(monkeypatch, tmp_path):
+    monkeypatch.setattr(fingerprints, "CACHE", tmp_path)
+    fingerprints.forget()
+    found = modules_of(Pendulum)
+    fingerprints.forget()
+    monkeypatch.setattr(fingerprints.ast, "parse", lambda code: 1 / 0)
+    assert modules_of(Pendulum) == found
+    monkeypatch.undo()
+    fingerprints.forget()
 
 
 def test_imports_for_types_alone_take_no_part():

@@ -8,7 +8,6 @@ import pytest
 
 from bench.guard import limits
 from bench.guard.limits import PREPARING, RUNNING, Limits, Meter
-from bench.guard.usage import Usage
 from bench.results.records import Rows
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
@@ -16,6 +15,7 @@ from bench.running.runner import Runner, time_task
 from bench.running.session import result_of
 from bench.running.worker import CellResult
 from integrators import Steps
+from problems.usage import Usage
 
 CELL = Cell("oscillator", "newmark", 1.0, Steps(0.1))
 
@@ -38,6 +38,7 @@ def test_a_phase_that_begins_again_goes_on_counting(monkeypatch):
 def test_what_short_jobs_have_used_is_not_charged_to_the_next(monkeypatch):
     spent = [0.0]
     monkeypatch.setattr(limits, "usage", lambda process: Usage(computed_s=spent[0]))
+    monkeypatch.setattr(limits.time, "monotonic", lambda: spent[0])
     meter = Meter(Limits(budget_s=3.0))
     meter.begin(RUNNING, 1)
     for _ in range(10):  # jobs of 1 s that answer before anybody looks
@@ -47,6 +48,16 @@ def test_what_short_jobs_have_used_is_not_charged_to_the_next(monkeypatch):
     assert meter.excess(1) is None
     spent[0] += 4.0
     assert "3 s of processor time" in meter.excess(1).reason
+
+
+def test_a_job_shorter_than_a_look_costs_none(monkeypatch):
+    looks = []
+    monkeypatch.setattr(limits, "usage", lambda process: looks.append(process) or Usage())
+    monkeypatch.setattr(limits.time, "monotonic", lambda: 1.0)
+    meter = Meter(Limits(budget_s=3.0))
+    for _ in range(100):
+        meter.start(1)
+    assert looks == [1]
 
 
 def test_a_process_that_halts_itself_is_given_up(monkeypatch):

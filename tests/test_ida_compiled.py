@@ -41,6 +41,6 @@ def test_idas_own_switch_spares_steps():
 
 
 def test_a_sparse_run_that_ends_before_its_first_factorisation_ends_as_any_other():
-    pytest.importorskip("asdex")
+    pytest.importorskip("klujax")
     run = prepared(Chain(links=5), 0.1, linear_solver="sparse", max_calls=1).measure()
     assert run.status == "budget_exceeded"

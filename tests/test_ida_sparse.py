@@ -25,7 +25,6 @@ from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
 
-pytest.importorskip("asdex")
 pytest.importorskip("klujax")
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 SCENES = [*long(SliderCrank(), QuarterCar()), SpringMass(), Chain(links=5)]

@@ -8,7 +8,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import solve_banded
 
@@ -22,10 +22,12 @@ from integrators.kept_rows import (
     RowKeeper,
     kept_rows,
     most_rows,
+    times_of,
     width_of,
 )
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.native import constant_steps
 from problems import compiled, jnp, sparse_initial_values
 from problems.scenes.chain import Chain
 
@@ -35,9 +37,13 @@ MOST_MEMORY = 3e9
 
 
 # ---- rows ------------------------------------------------------------------------------
+def of_equal_steps(count, width=1):
+    return kept_rows(np.linspace(0.0, 1.0, count + 1), width)
+
+
 @given(steps, widths)
 def test_rows_of_a_trajectory_are_bounded_by_their_numbers(count, width):
-    rows = kept_rows(count, width)
+    rows = of_equal_steps(count, width)
     assert (rows[0], rows[-1]) == (0, count)
     assert (np.diff(rows) > 0).all()
     assert len(rows) <= most_rows(width) + 1
@@ -49,25 +55,37 @@ def test_rows_of_a_trajectory_are_bounded_by_their_numbers(count, width):
 def test_rows_of_small_scenes_are_those_of_any_width():
     assert MOST_ROWS == most_rows(1) == most_rows(1000)
     for count in (10, MOST_ROWS, MOST_ROWS + 1, 123_457):
-        np.testing.assert_array_equal(kept_rows(count), kept_rows(count, 1000))
+        np.testing.assert_array_equal(of_equal_steps(count), of_equal_steps(count, 1000))
 
 
-@given(st.integers(0, 3000), st.integers(MOST_NUMBERS // 100, 10**8))
-def test_rows_of_a_run_of_unknown_length_are_bounded_while_it_runs(count, width):
-    keeper, most = RowKeeper(width, 0), most_rows(width)
+@given(st.integers(0, 3000), st.integers(MOST_NUMBERS // 100, 10**8), st.floats(0.2, 5.0))
+def test_rows_of_a_run_of_unknown_length_are_those_of_one_that_is_over(count, width, power):
+    times = 3.0 + 2.0 * np.linspace(0.0, 1.0, count + 1) ** power
+    keeper, most = RowKeeper(width, (3.0, 0), 5.0), most_rows(width)
     for step in range(1, count + 1):
-        keeper.add(step)
+        keeper.add((times[step], step))
         assert len(keeper.rows()) <= most + 2
-    rows = keeper.rows()
-    assert keeper.steps == keeper.last == count
-    assert (rows[0], rows[-1]) == (0, count)
-    assert rows == sorted(set(rows))
+    rows = [step for _, step in keeper.rows()]
+    assert keeper.steps == keeper.last[1] == count
+    np.testing.assert_array_equal(rows, kept_rows((times - 3.0) / 2.0, width))
     first = min(FIRST_ROWS, most // 4, count) + 1
     assert rows[:first] == [*range(first)]
-    if count <= most:
-        assert len(rows) == count + 1
-    else:
-        assert np.diff(rows).max() <= 6 * count / most
+    if count > most:  # each time has one row, the first step after it, unless it has none
+        after = np.searchsorted(times, 3.0 + 2.0 * np.arange(1, most // 4) / (most // 4) - 1e-7)
+        assert set(after) <= set(rows)
+        assert len(rows) <= most // 4 + FIRST_ROWS + 2
+
+
+@given(st.integers(50, 2000), st.integers(1, 100), st.sampled_from([(1.0,), (0.1, 0.2, 0.7)]))
+def test_rows_of_steps_known_beforehand_are_those_of_one_that_is_over(count, times, pattern):
+    clock, steps = constant_steps.grid(3.0, 5.0, Steps(2.0 / count, pattern))
+    t = np.append(3.0, constant_steps.step_times(clock, np.arange(steps))[0])
+    keeper = RowKeeper(2**24 // (4 * times), (3.0, 0), 5.0)
+    for step in range(1, steps + 1):
+        keeper.add((t[step], step))
+    assume(times_of(steps, 2**24 // (4 * times)) == times)
+    rows = constant_steps.kept_steps(clock, steps, times)
+    np.testing.assert_array_equal(rows, [step for _, step in keeper.rows()][1:])
 
 
 @pytest.mark.parametrize(
@@ -75,7 +93,7 @@ def test_rows_of_a_run_of_unknown_length_are_bounded_while_it_runs(count, width)
 )
 def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, kind):
     scene = Chain(links=3)
-    monkeypatch.setattr("integrators.kept_rows.MOST_NUMBERS", 40 * width_of(scene.sizes))
+    monkeypatch.setattr("integrators.kept_rows.MOST_NUMBERS", 64 * width_of(scene.sizes))
     t_end = 0.2
     if kind == "constant":
         run = GeneralizedAlpha(rho_inf=0.8).prepare(scene, t_end, Steps(1e-3))
@@ -88,10 +106,11 @@ def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, kind):
         run = IDA().prepare(scene, t_end, Tolerances(1e-7))
     found = run.measure()
     assert found.status == "ok"
-    assert found.work.steps > 80
-    assert 10 < len(found.t) <= 2 * 40 + 1
+    assert found.work.steps > 100
     assert (found.t[0], found.t[-1]) == (0.0, pytest.approx(t_end))
-    assert np.diff(found.t).max() < t_end / 4
+    # One row after each of a quarter of 64 times, whatever chooses the steps.
+    reached = np.floor(16 * found.t / t_end + 1e-6)
+    np.testing.assert_array_equal(reached[reached > 8], np.arange(9, 17))
 
 
 def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
@@ -150,7 +169,6 @@ def _bytes(links):
 
 @pytest.mark.long
 def test_memory_is_linear_in_the_number_of_links():
-    pytest.importorskip("asdex")
     pytest.importorskip("klujax")
     _bytes(200)  # what is made once
     (few, fewer_rows), (many, rows) = _bytes(3000), _bytes(6000)
@@ -217,7 +235,6 @@ np.savez(path, **last, memory=1024 * largest)
 
 @pytest.mark.long
 def test_a_chain_of_many_links_fits_into_memory_and_moves_as_by_hand(tmp_path):
-    pytest.importorskip("asdex")
     pytest.importorskip("klujax")
     scene, t_end, h = Chain(links=100_000), 1e-3, 1e-4
     numbers = [str(value) for value in (scene.links, t_end, h, tmp_path / "end.npz")]

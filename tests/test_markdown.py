@@ -7,13 +7,14 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from planted import edited, everything, plant
+from planted import STEPS, edited, everything, plant
 
 from bench.results.compare import compare
 from bench.results.store import Store
 from reports.pages.catalogue import write_catalogue
 from reports.pages.comparison import write_comparison
 from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.report import read_report
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md")]
@@ -65,6 +66,18 @@ def test_the_report_has_no_faults_and_its_pictures_exist(folder):
     assert len(missing(scenes[0])) == 1
     scenes[0].unlink()
     assert set(missing(path)) == {"report/scene-pendulum.md"}
+
+
+@pytest.mark.parametrize("interactive", [False, True])
+def test_each_chart_has_a_name_of_its_own_that_fits_a_link(tmp_path, interactive):
+    """Few runs are all drawn over time; names of two runs of a method have blanks and commas."""
+    few = [r for r in everything() if r.integrator == "good[rho_inf=0.8]" and r.h in STEPS[:2]]
+    found = read_report(plant(tmp_path / "few", few), interactive)
+    studies = [study for scene in found.scenes for study in scene.studies]
+    names = [name for study in studies for figure in study.figures for name in figure.charts]
+    assert len(studies) == 2
+    assert len(names) == len(set(names))
+    assert [name for name in names if not re.fullmatch(r"[\w-]+", name)] == []
 
 
 @pytest.mark.long

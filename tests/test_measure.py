@@ -189,6 +189,20 @@ def test_a_component_that_hardly_moves_is_measured_by_its_group(monkeypatch):
     assert components["q"]["max"] == [0.0, pytest.approx(1e-7)]
 
 
+@pytest.mark.parametrize(("largest", "size"), [(1.1e-5, 1.1e-5), (0.9e-5, 10.0)])
+def test_a_component_has_its_own_size_from_a_millionth_of_its_group_on(monkeypatch, largest, size):
+    monkeypatch.setattr(Known, "exact", np.array([[10.0, largest], [0.0, 0.0], [1.0, 0.0]]))
+    components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
+    assert components["q"]["max"] == [0.0, pytest.approx(1e-6 / size)]
+
+
+def test_errors_of_a_group_that_vanishes_are_absolute(monkeypatch):
+    monkeypatch.setattr(Known, "exact", np.zeros((3, 2)))
+    errors, floors, components, _ = errors_of(Named(), [[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])
+    assert components["q"]["max"] == [3.0, 4.0]
+    assert (errors["q"]["max"], errors["|q|"]["max"], floors["q"]["max"]) == (4.0, 5.0, 4e-3)
+
+
 def test_components_have_the_units_of_their_coordinates_by_time():
     assert [c.text for c in Named().components("v")] == ["x [m/s]", "y [m/s]"]
     assert [c.text for c in Scaled().components("a")] == ["x [m/s^2]", "y [m/s^2]"]

@@ -115,8 +115,22 @@ def test_a_study_that_was_shared_out_is_one_again(tmp_path):
     first, second = plant(tmp_path / "1", runs[:2]), plant(tmp_path / "2", runs[1:])
     merge([first, second], tmp_path / "out")
     with Store(tmp_path / "out") as store:
-        (study,) = store.plan().studies
-    assert study.cells == [r.key for r in runs]
+        plan = store.plan()
+    assert plan.studies[0].cells == [r.key for r in runs]
+    assert len(plan.studies) == 1
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_most_samples_and_the_largest_budget_are_the_plan_of_both(tmp_path, order):
+    folders = [tmp_path / "few", tmp_path / "many"]
+    for folder, most in zip(folders, (3, 9), strict=True):
+        with Store(plant(folder, [planted("pendulum", "m", FREE, h=0.1)]), create=True) as store:
+            plan = msgspec.structs.replace(store.plan(), samples=most, budget_s=10.0 * most)
+            store.save_plan(plan)
+    merge([folders[k] for k in order], tmp_path / "out")
+    with Store(tmp_path / "out") as store:
+        plan = store.plan()
+    assert (plan.samples, plan.budget_s) == (9, 90.0)
 
 
 def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 from planted import STEPS, planted
 
+from bench.commands import orders_table as orders_table_command
 from bench.results.records import Study
 from bench.results.store import Store
+from problems.spec import SpecError
 from reports.series import series_of
 from reports.text.order_table import order_table
 
@@ -43,6 +45,37 @@ def test_no_claim_and_no_convergence_are_told_apart():
 def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
     few = [planted("pendulum", "mine", {"q": (1, 2)}, h=h) for h in STEPS[:2]]
     assert order_table(series_of(few), "Orders") is None
+    whole = [planted("pendulum", "other", {"q": (1, 2)}, h=h) for h in STEPS]
+    assert (
+        "fewer than three runs to the end: mine."
+        in order_table(series_of([*few, *whole]), "Orders").note
+    )
+
+
+def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepbench, monkeypatch):
+    suites = []
+
+    def run_suite(suite, *_, **__):
+        suites.append(suite)
+        raise SpecError("Planned")
+
+    monkeypatch.setattr(orders_table_command, "run_suite", run_suite)
+    answer = stepbench("orders-table", "bathe", "rattle", "phem56", "-p", "double_pendulum")
+    assert answer.exit_code == 1
+    assert "phem56 chooses its own steps, over which no order can be measured" in answer.stderr
+    assert not suites
+    named = "hht_classical", "bathe", "phem56[steps=constant]"
+    stepbench("orders-table", *named, "-p", "double_pendulum")
+    (suite,) = suites
+    found = {
+        study.title: sorted({suite.cells[key].integrator for key in study.cells})
+        for study in suite.plan.studies
+    }
+    published = "Two rods: one-step methods of second order as first published"
+    assert found == {
+        published: ["hht_classical[alpha=0.1]"],
+        "double_pendulum: methods named": ["bathe[gamma=0.5]", "phem56[steps=constant]"],
+    }
 
 
 @pytest.mark.long

@@ -104,6 +104,9 @@ def test_a_step_given_twice_is_one_point():
     once = fit_order(STEPS, [h**2 for h in STEPS])
     assert fit_order(STEPS + STEPS[:2], [h**2 for h in STEPS + STEPS[:2]]) == once
     assert fit_order([0.1] * 3, [0.3] * 3).verdict == "not determined"
+    # Of several runs at one step the worst counts, wherever it stands.
+    worst, better = [h**2 for h in STEPS], [h**2 / (2 + k) for k, h in enumerate(STEPS)]
+    assert fit_order(STEPS * 2, worst + better) == fit_order(STEPS * 2, better + worst) == once
 
 
 def vibration(step, rho=1.0):

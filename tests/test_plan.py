@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from unittest.mock import Mock
+
 import pytest
 
+from bench.commands.terminal import RunProgress
+from bench.guard.process import NoAnswer
+from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile
+from bench.running.session import measure_suite
 from problems.spec import SpecError
 
 STUDY = """
@@ -73,3 +80,14 @@ def test_built_in_profiles_name_only_what_there_is(name):
     for text in {cell.integrator for cell in suite.cells.values()}:
         assert registry.integrator(text).spec == text
     assert suite.plan.title
+
+
+def test_progress_counts_the_cells_that_the_suite_has(tmp_path, capsys):
+    suite, registry = suite_of(tmp_path, STUDY), Inventory()
+    lost = NoAnswer(status="crashed", message="Lost.")
+    runner = Mock(run=lambda groups, tell: ((task, lost) for group in groups for task in group))
+    with Store(tmp_path, create=True) as store:
+        measure_suite(suite, store, registry, runner, RunProgress())
+        RunProgress().advance()  # before a phase there is nothing to count
+    said = re.findall(r"(?m)^.*: \d+ of \d+$", capsys.readouterr().err)
+    assert said == ["measuring: 0 of 16", "measuring: 16 of 16"]

@@ -56,14 +56,14 @@ def test_what_a_plugin_prints_at_import_stays_out_of_the_json(listed):
 
 
 def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
-    from bench.plugins.registry import checked_plugin
+    from bench.plugins.registry import found_class
     from problems.scenes.pendulum import Pendulum
 
     def load():
         print("hello")
         return Pendulum
 
-    assert checked_plugin("problems", "pendulum", "here", load).cls is Pendulum
+    assert found_class("problems", "pendulum", load).cls is Pendulum
     assert capsys.readouterr().out == ""
 
 

@@ -205,6 +205,28 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     assert judged(*many)["residuals"].text == "m0, m1, m2 and 3 more tie (5)"
 
 
+def test_a_count_of_zero_is_the_least_and_multiples_take_it_as_one():
+    none, some, many = (run("one", n, 0.01, None, k) for n, k in (("a", 0), ("b", 1), ("c", 40)))
+    by = judged(none, some, many)
+    assert by["residuals"].text == "a (0; next: b, 1 times)"
+    found = rank({"one": series_of([none, some, many])}, ["a"], [1e-4])
+    assert [s.state for s in found if s.cost == "residuals"] == [1, 1, 40]
+
+
+def test_of_runs_at_the_same_cost_the_coarser_one_is_named():
+    fine, coarse = run("one", "quick", 0.005, None, 90), run("one", "quick", 0.01, None, 90)
+    for records in ((fine, coarse), (coarse, fine)):
+        entries = rank({"one": series_of(records)}, ["a"], [1e-4])
+        assert {s.run.h for s in entries if s.run} == {0.01}
+
+
+def test_those_who_tie_stand_in_the_order_of_the_plan():
+    plan = ("quick", 105), ("lean", 100), ("other", 103)
+    by = judged(*(run("one", n, 0.01, None, k, {"a": (k / 200, 2)}) for n, k in plan))
+    assert first(by["operations"]) == ["quick", "lean", "other"]
+    assert by["operations"].text == "quick, lean and other tie (1000)"
+
+
 def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
     early = run("one", "quick", 0.01, 1e-3, 1)
     early.errors["a"] |= {"max": 1e-2, "end": 1e-9}

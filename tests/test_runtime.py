@@ -5,22 +5,25 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import sys
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from integrators import Steps, Tolerances
-from integrators.adapters import callbacks, counting, diffrax_adaptive
+from bench.running.session import teller
+from integrators import Integrator, Steps, Tolerances
+from integrators.adapters import callbacks, diffrax_adaptive
 from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.diffrax_methods import ImplicitEuler
 from integrators.adapters.scipy_ode import BDF
-from integrators.contract import PreparedRun
+from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
 from integrators.native.kernel import Kernel
-from integrators.native.step_method import NativeMethod
-from problems import runtime
+from problems import other_programs, runtime, sparsity
 from problems.canary import wrong_functions
 from problems.runtime import check_runtime
 from problems.scenes.oscillator import Oscillator
@@ -95,13 +98,13 @@ def refusing(monkeypatch, tmp_path):
     return tried
 
 
-def test_a_flag_of_ours_that_xla_refuses_is_left_out_with_a_word(monkeypatch, caplog, refusing):
+def test_a_flag_of_ours_that_xla_refuses_is_left_out(monkeypatch, caplog, refusing):
     monkeypatch.setattr(runtime, "_FLAGS", ("--xla_kept=1", "--xla_dropped=2"))
     for _ in range(2):
         monkeypatch.setenv("XLA_FLAGS", "--xla_kept=1 --xla_dropped=2")
         runtime._leave_out_refused_flags()
         assert os.environ["XLA_FLAGS"] == "--xla_kept=1"
-    assert caplog.messages == ["Runs may take longer: XLA no longer knows --xla_dropped=2."]
+    assert not caplog.messages  # the user can do nothing about it
     # The verdicts are kept: the second time nothing was tried.
     assert len(refusing) == len(set(refusing)) + 1
     assert refusing.count("") == 2  # without flags XLA starts, so that they are the reason
@@ -119,6 +122,41 @@ def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatc
     monkeypatch.setattr(runtime, "CACHE", tmp_path)
     runtime._leave_out_refused_flags()
     assert not list(tmp_path.iterdir())  # and no verdict is kept
+
+
+def test_flags_of_ours_that_are_refused_together_alone_are_left_out(monkeypatch, refusing):
+    both = "--xla_one=1 --xla_two=2"
+    monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "odd" if flags == both else "")
+    monkeypatch.setattr(runtime, "_FLAGS", both.split())
+    monkeypatch.setenv("XLA_FLAGS", both)
+    runtime._leave_out_refused_flags()
+    assert os.environ["XLA_FLAGS"] == ""
+
+
+@pytest.mark.parametrize(
+    "fate", ["os.kill(os.getpid(), 9)", "os.kill(os.getpid(), 15)", "time.sleep(1000)"]
+)
+def test_a_trial_that_something_else_ends_is_no_verdict(monkeypatch, tmp_path, fate):
+    monkeypatch.setattr(runtime, "_START_XLA", f"import os, time; {fate}")
+    monkeypatch.setattr(runtime, "CACHE", tmp_path)
+    monkeypatch.setattr(other_programs, "_BETWEEN", 0.05)
+    monkeypatch.setattr(other_programs, "_IDLE", 0.2)
+    assert runtime._refusal("--xla_any=1") == ""
+    refuses = "import os, sys; sys.exit(os.environ['XLA_FLAGS'] or 0)"
+    monkeypatch.setattr(runtime, "_START_XLA", refuses)
+    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # it is tried again
+    (file,) = (tmp_path / "flags").iterdir()
+    file.write_bytes(file.read_bytes().replace(b"any", b"all"))
+    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # a file that was changed, too
+
+
+def test_the_same_line_of_several_workers_is_told_once():
+    progress = Mock()
+    teller(progress)("one run", "slow\nno compiler")
+    teller(progress)("another run", "no compiler\nslow")  # by another runner of the command
+    teller(progress)("a third", "slow\nof its own")
+    told = [call.args[0] for call in progress.note.call_args_list]
+    assert told == ["one run printed: slow\nno compiler", "a third printed: of its own"]
 
 
 # ---- a folder for compiled programs ----------------------------------------------------
@@ -153,7 +191,7 @@ def test_without_its_option_jax_may_run_programs_later(monkeypatch, caplog):
     assert "no jax_cpu_enable_async_dispatch any more" in caplog.text
 
 
-def solved(method: NativeMethod | BDF, resolution: Steps | Tolerances) -> PreparedRun:
+def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
     return method.prepare(Oscillator(), 1.0, resolution).measure()
 
 
@@ -162,8 +200,8 @@ def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
     tried = (
         *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
-        *(callbacks.memory_is_shared, counting.names_are_registered, counting._callbacks_count),
-        *(diffrax_adaptive._traced_once, klu.works),
+        *(callbacks.memory_is_shared, diffrax_adaptive._traced_once, klu.works),
+        *(diffrax_adaptive.adaptive_programs, sparsity._asdex),
     )
     for remembered in tried:
         remembered.cache_clear()
@@ -237,41 +275,6 @@ def test_a_program_that_cannot_be_rewritten_stays_as_it_is(monkeypatch, caplog):
     assert "cannot be rewritten" in caplog.text
 
 
-@pytest.mark.usefixtures("_forgotten")
-@pytest.mark.parametrize(
-    ("of", "to", "reason"),
-    [
-        ("XLA_FFI_API_MAJOR 0", "XLA_FFI_API_MAJOR 1", "major version"),
-        ("XLA_FFI_ExecutionStage stage;", "", "XLA_FFI_CallFrame"),
-        ("struct XLA_FFI_CallFrame {", "struct Frame {", "XLA_FFI_CallFrame"),
-        ("size_t struct_size;", "size_t flags; size_t struct_size;", "XLA_FFI_Api_Version"),
-    ],
-)
-def test_another_layout_of_xlas_interface_is_refused(of, to, reason):
-    header = counting.header()
-    counting.check_layout(header)
-    assert of in header
-    with pytest.raises(RuntimeError, match=reason):
-        counting.check_layout(header.replace(of, to))
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_where_neither_way_counts_there_are_no_counts(monkeypatch):
-    monkeypatch.setattr(counting, "header", lambda: "")
-    monkeypatch.setattr(counting, "_count_by_callback", lambda name: None)
-    with pytest.raises(RuntimeError, match="no way to count evaluations"):
-        counting.watch(lambda t, s, p: s)
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_callbacks_count_where_xlas_interface_has_another_layout(monkeypatch, caplog):
-    monkeypatch.setattr(counting, "header", lambda: "")
-    watched = counting.watch(lambda t, s, p: 2 * s)
-    program = jax.jit(lambda s: jax.lax.fori_loop(0, 4, lambda k, s: watched(0.0, s, None), s))
-    assert counting.run_counted(program, 1.0) == (16.0, counting.Counts(4, 0))
-    assert "has another major version" in caplog.text
-
-
 @pytest.mark.parametrize("drop", ["names", "calls"])
 def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, drop):
     from scipy.integrate import BDF as Library  # noqa: N811
@@ -306,21 +309,32 @@ def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, 
 
 
 @pytest.mark.usefixtures("_forgotten")
-def test_without_klus_own_functions_large_scenes_are_dense(monkeypatch, caplog):
-    klujax = pytest.importorskip("klujax")
-    monkeypatch.delattr(klujax, "analyze")
-    method = GeneralizedAlpha(rho_inf=0.8, linear_solver="sparse")
+@pytest.mark.parametrize("library", ["asdex", "klujax"])
+def test_without_what_sparse_tangents_need_large_scenes_are_dense(
+    monkeypatch, caplog, tmp_path, library
+):
+    pytest.importorskip("klujax")
+    if library == "asdex":
+        (tmp_path / "asdex.py").write_text("from jax.nowhere import anything")
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "asdex", raising=False)
+    else:
+        monkeypatch.delattr("klujax.analyze")
     with pytest.raises(Exception, match="take linear_solver=dense"):
-        method.prepare(Pendulum(), 1.0, Steps(0.05))
-    assert "klujax gives no sparse factorisation" in caplog.text
+        GeneralizedAlpha(linear_solver="sparse").prepare(Pendulum(), 1.0, Steps(0.05))
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 0)
+    assert solved(GeneralizedAlpha(), Steps(0.05)).status == "ok"
+    assert f"Large scenes run slowly: {library}" in caplog.text
 
 
 @pytest.mark.usefixtures("_forgotten")
 def test_a_solver_of_diffrax_that_takes_no_step_of_ours_keeps_its_own(monkeypatch, caplog):
-    class Sealed:
-        def __init_subclass__(cls) -> None:
+    def sealed(kind, *new):
+        if new:
             raise TypeError("sealed")
+        return type(kind)
 
-    assert diffrax_adaptive._traced_once(Sealed) is Sealed
-    assert "sealed" in caplog.text
+    monkeypatch.setattr(diffrax_adaptive, "type", sealed, raising=False)
+    assert solved(ImplicitEuler(), Tolerances(1e-2)).status == "ok"
+    assert "they take no step of ours (sealed)" in caplog.text
     assert logging.getLogger("problems.runtime").isEnabledFor(logging.WARNING)

@@ -30,6 +30,32 @@ def test_parts_of_an_unknown_ensemble_are_not_taken(tmp_path):
     assert KeptParts(tmp_path / "parts", {"seed": 2}).numbers() == set()
 
 
+def test_one_wrong_bit_costs_its_own_part(tmp_path):
+    folder = tmp_path / "parts"
+    kept = KeptParts(folder, {})
+    for k in (0, 1):
+        kept.put(k, part([1.0, 2.0]))
+    file = kept.opened(0)
+    del kept
+    good = file.read_bytes()
+    for bit in range(0, 8 * len(good), 8 * len(good) // 97):
+        wrong = bytearray(good)
+        wrong[bit // 8] ^= 1 << bit % 8
+        file.write_bytes(wrong)
+        assert KeptParts(folder, {}).numbers() == {1}, bit
+
+
+def test_an_ensemble_that_cannot_be_read_is_made_anew(tmp_path):
+    folder = tmp_path / "parts"
+    for wrong in (b"", b"{", bytes(1000)):
+        kept = KeptParts(folder, {"seed": 1})
+        kept.put(0, part([1.0, 2.0]))
+        del kept
+        assert KeptParts(folder, {"seed": 1}).numbers() == {0}
+        (folder / "ensemble.json").write_bytes(wrong)
+        assert KeptParts(folder, {"seed": 1}).numbers() == set()
+
+
 def test_a_removal_that_is_ended_half_way_leaves_no_unknown_parts(tmp_path, monkeypatch):
     folder = tmp_path / "parts"
     kept = KeptParts(folder, {})

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from varying_steps import position_formula, velocity_formula
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
 from integrators import Steps
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_theory import (
-    position_formula,
-    recurrence_of,
-    velocity_formula,
-)
+from integrators.methods.generalized_alpha_theory import recurrence_of
 from integrators.multistep import Multistep, MultistepForm, stable
 from problems.scenes.spring_mass import SpringMass
 
@@ -68,7 +65,7 @@ def test_another_polynomial_is_told_apart():
 
 
 @given(st.floats(0.02, 0.97))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
     r = recurrence_of(GeneralizedAlpha(rho_inf=rho_inf).scheme())
     assert [r.positions.order, r.velocities.order, r.controller.order] == [2, 2, 2]

@@ -39,6 +39,17 @@ def test_help_lists_and_plans_are_made_without_a_compiler():
     assert (done.stdout.strip(), done.stderr) == ("", "")
 
 
+def test_only_the_plugins_that_are_asked_for_are_imported():
+    code = (
+        "import sys; from bench.running.inventory import Inventory; registry = Inventory(); "
+        "registry.require_files(); registry.problem('pendulum'); registry.integrator('newmark'); "
+        "folders = 'integrators.adapters.', 'problems.scenes.'; "
+        "print(*(name for name in sys.modules if name.startswith(folders)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulum", "")
+
+
 @pytest.mark.parametrize(("own", "after"), [("", "1"), ("3", "3")])
 def test_only_a_process_that_takes_times_has_one_thread(own, after):
     # With one, runs that are called from several threads would wait for each other.

@@ -142,6 +142,24 @@ def test_a_method_with_an_estimate_follows_the_tolerance():
     assert errors[1] < 0.3 * errors[0]
 
 
+@dataclass(frozen=True)
+class Early(Oscillator):
+    interval = (-0.3, 1.0)
+
+
+def test_a_run_that_ends_with_its_last_allowed_step_is_complete():
+    # Across zero the last time and the last step do not sum to the end, by a rounding error.
+    for t_end in np.linspace(0.001, 0.1, 300)[[1, 3, 5, 7, 9]]:
+        run = Careful(theta=1.0).prepare(Early(), t_end, Tolerances(10.0)).measure()
+        tries = run.work.steps + run.work.rejected
+        just, fewer = (
+            Careful(theta=1.0, max_steps=most).prepare(Early(), t_end, Tolerances(10.0)).measure()
+            for most in (tries, tries - 1)
+        )
+        assert (just.status, just.t[-1]) == ("ok", t_end)
+        assert fewer.status == "budget_exceeded"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("newton", ["modified", *long("full")])
 def test_chosen_steps_with_sparse_tangents_are_those_with_dense_ones(newton):

@@ -42,6 +42,14 @@ def scene(**methods):
     return type("Made", (Pendulum,), {"__module__": __name__} | methods)
 
 
+def test_none_leaves_out_an_inherited_block():
+    made = scene(energy=None)
+    assert Pendulum.has("energy")
+    assert not made.has("energy")
+    assert made.fault() == ""
+    assert scene(output=lambda self, z: z.y, actuation=None).fault().startswith("it states output")
+
+
 @pytest.mark.parametrize(
     ("name", "method", "nearest"),
     [
@@ -160,6 +168,7 @@ def test_a_sleigh_without_its_constraint_passes_nowhere(stepbench, tmp_path, arg
     assert "its method velocity_constraint is no block" in " ".join(result.output.split())
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_a_scene_whose_controller_has_no_rate_is_told_by_a_run(stepbench, tmp_path):
     file = tmp_path / "halves.py"
     file.write_text(SLEIGH.replace("velocity_constraint", "_slip").replace(

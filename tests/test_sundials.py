@@ -72,7 +72,7 @@ def through_python(run):
 )
 def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit(method, scene, options):
     if "linear_solver" in options:
-        pytest.importorskip("asdex")
+        pytest.importorskip("klujax")
     run = prepared(method, scene, 1.0 if method is CVODE else 0.1, **options)
     assert run.native is not None
     own = run.measure()

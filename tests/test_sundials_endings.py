@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from integrators import Tolerances
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import library
+from problems import MechatronicSystem
+from problems.scenes.pendulum import Pendulum
 
 PLUGINS = Path(odd_forces.__file__)
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
@@ -56,6 +59,35 @@ def test_a_value_that_is_not_finite_keeps_what_was_before(method, callbacks, for
     assert 0.45 < ended.t[-1] <= 0.5 < whole.t[rows + 1]
     assert ended.q.tobytes() == whole.q[:rows].tobytes()
     assert run.execute() is None
+
+
+@dataclass(frozen=True)
+class FilteredPendulum(Pendulum):
+    """The vertical acceleration of a pendulum goes through a filter of about 1 kHz."""
+
+    energy = MechatronicSystem.energy
+
+    def state_rate(self, z):
+        return 6000.0 * (z.a[1:] - z.x)
+
+    def initial_state(self):
+        return super().initial_state()._replace(x=np.zeros(1))
+
+
+@pytest.mark.parametrize("callbacks", ["python", *long("compiled")])
+def test_a_collapsed_step_is_told_with_its_cause_and_remedy(callbacks):
+    scene, options = FilteredPendulum(), {"max_calls": 5000, "callbacks": callbacks}
+    run = prepared(IDA, scene, **options).measure()
+    assert run.status == "budget_exceeded"
+    assert f"the step has collapsed to {run.t[-1] - run.t[-2]:.2g} s" in run.message
+    assert run.t[-1] - run.t[-2] < 1e-4
+    assert "x follows accelerations" in run.message
+    assert "max_calls" not in run.message
+    assert "use formulation=index1" in run.message
+    way_out = prepared(IDA, scene, formulation="index1", **options).measure()
+    assert way_out.status == "ok"
+    few = prepared(IDA, Pendulum(), max_calls=100, callbacks=callbacks).measure()
+    assert few.message.endswith("100 calls were used up; raise max_calls or use a larger rtol.")
 
 
 FATES = {

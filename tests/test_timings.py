@@ -96,6 +96,14 @@ def test_rounds_of_different_invocations_are_no_neighbours_in_time(tmp_path):
     assert not found.differs
 
 
+@pytest.mark.parametrize(("counts", "least"), [((6, 7), 1.1), ((5, 7), 2.0), ((7, 5), 2.0)])
+def test_few_samples_of_either_need_a_factor_of_two(counts, least):
+    one, two = ([1.0] * count for count in counts)
+    for times, differs in ((0.99 * least, False), (1.01 * least, True)):
+        found = quotient_of_medians(one, [times * s for s in two])
+        assert (found.least, found.differs) == (least, differs)
+
+
 def test_samples_of_an_earlier_version_belong_to_the_invocation_of_their_cell(tmp_path):
     one = [(n, 10.0**-n) for n in range(6)]
     two = [(n, 3 * 10.0**-n, 7 if n % 2 else None) for n in range(6)]

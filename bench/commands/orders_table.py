@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
+from msgspec.structs import replace
 
 from bench.commands import completion, options
 from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
+from bench.running.inventory import Inventory, PluginFailed
+from bench.running.plan import make_suite
+from bench.running.profiles import ProfileFile, StudyFile, read_profile
+from problems.spec import SpecError
 
 SUITE = "orders"
 
@@ -34,8 +41,9 @@ def orders_table(
     """Measure the orders that methods claim.
 
     For each method and formulation and each group of variables the table has the order that is
-    claimed, the one after the start transient, and the one from the first step. Without INTEGRATORS
-    it has the methods of the suite orders.
+    claimed, the one after the start transient, and the one from the first step. INTEGRATORS are
+    taken as they are written, at constant steps; without them it has the methods of the suite
+    orders.
 
     \b
     Examples:
@@ -43,12 +51,10 @@ def orders_table(
       stepbench orders-table my_method --plugins my_method.py
       stepbench orders-table bdf2 "bdf2[formulation=index2]" --markdown
     """
-    from bench.running.inventory import Inventory
-    from bench.running.plan import make_suite
-    from bench.running.profiles import read_profile
-
-    registry = Inventory(plugins)
-    suite = make_suite(*read_profile(SUITE), registry, problems, integrators)
+    registry, (name, profile) = Inventory(plugins), read_profile(SUITE)
+    if integrators:
+        profile = _only(profile, registry, problems, integrators)
+    suite = make_suite(name, profile, registry, problems, integrators)
     outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
     tables = view("order_tables")(out)
     if not tables:
@@ -61,6 +67,32 @@ def orders_table(
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
+
+
+def _only(
+    profile: ProfileFile, registry: Inventory, problems: Sequence[str], integrators: Sequence[str]
+) -> ProfileFile:
+    """The studies of these methods alone; those that none of a scene has get one more."""
+    asked = {}
+    for text in integrators:
+        with suppress(PluginFailed):  # the suite says why
+            method = asked[text] = registry.integrator(text)
+            if method.controls != "step":
+                raise SpecError(
+                    f"{method.spec} chooses its own steps, over which no order can be measured; "
+                    "name methods of constant steps, for some with the option steps=constant."
+                )
+    files = []
+    every = [problem for file in profile.study for problem in file.problems]
+    for problem in dict.fromkeys(problems or every):
+        rest = {method.spec for method in asked.values()}
+        more = StudyFile(problems=[problem], integrators=[*asked], figures=profile.study[0].figures)
+        more.title = f"{problem}: methods named"
+        for file in [*(file for file in profile.study if problem in file.problems), more]:
+            own = [text for text in file.integrators if registry.integrator(text).spec in rest]
+            rest -= {registry.integrator(text).spec for text in own}
+            files += [replace(file, problems=[problem], integrators=own)] if own else []
+    return replace(profile, study=files)
 
 
 def _show(table: Any) -> None:

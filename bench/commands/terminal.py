@@ -129,9 +129,9 @@ class RunProgress:
         """Count one step as done."""
         if self._task is not None:
             self._bar.advance(self._task)
-        self._done += 1
-        if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
-            self._say()
+            self._done += 1
+            if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
+                self._say()
         self.after_step()
 
     def found(self, text: str) -> None:

@@ -55,7 +55,7 @@ def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
     program, numbers = method.program(scene, sparse=False)
     # A linearisation that gives the residual, too, would hide an evaluation that is not counted.
     program = replace(program, dense=DenseSolver(joins=False))
-    watched = MechatronicSystem.with_parameters(object.__new__(_watched(type(scene))), vars(scene))
+    watched = scene.with_parameters({}, _watched(type(scene)))
     start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
     t0 = scene.interval[0]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,7 @@ class Checker:
         if plugin.reason:
             yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
+        told: dict[str, str] = {}
         for name in CHECKS[kind]:
             if self._process and self._sources != plugin.sources:
                 self._process.end()
@@ -129,6 +131,10 @@ class Checker:
                         f"status budget_exceeded or step_too_small, or raise --budget."
                     )
                 answer = CheckResult(name, FAILED, fault)
+            if answer.verdict == FAILED:
+                first = next((told[text] for text in told if text in answer.text), "")
+                told.setdefault(answer.text, name)
+                answer = replace(answer, text=f"See {first}: the same fault.") if first else answer
             yield answer
 
     def _plugin(self, kind: str, text: str) -> PluginFacts:

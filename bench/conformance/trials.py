@@ -73,12 +73,12 @@ class FiniteTimeBlowUp(MechatronicSystem):
 
 def moved(scene: MechatronicSystem, by: float) -> MechatronicSystem:
     """Return the scene with the same motion ``by`` seconds later."""
-    return _as(_moved_class(type(scene), by), scene)
+    return scene.with_parameters({}, _moved_class(type(scene), by))
 
 
 def spoilt(scene: MechatronicSystem, at: float) -> MechatronicSystem:
     """Return the scene with a force that is NaN after the time ``at``, in s."""
-    return _as(_spoilt_class(type(scene), at), scene)
+    return scene.with_parameters({}, _spoilt_class(type(scene), at))
 
 
 @cache
@@ -89,8 +89,8 @@ def _moved_class(cls: type, by: float) -> type:
         "state_rate": lambda self, z: cls.state_rate(self, z._replace(t=z.t - by)),
         "output": lambda self, z: cls.output(self, z._replace(t=z.t - by)),
         # It may ask for the interval, which has moved.
-        "initial_state": lambda self: _as(cls, self).initial_state(),
-        "exact": lambda self, t: _as(cls, self).exact(np.asarray(t) - by),
+        "initial_state": lambda self: self.with_parameters({}, cls).initial_state(),
+        "exact": lambda self, t: self.with_parameters({}, cls).exact(np.asarray(t) - by),
     }
     own = {name: block for name, block in blocks.items() if cls.has(name)}
     return type(f"Moved{cls.__name__}", (cls,), own | {"interval": np.add(cls.interval, by)})
@@ -102,11 +102,6 @@ def _spoilt_class(cls: type, at: float) -> type:
         return cls.force(self, q, v, t) + jnp.where(t > at, jnp.nan, 0.0)
 
     return type(f"Spoilt{cls.__name__}", (cls,), {"force": force})
-
-
-def _as(cls: type, scene: MechatronicSystem) -> MechatronicSystem:
-    """Return an instance of another class with the scene's parameters."""
-    return MechatronicSystem.with_parameters(object.__new__(cls), vars(scene))
 
 
 @cache

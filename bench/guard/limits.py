@@ -8,7 +8,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bench.guard.usage import Usage, usage
+from problems.usage import LONGEST_LOOK, Usage, idle_seconds, usage
 
 #: Phases of a job; each has a budget of its own.
 LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
@@ -24,8 +24,6 @@ _STOPPED = 3
 #: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
 #: without having computed or been idle: the machine did not let it run.
 _LATE, _LEAST_LATE = 20, 60.0
-#: Longest time in s between two looks that counts: more passes if this process itself is halted.
-_LONGEST_LOOK = 1.0
 #: Time in s between two comparisons with the limits: each takes longer than many a job.
 _BETWEEN = 0.05
 #: Neither steps nor tolerances change what a run holds in memory.
@@ -33,6 +31,8 @@ _LESS_MEMORY = (
     "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
     "memory_gib"
 )
+#: Neither do they change how long a plugin loads.
+_LOADS_AT_ONCE = "take what waits or computes out of its top level"
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,17 @@ class Meter:
     """
 
     def __init__(self, limits: Limits) -> None:
-        self._limits, self._last = limits, Usage()
+        self._limits, self._last, self._seen = limits, Usage(), 0.0
         self.phase = LOADING
         self.start()
 
     def start(self, process: int | None = None) -> None:
-        """Begin a job, which has used nothing: jobs before it may have ended without a look."""
-        if process:
-            self._last = usage(process) or self._last
+        """Begin a job, which has used nothing: jobs before it may have ended without a look.
+
+        They are looked at now and then, as a look takes longer than many a job.
+        """
+        if process and time.monotonic() - self._seen >= _BETWEEN:
+            self._last, self._seen = usage(process) or self._last, time.monotonic()
         self._used: defaultdict[str, _Used] = defaultdict(_Used)
         self._looked = self._compared = time.monotonic()
 
@@ -119,17 +122,14 @@ class Meter:
         now, use = time.monotonic(), usage(process)
         if use is None:
             return None
-        passed = min(now - self._looked, _LONGEST_LOOK)
-        computed = max(0.0, use.computed_s - self._last.computed_s)
-        queued = max(0.0, use.queued_s - self._last.queued_s)
-        self._looked, self._last = now, use
-        used = self._used[self.phase]
-        used.computed_s += computed
+        passed, used = min(now - self._looked, LONGEST_LOOK), self._used[self.phase]
+        used.computed_s += max(0.0, use.computed_s - self._last.computed_s)
         used.lasted_s += passed
         if use.stopped:
             used.stopped_s += passed
         else:
-            used.idle_s += max(0.0, passed - computed - queued)
+            used.idle_s += idle_seconds(self._last, use, passed)
+        self._looked, self._last = now, use
         return use
 
     @property
@@ -144,22 +144,20 @@ class Meter:
             return None
         used = self._used[self.phase]
         allowed = self._limits.seconds(self.phase)
-        if used.computed_s > allowed:
-            reason = f"it took more than {allowed:g} s of processor time, its budget"
-            return Excess("budget_exceeded", reason, self._limits.advice)
-        if used.idle_s > self._limits.idle_seconds:
-            return Excess(
-                "budget_exceeded",
-                f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits",
-                self._limits.advice,
-            )
-        stopped = _STOPPED * self._limits.idle_seconds
-        if used.stopped_s > stopped:
-            return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
-        if use.memory > self._limits.memory_gib * 2**30:
+        advice = _LOADS_AT_ONCE if self.phase == LOADING else self._limits.advice
+        if use.memory > self._limits.memory_gib * 2**30:  # first, as it takes time, too
             memory = f"{self._limits.memory_gib:g} GiB"
             reason = f"it used more memory than the budget of {memory}"
             return Excess("budget_exceeded", reason, _LESS_MEMORY)
+        if used.computed_s > allowed:
+            reason = f"it took more than {allowed:g} s of processor time, its budget"
+            return Excess("budget_exceeded", reason, advice)
+        if used.idle_s > self._limits.idle_seconds:
+            reason = f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits"
+            return Excess("budget_exceeded", reason, advice)
+        stopped = _STOPPED * self._limits.idle_seconds
+        if used.stopped_s > stopped:
+            return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if used.lasted_s > _LATE * allowed + _LEAST_LATE:
             return Excess(
                 "interrupted", "the machine hardly let it run: it was halted, or busy with others"

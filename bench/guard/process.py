@@ -1,7 +1,7 @@
 """Guarded processes: foreign code runs in them, one job at a time, within budgets.
 
 A crash, a hang or a memory blow-up costs the job in work and nothing else. The process has a
-keeper (`bench.guard.keeper`), which ends it with all that it started, whatever happens to us.
+keeper (`problems.keeper`), which ends it with all that it started, whatever happens to us.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from typing import Any
 
 import msgspec
 
-from bench.guard import keeper, wire
+from bench.guard import wire
 from bench.guard.limits import LOADING, Limits, Meter
+from problems import keeper
 from problems.plain_text import shortened
 from problems.spec import SpecError
 
@@ -144,7 +145,7 @@ class GuardedProcess:
             for message in self._inbox.messages():
                 if message.kind == wire.PHASE:
                     phase, self._words = wire.decode(message.content, tuple[str, str])
-                    self._meter.begin(phase, self.pid)
+                    self._meter.begin(phase, self.pid if self._meter.is_due else None)
                 else:
                     return self._answer(message)
         except wire.BrokenMessage as error:

@@ -14,16 +14,21 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from bench.plugins.registry import FILE_PREFIX
 from bench.results.environment import library_versions
+from integrators.lowering.native import compiler_version
+from problems.runtime import CACHE
+from problems.whole_files import keep, kept
 
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
@@ -33,6 +38,7 @@ JUDGES = ("bench.running.measure", "integrators.answers")
 _COMPILES = "integrators.lowering.native"
 _PROJECT = frozenset({"problems", "integrators", "bench"})
 _PROJECT_FOLDER = Path(__file__).parents[2]
+_THIS = Path(__file__).read_bytes()
 
 
 class _Place(NamedTuple):
@@ -57,18 +63,14 @@ def fingerprint(made: type | Callable) -> str:
 
 def forget() -> None:
     """Read sources, versions and flags anew from now on."""
-    for cached in (fingerprint, _compiler, _file_of, _source, library_versions):
+    for cached in (fingerprint, compiler_version, _file_of, _source, _imports, library_versions):
         cached.cache_clear()
 
 
-@cache
 def _compiler() -> str:
-    """The first line of what the C compiler says of itself; empty if there is none."""
-    with suppress(OSError, subprocess.SubprocessError):
-        done = subprocess.run(
-            ["cc", "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=10
-        )
-        return "cc: " + done.stdout.decode(errors="replace").partition("\n")[0]
+    """The first line of what the C compiler says of itself; empty if there is none, or it hangs."""
+    with suppress(OSError):
+        return f"cc: {compiler_version()}"
     return ""
 
 
@@ -141,7 +143,14 @@ class _Source(NamedTuple):
 @cache
 def _source(file: Path) -> _Source:
     code = file.read_bytes()
-    return _Source(hashlib.sha256(code).hexdigest(), frozenset(_import_names(ast.parse(code))))
+    # To parse all sources takes longer than all else before the first run, so it is done once.
+    file = CACHE / "imports" / hashlib.sha256(_THIS + code).hexdigest()[:32]
+    if (known := kept(file)) is None:
+        known = msgspec.json.encode(list(_import_names(ast.parse(code))))
+        with suppress(OSError):
+            keep(file, known)
+    imports = msgspec.json.decode(known, type=frozenset[tuple[int, str]])
+    return _Source(hashlib.sha256(code).hexdigest(), imports)
 
 
 def _import_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -156,19 +165,21 @@ def _import_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
         elif isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
             due += node.orelse  # imports for types alone do not run
         else:
-            due += (part for part in ast.iter_child_nodes(node) if not isinstance(part, ast.expr))
+            for part in ("body", "orelse", "handlers", "finalbody", "cases"):
+                due += getattr(node, part, ())
 
 
-def _imports(name: str, file: Path) -> Iterator[str]:
+@cache
+def _imports(name: str, file: Path) -> frozenset[str]:
     """The modules that a module imports, with their packages; some are names in a module."""
-    yield from _prefixes(name)
+    found = set(_prefixes(name))
     package = name.split(".") if file.stem == "__init__" else name.split(".")[:-1]
     for level, imported in _source(file).imports:
         start = package[: len(package) - level + 1] if level else []
-        yield from _prefixes(".".join([*start, imported]))
+        found.update(_prefixes(".".join([*start, imported])))
+    return frozenset(found)
 
 
 def _prefixes(name: str) -> Iterator[str]:
     """A dotted name and the packages that it is in: importing it runs these first."""
-    parts = name.split(".")
-    return (".".join(parts[: k + 1]) for k in range(len(parts)))
+    return accumulate(name.split("."), "{}.{}".format)

@@ -15,10 +15,10 @@ import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.plugins.reasons import PluginError, explain
 from integrators.contract import Integrator
@@ -35,19 +35,35 @@ FILE_PREFIX = "stepbench_plugin_"
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 
 
+class Found(NamedTuple):
+    """A class, or the reason why there is none."""
+
+    cls: type | None
+    reason: str = ""
+
+
 @dataclass
 class Plugin:
-    """A name with its class, or the reason why there is none.
+    """A name with the function that finds its class.
 
     ``file`` or ``package`` is its source, unless it is a part of this project.
     """
 
     name: str
     origin: str
-    cls: type | None
-    reason: str = ""
+    found: Callable[[], Found]
     file: str = ""
     package: str = ""
+
+    @property
+    def cls(self) -> type | None:
+        """The class, if it can be used."""
+        return self.found().cls
+
+    @property
+    def reason(self) -> str:
+        """The reason why there is no class, or nothing."""
+        return self.found().reason
 
     @property
     def summary(self) -> str:
@@ -104,8 +120,8 @@ class Registry:
         self.integrators: dict[str, Plugin] = {}
         self._without = without or {}
         for kind in KINDS:
-            for entry in sorted(entry_points(group=f"stepbench.{kind}"), key=lambda e: e.name):
-                package = package_of(entry)
+            entries = [(package_of(e), e.name, e) for e in entry_points(group=f"stepbench.{kind}")]
+            for package, _, entry in sorted(entries, key=lambda e: (e[0] != PROJECT, *e[:2])):
                 own = package == PROJECT
                 if own or packages is None or package in packages:
                     if not own:
@@ -153,7 +169,7 @@ class Registry:
         plugins = getattr(self, kind)
         if plugin.name in plugins:
             name, reason = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
-            plugin = Plugin(name, plugin.origin, None, reason, plugin.file, plugin.package)
+            plugin = _unusable(name, plugin.origin, reason, plugin.file, plugin.package)
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
@@ -165,7 +181,7 @@ class Registry:
         if module is None:
             # Its kind is not known: it is listed under both.
             for kind in KINDS:
-                self._add(kind, _broken(file, reason))
+                self._add(kind, _unusable(file.stem, str(file), reason, str(file)))
             return
         found = 0
         for cls in vars(module).values():
@@ -174,21 +190,21 @@ class Registry:
                 found += 1
                 # A class whose name is of no use is listed, with the reason, under its own.
                 name = cls.name if spec.is_name(cls.name) else cls.__name__
-                plugin = checked_plugin(kind, name, str(file), lambda cls=cls: cls)
-                plugin.file = str(file)
-                self._add(kind, plugin)
+                known = found_class(kind, name, lambda cls=cls: cls)
+                self._add(kind, Plugin(name, str(file), lambda known=known: known, str(file)))
         if not found:
             reason = "it defines no MechatronicSystem and no Integrator."
             for kind in KINDS:
-                self._add(kind, _broken(file, reason))
+                self._add(kind, _unusable(file.stem, str(file), reason, str(file)))
 
     def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
         origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value
         if reason := self._without.get(package):
-            return Plugin(entry.name, origin, None, reason, package=package)
-        plugin = checked_plugin(kind, entry.name, origin, entry.load)
-        plugin.package = package
-        return plugin
+            return _unusable(entry.name, origin, reason, package=package)
+        find = cache(partial(found_class, kind, entry.name, entry.load))
+        if package:  # what is from outside loads now; our own at the first use, as it takes long
+            find()
+        return Plugin(entry.name, origin, find, package=package)
 
 
 def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
@@ -196,8 +212,8 @@ def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
     return f"{name} ({origin})", f"the name {name!r} is taken by {owner}; give it another name."
 
 
-def _broken(file: Path, reason: str) -> Plugin:
-    return Plugin(file.stem, str(file), None, reason, file=str(file))
+def _unusable(name: str, origin: str, reason: str, file: str = "", package: str = "") -> Plugin:
+    return Plugin(name, origin, lambda: Found(None, reason), file, package)
 
 
 def plugin_files(paths: Sequence[str | Path]) -> list[str]:
@@ -272,15 +288,15 @@ def _name_and_version(dist: Any) -> tuple[str, str]:
     return dist.name, dist.version
 
 
-def checked_plugin(kind: str, name: str, origin: str, load: Callable[[], Any]) -> Plugin:
-    """Return a plugin with the class that ``load`` returns, or the reason why it is of no use."""
+def found_class(kind: str, name: str, load: Callable[[], Any]) -> Found:
+    """Return the class of a plugin that ``load`` returns, or the reason why it is of no use."""
     try:
         with redirect_stdout(sys.stderr):  # an entry point is imported here
             cls = load()
         reason = _fault(kind, name, cls)
     except BaseException as error:
         cls, reason = None, explain(error)
-    return Plugin(name, origin, None if reason else cls, reason)
+    return Found(None if reason else cls, reason)
 
 
 def _is_subclass(cls: Any, base: type) -> bool:

@@ -36,7 +36,8 @@ ERROR_NAMES = GROUP_NAMES | {whole(g): f"{name}, 2-norm" for g, name in GROUP_NA
 #: The error that is meant where no other is named.
 ERROR_MEANING = (
     "The error of a group is that of its worst component: |value - reference|, divided by the "
-    "component's largest absolute value in the reference, the largest over all steps."
+    "component's natural size, or where the scene states none by its largest absolute value in the "
+    "reference, the largest over all steps."
 )
 #: Titles of the norms over time; `bench.running.errors.norms` computes them.
 NORM_NAMES = {

@@ -6,7 +6,9 @@ one worker process, so that times of different machines are never compared.
 
 from __future__ import annotations
 
+from asyncio import CancelledError
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from bench.guard import wire
@@ -78,7 +80,9 @@ class ClusterRunner(Runner):
 
     def together(self, count: int) -> int:
         """Return how many of so many short tasks are best sent as a group."""
-        threads: Any = self._client.nthreads()  # of each worker; there may be none yet
+        threads: Any = {}  # of each worker; there may be none yet
+        with suppress(Exception, CancelledError):  # the scheduler is gone, as run() will tell
+            threads = self._client.nthreads()
         groups = max(1, _FEWEST_GROUPS * sum(threads.values()))
         return max(1, min(_MOST_TOGETHER, count // groups))
 
@@ -88,16 +92,20 @@ class ClusterRunner(Runner):
         """Yield every task with its answer, or NoAnswer, as the groups are finished."""
         from distributed import as_completed
 
-        sent = {}
-        for group in groups:
-            if group:
+        sent, due = {}, {id(group): group for group in groups if group}
+        try:
+            for group in due.values():
                 on_start(group[0])
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
                 sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group
-        for future in as_completed(list(sent), loop=self._client.loop):
-            # Nobody else may keep it: the cluster holds an answer as long as its future is there.
-            yield from self._collect(future, sent.pop(future))
+            for future in as_completed(list(sent), loop=self._client.loop):
+                # Nobody else may keep it: the cluster holds an answer as long as its future lives.
+                group = due.pop(id(sent.pop(future)))
+                yield from self._collect(future, group)
+        except (Exception, CancelledError) as error:  # the scheduler is gone
+            for group in due.values():
+                yield from _lost(group, error)
 
     def _collect(self, future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:
@@ -109,10 +117,13 @@ class ClusterRunner(Runner):
                 answers.append((task, wire.decode(content, kind)))
             return answers
         except Exception as error:
-            lost = NoAnswer(
-                status="interrupted", message=f"The cluster could not run it: {named(error)}"
-            )
-            return [(task, lost) for task in group]
+            return _lost(group, error)
+
+
+def _lost(group: list[Task], error: BaseException) -> list[tuple[Task, Any]]:
+    """The tasks of a group, each with the reason why it has no answer."""
+    reason = f"The cluster could not run it: {named(error)}"
+    return [(task, NoAnswer(status="interrupted", message=reason)) for task in group]
 
 
 def _require_certificates(address: str) -> None:

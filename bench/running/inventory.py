@@ -148,6 +148,8 @@ class Inventory:
 
     def broken_files(self) -> list[str]:
         """Return a sentence for each file that was named and cannot be used."""
+        if not self.files:
+            return []
         return list(
             dict.fromkeys(
                 _unusable(plugin)
@@ -194,10 +196,12 @@ class Inventory:
     def _ask(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:
         """Ask about a plugin, here if it is of this project."""
         name, _ = spec.split_spec(text)
+        if name in getattr(self._own, kind):  # no other may take this name
+            return question(self._own, text, *more)
         plugin = self._listing[kind].get(name)
         if plugin is None and (broken := self.broken_files()):  # one of them may have defined it
             raise PluginFailed(f"There is no {text}. {broken[0]}")
-        if plugin is None or not plugin.sources:
+        if plugin is None:
             return question(self._own, text, *more)
         if plugin.reason:
             raise PluginFailed(_unusable(plugin))

@@ -129,7 +129,7 @@ def rows_of(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
     """Return a trajectory, or the values of a reference with "t", in the form that is stored.
 
     Rows end before the first one that is not finite, as JSON has no such numbers. Of many rows some
-    are kept (`integrators.contract.spread_rows`), of large groups the first components.
+    are kept (`integrators.kept_rows.spread_rows`), of large groups the first components.
     """
     values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])

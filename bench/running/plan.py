@@ -183,9 +183,8 @@ def make_suite(
                 studies.append(study)
                 cells.update(more)
     if not cells:
-        raise SpecError(
-            " ".join(["Nothing is left to run; check the names given with -p and -i.", *lost])
-        )
+        reason = "Nothing is left to run; check the names that are given."
+        raise SpecError(" ".join([reason, *dict.fromkeys(lost)]))
     plan = Plan(
         name=name,
         title="" if problems or integrators or own_method else profile.title or name,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Protocol
 
 from bench.guard.limits import Limits
@@ -49,9 +50,23 @@ def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None 
     return ClusterRunner(cluster, limits, printed) if cluster else Runner(jobs, limits, printed)
 
 
+@cache  # several runners of a command tell their tasks' lines by the same
 def teller(progress: Progress) -> Callable[[str, str], None]:
-    """Return a function that tells what a task printed."""
-    return lambda label, text: progress.note(f"{label} printed: {text}")
+    """Return a function that tells what a task printed, each line once."""
+    return _each_line_once(lambda label, text: progress.note(f"{label} printed: {text}"))
+
+
+def _each_line_once(printed: Callable[[str, str], None]) -> Callable[[str, str], None]:
+    """Tell what no task has printed before: a library's fault is the same in every worker."""
+    told: set[str] = set()
+
+    def tell(label: str, text: str) -> None:
+        lines = [line for line in text.splitlines() if line not in told]
+        told.update(lines)
+        if lines:
+            printed(label, "\n".join(lines))
+
+    return tell
 
 
 def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
@@ -126,7 +141,9 @@ def measure_suite(
         # So that no worker is left alone with the longest group in the end.
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
         runner.expect(groups)
-        progress.phase("measuring", sum(len(group) for group in groups))
+        # Scenes are counted if there is nothing else to do: people ask for cells.
+        counted = Worker.measure if cells else Worker.scene
+        progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
         for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
             if task.job is Worker.scene:
                 if fault := _fault_of_scene(task, answer):
@@ -136,7 +153,8 @@ def measure_suite(
                     store.save_scene(answer)
             else:
                 keep(task.arguments[0], answer)
-            progress.advance()
+            if task.job is counted:
+                progress.advance()
     return count
 
 
@@ -179,7 +197,7 @@ def solve_cells(
     sources = cells[0].sources(registry)
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
-    with Runner(1, Limits(budget_s, memory_gib), printed) as runner:
+    with Runner(1, Limits(budget_s, memory_gib), _each_line_once(printed)) as runner:
         for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)

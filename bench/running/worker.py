@@ -207,7 +207,7 @@ class Worker:
         Known numbers are computed for that.
         """
         if self._found is None or self._watched:
-            self._found = check_runtime()
+            self._found = check_runtime(foreign=self._watched)
         return self._found
 
     def time(self, cell: Cell) -> float:

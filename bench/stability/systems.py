@@ -5,7 +5,7 @@ All of them rest at zero, where a step maps a deviation linearly to the next one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+@dataclass(frozen=True, kw_only=True)
 class LinearSystem(MechatronicSystem):
     """Base of the test systems; ``excited`` are the places in [q, v, x] of unit deviations."""
 
     #: All entries if None; entries that they never reach take no part in the spectrum.
     excited: ClassVar[tuple[int, ...] | None] = None
     size: ClassVar[tuple[int, int]] = (1, 0)
-    deviation: np.ndarray | None = None
+    deviation: np.ndarray | None = field(default=None, compare=False)
 
     def from_deviation(self, s: np.ndarray) -> Self:
         """Return the same system, started from s = [q, v, x] instead of rest."""

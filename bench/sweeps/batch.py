@@ -91,7 +91,7 @@ class Batch:
     t_end
         End of all runs in s.
     every_row
-        Keep all rows of a single run, with the start, instead of the last row alone.
+        Keep the start, the first rows and some 200 more instead of the last row alone.
     lanes
         Runs side by side, a power of two. By default the machine and the memory decide.
 

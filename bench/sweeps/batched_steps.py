@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from integrators.contract import Integrator, Steps, Tolerances
-from integrators.kept_rows import spread_rows
+from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.native import adaptive_steps, constant_steps
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel
@@ -88,7 +88,10 @@ class ConstantSteps:
         self._t_end = t_end
         different, self._of = distinct(steps)
         clocks, ends = zip(*(constant_steps.grid(t0, t_end, s) for s in different), strict=True)
-        rows = [spread_rows(end)[1:] if every_row else np.array([end]) for end in ends]
+        rows = [
+            constant_steps.kept_steps(clock, end, SPREAD_ROWS) if every_row else np.array([end])
+            for clock, end in zip(clocks, ends, strict=True)
+        ]
         self.numbers = list(clocks)
         self._row_counts = np.array([len(numbers) for numbers in rows])
         self._rows = np.zeros((len(rows), self._row_counts.max()), dtype=np.int64)
@@ -152,11 +155,14 @@ class ChosenSteps:
         return np.where(idle, len(self.numbers) - 1, self._of[places])
 
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
-        return (np.ones(len(places), dtype=np.int64) if self._every_row else None,)
+        if not self._every_row:
+            return None, None
+        rows = np.arange(1, FIRST_ROWS + SPREAD_ROWS + 1)
+        return np.tile(rows, (len(places), 1)), np.full(len(places), SPREAD_ROWS)
 
     def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
-        early, spread, last, end = answer
-        tables = np.concatenate([early, spread, last[:, None]], axis=1)
+        rows, last, end = answer
+        tables = np.concatenate([rows, last[:, None]], axis=1)
         if not self._every_row:
             tables[end[:, 0] != 0] = 0  # a run that failed early has no last row
         kept = [adaptive_steps.in_order(table) for table in tables]

@@ -1,8 +1,9 @@
 """Members of an ensemble in parts on the disk: many more than memory holds.
 
 A part holds the members of a shard, in the format ``npz``: `numpy.load` gives an array for each
-column. A part is put in place whole, so that those that are there can be read at any time. Without
-a file to write, parts are in the system's folder for temporary files, which may be memory.
+column. A part is put in place whole, with a digest at its end, so that those that are there can be
+read at any time, and one that has changed is run again. Without a file to write, parts are in the
+system's folder for temporary files, which may be memory.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 from bench.results.store_file import locked
 from bench.sweeps.ensemble import WORK, spread
 from problems.spec import SpecError
-from problems.whole_files import put
+from problems.whole_files import keep, kept
 
 _ABOUT = "ensemble.json"
 #: Bytes of the columns that are in memory together; a column is not divided.
@@ -101,19 +102,19 @@ class KeptParts(Parts):
         self._folder = folder
         folder.mkdir(exist_ok=True)
         self._lock = locked(folder)
-        file, text = folder / _ABOUT, json.dumps(about, indent=1)
-        if not file.exists():
+        file, text = folder / _ABOUT, json.dumps(about, indent=1).encode()
+        if (known := kept(file)) is None:
             self._drop_all()  # nobody knows of which ensemble they are
-            put(file, text)
-        elif file.read_text(encoding="utf-8", errors="replace") != text:
+            keep(file, text)
+        elif known != text:
             raise SpecError(
                 f"{folder} holds members of another ensemble, of other sources, or of another "
                 f"release; give the same command again, or remove this folder."
             )
-        self._sound = {k for k in self._found() if self._is_sound(k)}
+        self._sound = {k for k in self._found() if kept(self.opened(k)) is not None}
 
     def put(self, k: int, columns: Columns) -> None:
-        put(self.opened(k), _encoded(columns))
+        keep(self.opened(k), _encoded(columns))
         self._sound.add(k)
 
     def numbers(self) -> set[int]:
@@ -141,14 +142,6 @@ class KeptParts(Parts):
         for path in self._folder.glob("part-*.npz"):
             if (number := path.stem.removeprefix("part-")).isdecimal():
                 yield int(number)
-
-    def _is_sound(self, k: int) -> bool:
-        """Whether a part can be read: a power cut may have left an empty one."""
-        try:
-            with zipfile.ZipFile(self.opened(k)) as file:
-                return file.testzip() is None
-        except (OSError, zipfile.BadZipFile, EOFError):
-            return False
 
 
 class Results:

@@ -1,16 +1,15 @@
 """Counting of a function's evaluations inside compiled code.
 
-A counted program calls functions of this process by name, through XLA's foreign function
-interface. Such a program is the same in every process, so that JAX keeps it in its persistent
-compilation cache. If the interface refuses our functions, ``jax.debug.callback`` counts: its calls
-take some 40 microseconds instead of 10, and every process compiles its programs again.
+A counted program calls two functions in C by name, through XLA's foreign function interface. Such a
+program is the same in every process, so that JAX keeps it in its persistent compilation cache. The
+functions are compiled with the header of the installed release, whose layout they so have. Without
+a C compiler, or if XLA refuses them, ``jax.debug.callback`` counts: its calls take some 40
+microseconds, and every process compiles its programs again.
 """
 
 from __future__ import annotations
 
 import ctypes
-import logging
-import re
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +17,13 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from problems.runtime import jax
+from integrators.lowering.native import load
+from problems.runtime import jax, slower
 
 #: Names under which compiled programs call. Cached programs hold them.
 EVALUATION = "stepbench_count_evaluation"
 LINEARISATION = "stepbench_count_linearisation"
+_NAMES = (EVALUATION, LINEARISATION)
 
 
 class Counts(NamedTuple):
@@ -32,9 +33,12 @@ class Counts(NamedTuple):
     linearisations: int
 
 
-# One tally for the process: a compiled program knows names, not objects.
-_tally: dict[str, int] = {EVALUATION: 0, LINEARISATION: 0}
-_tally_lock = threading.Lock()  # XLA may call from several threads
+class _Way(NamedTuple):
+    """A way to count: ``call(name)`` puts a call that counts into the program that is traced; the
+    tally is one for the process, as a compiled program knows names and no objects."""
+
+    call: Callable[[str], None]
+    tally: dict[str, ctypes.c_int64]
 
 
 def watch(rate: Callable) -> Callable:
@@ -43,7 +47,7 @@ def watch(rate: Callable) -> Callable:
     A linearisation in s counts once, however many directions follow: the calls that count take no
     arguments, so that they stand outside of its linear part.
     """
-    return _watch(rate, _way_to_count())
+    return _watch(rate, _way().call)
 
 
 def watch_block(block: Callable) -> Callable:
@@ -51,7 +55,7 @@ def watch_block(block: Callable) -> Callable:
 
     A linearisation counts once, too, in whatever arguments it is.
     """
-    count = _way_to_count()
+    count = _way().call
 
     @jax.custom_jvp
     def counted(*arguments: Any) -> Any:
@@ -73,15 +77,26 @@ def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
     -------
     The finished result of ``program(*arguments)``, and the counts of the call.
     """
+    # The way is tried out here, at the latest: the one thread cannot wait for a trial in itself.
+    return _run_counted(_way(), program, *arguments)
 
+
+def counts_by_name() -> bool:
+    """Whether counted programs call functions by name, so that they can be kept for other
+    processes."""
+    return _way().call is _count_by_name
+
+
+def _run_counted(way: _Way, program: Callable, *arguments: Any) -> tuple[Any, Counts]:
     def run() -> tuple[Any, Counts]:
-        _tally.update(dict.fromkeys(_tally, 0))
+        for number in way.tally.values():
+            number.value = 0
         result = jax.block_until_ready(program(*arguments))
         jax.effects_barrier()  # the last callbacks may still be under way
-        return result, Counts(*_tally.values())
+        return result, Counts(*(number.value for number in way.tally.values()))
 
-    # Not in the main thread: Ctrl-C would be raised there in the midst of a function that XLA
-    # called, which cannot hand it on.
+    # Not in the main thread: Ctrl-C would wait there for the end of the program, or be raised in
+    # the midst of a callback, which cannot hand it on.
     return _counting_thread().submit(run).result()
 
 
@@ -108,12 +123,57 @@ def _watch(rate: Callable, count: Callable[[str], None]) -> Callable:
     return counted
 
 
-def add_one(name: str) -> None:
-    with _tally_lock:
-        _tally[name] += 1
-
-
 # ---- ways to count from compiled code --------------------------------------------------
+@cache
+def _way() -> _Way:
+    """The first way that counts rightly here.
+
+    Raises
+    ------
+    RuntimeError
+        If there is none: numbers of calls are right or there are none.
+    """
+    try:
+        return _tried(_by_name())
+    except Exception as error:  # of whatever kind: there is another way to count
+        slower(f"Counting is slow and its programs are not cached: {error}.")
+    try:
+        return _tried(_by_callback())
+    except Exception as error:
+        raise RuntimeError(
+            f"this release of JAX has no way to count evaluations in compiled programs ({error}); "
+            f"install an earlier release of jax"
+        ) from error
+
+
+def _tried(way: _Way) -> _Way:
+    """The same way, after a program with the traps of the real ones: a loop, equal calls, unused
+    results."""
+    square = _watch(lambda t, s, p: s * s, way.call)
+
+    def once(_: int, s: Any) -> Any:
+        square(0.0, s, None)
+        _, push = jax.linearize(lambda s: square(0.0, s, None), s)
+        return push(s) + push(2 * s)
+
+    found = _run_counted(way, jax.jit(lambda: jax.lax.fori_loop(0, 3, once, 1.0)))[1]
+    if found != Counts(3, 3):
+        raise RuntimeError(f"3 evaluations and 3 linearisations were counted as {found}")
+    return way
+
+
+def _by_name() -> _Way:
+    # XLA refuses by an exception only when it is up. Before, it would keep the function and then
+    # fail to start.
+    jax.local_devices()
+    library = load(header() + _COUNTING + "\n".join(f"COUNTING({name})" for name in _NAMES))
+    for name in _NAMES:
+        function = jax.ffi.pycapsule(getattr(library, name))
+        jax.ffi.register_ffi_target(name, function, platform="cpu")
+    tally = {name: ctypes.c_int64.in_dll(library, f"{name}s") for name in _NAMES}
+    return _Way(_count_by_name, tally)
+
+
 def _count_by_name(name: str) -> None:
     # The side effect keeps XLA from dropping, merging or hoisting calls without a result.
     # In a function of its own: of calls that stand bare in two equal loops, JAX 0.10 hands on the
@@ -121,175 +181,37 @@ def _count_by_name(name: str) -> None:
     jax.jit(jax.ffi.ffi_call(name, (), has_side_effect=True))()
 
 
-def _count_by_callback(name: str) -> None:
-    jax.debug.callback(partial(add_one, name))
-
-
-def _way_to_count() -> Callable[[str], None]:
-    """A way that counts rightly here.
-
-    Raises
-    ------
-    RuntimeError
-        If there is none: numbers of calls are right or there are none.
-    """
-    # Registered here, ahead of any program that calls the functions, compiled or out of a cache.
-    if names_are_registered():
-        return _count_by_name
-    if not _callbacks_count():
-        raise RuntimeError(
-            "this release of JAX has no way to count evaluations in compiled programs; install an "
-            "earlier release of jax"
-        )
-    return _count_by_callback
-
-
-@cache
-def _callbacks_count() -> bool:
-    return run_counted(_three_of_each(_count_by_callback))[1] == Counts(3, 3)
-
-
-@cache
-def names_are_registered() -> bool:
-    """Make both functions known to XLA, once, and try them out."""
-    try:
-        # XLA refuses by an exception only when it is up. Before, it would keep the function
-        # and then fail to start.
-        jax.local_devices()
-        check_layout(header())
-        for name in _tally:
-            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(_handler(name)), platform="cpu")
-        found = run_counted(_three_of_each(_count_by_name))[1]
-        if found != Counts(3, 3):
-            raise RuntimeError(f"3 evaluations and 3 linearisations were counted as {found}")
-    except Exception as error:  # of whatever kind: there is another way to count
-        reason = "Counting is slow and its programs are not cached, as XLA calls no function of"
-        logging.getLogger(__name__).warning("%s ours: %s", reason, error)
-        return False
-    return True
-
-
-def _three_of_each(count: Callable[[str], None]) -> Callable:
-    """A program with the traps of the real ones: a loop, equal calls, unused results."""
-    square = _watch(lambda t, s, p: s * s, count)
-
-    def once(_: int, s: Any) -> Any:
-        square(0.0, s, None)
-        _, push = jax.linearize(lambda s: square(0.0, s, None), s)
-        return push(s) + push(2 * s)
-
-    return jax.jit(lambda: jax.lax.fori_loop(0, 3, once, 1.0))
-
-
-# ---- the C interface of XLA's foreign functions ----------------------------------------
-# Field by field as in xla/ffi/api/c_api.h, which jaxlib installs under jax.ffi.include_dir(), with
-# its names. XLA owns these structures, and its minor versions only add fields at their ends. Fields
-# after the last one used here are left out.
-_METADATA_EXTENSION = 1  # XLA_FFI_Extension_Metadata
-_EXECUTE = 3  # XLA_FFI_ExecutionStage_EXECUTE
-
-
-class _Version(ctypes.Structure):  # XLA_FFI_Api_Version
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
-        ("major_version", ctypes.c_int),
-        ("minor_version", ctypes.c_int),
-    )
-
-
-class _Metadata(ctypes.Structure):  # XLA_FFI_Metadata
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("api_version", _Version),
-        ("traits", ctypes.c_uint32),
-    )
-
-
-class _Extension(ctypes.Structure):  # XLA_FFI_Extension_Base
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("type", ctypes.c_int),
-        ("next", ctypes.c_void_p),
-    )
-
-
-class _MetadataExtension(ctypes.Structure):  # XLA_FFI_Metadata_Extension
-    _fields_ = (("extension_base", _Extension), ("metadata", ctypes.POINTER(_Metadata)))
-
-
-class _Api(ctypes.Structure):  # XLA_FFI_Api
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
-        ("api_version", _Version),
-    )
-
-
-class _CallFrame(ctypes.Structure):  # XLA_FFI_CallFrame
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.POINTER(_MetadataExtension)),
-        ("api", ctypes.POINTER(_Api)),
-        ("ctx", ctypes.c_void_p),
-        ("stage", ctypes.c_int),
-    )
-
-
-#: The structures by their names in the header.
-_STRUCTURES = {
-    "XLA_FFI_Api_Version": _Version,
-    "XLA_FFI_Metadata": _Metadata,
-    "XLA_FFI_Extension_Base": _Extension,
-    "XLA_FFI_Metadata_Extension": _MetadataExtension,
-    "XLA_FFI_Api": _Api,
-    "XLA_FFI_CallFrame": _CallFrame,
-}
-
-
 def header() -> str:
     """The text of XLA's interface, as the installed release has it."""
     return Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
 
 
-def check_layout(header: str) -> None:
-    """Compare our structures with XLA's own text of them; another layout would be a crash.
+#: Makes a function for XLA to call, and its tally. XLA asks each for its version of the interface
+#: first. The type of what extends a frame has another name in each release, and is not named here.
+_COUNTING = """
+static XLA_FFI_Error *count(XLA_FFI_CallFrame *frame, _Atomic int64_t *tally)
+{
+    if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata) {
+        XLA_FFI_Metadata *about = ((XLA_FFI_Metadata_Extension *)frame->extension_start)->metadata;
+        about->api_version.major_version = XLA_FFI_API_MAJOR;
+        about->api_version.minor_version = XLA_FFI_API_MINOR;
+        about->traits = 0;
+    } else if (frame->stage == XLA_FFI_ExecutionStage_EXECUTE) {
+        ++*tally;
+    }
+    return 0;
+}
+#define COUNTING(name) \\
+    _Atomic int64_t name##s; \\
+    XLA_FFI_Error *name(XLA_FFI_CallFrame *frame) { return count(frame, &name##s); }
+"""
 
-    Raises
-    ------
-    RuntimeError
-        If they differ.
-    """
-    code = re.sub(r"//.*", "", header)
-    if not re.search(r"#define XLA_FFI_API_MAJOR 0\s", code):
-        raise RuntimeError("XLA's interface has another major version than 0")
-    for name, ours in _STRUCTURES.items():
-        body = re.search(rf"struct {name} \{{(.*?)\}}", code, re.DOTALL)
-        theirs = re.findall(r"(\w+);", body[1]) if body else []
-        if theirs[: len(ours._fields_)] != [field for field, *_ in ours._fields_]:
-            raise RuntimeError(f"XLA's structure {name} has other fields")
 
+def _by_callback() -> _Way:
+    tally, lock = {name: ctypes.c_int64() for name in _NAMES}, threading.Lock()
 
-_Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_CallFrame))
+    def add_one(name: str) -> None:
+        with lock:  # XLA may call from several threads
+            tally[name].value += 1
 
-
-@cache  # also keeps it alive: XLA holds a bare pointer
-def _handler(name: str) -> Any:
-    """A function for XLA to call: it counts under a name and returns no error."""
-
-    @_Handler
-    def handle(pointer: Any) -> None:
-        frame = pointer.contents
-        extension = frame.extension_start
-        if extension and extension.contents.extension_base.type == _METADATA_EXTENSION:
-            metadata = extension.contents.metadata.contents
-            # The fields above are of major version 0; any minor version agrees. Older releases do
-            # not tell theirs.
-            api, version = frame.api, metadata.api_version
-            version.major_version = 0
-            version.minor_version = api.contents.api_version.minor_version if api else 1
-            metadata.traits = 0
-        elif frame.stage == _EXECUTE:
-            add_one(name)
-
-    return handle
+    return _Way(lambda name: jax.debug.callback(partial(add_one, name)), tally)

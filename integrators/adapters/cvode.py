@@ -118,5 +118,5 @@ class _CVODERun(SundialsRun):
             return None
         return work.factorisations, work.solves
 
-    def _advice(self, status: str) -> str:
-        return advice(status)
+    def _advice(self, cause: str) -> str:
+        return advice(cause)

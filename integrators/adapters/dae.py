@@ -21,8 +21,9 @@ from problems.system import MechatronicSystem, Sizes
 if TYPE_CHECKING:
     from jaxtyping import Float, Int32
 
-#: Absolute tolerance that takes a variable out of the error test: IDA's own switch for it
-#: (suppressalg) is not reachable through the Python bindings, and others have none.
+#: Absolute tolerance that takes a variable out of the error test, and of the test of convergence of
+#: Newton's method. IDA's own switch (``suppress_algebraic``) keeps it in the latter; compiled
+#: callbacks alone reach it, and other solvers have none.
 _NOT_TESTED = 1e6
 
 

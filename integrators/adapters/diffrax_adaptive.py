@@ -12,7 +12,7 @@ import numpy as np
 from integrators.adapters.counting import (
     EVALUATION,
     LINEARISATION,
-    names_are_registered,
+    counts_by_name,
     run_counted,
     watch,
 )
@@ -72,7 +72,6 @@ def adaptive_programs(
 
     The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
     """
-    by_name = names_are_registered()
 
     def program(counts: bool) -> Callable:
         import diffrax
@@ -119,7 +118,7 @@ def adaptive_programs(
         timed=exported(lambda: program(counts=False), lambda: (*about, "timed")),
         counted=exported(
             lambda: program(counts=True),
-            lambda: (*about, "counted", by_name),
+            lambda: (*about, "counted", counts_by_name()),
             calls=(EVALUATION, LINEARISATION),
         ),
     )
@@ -165,7 +164,8 @@ class AdaptiveRun(PreparedRun):
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
         status, message = self._outcome(good, number, t[-1], s[-1])
-        keep, nq = kept_rows(accepted), self._scene.sizes.nq
+        parts, nq = (t - self._t0) / (self._t_end - self._t0), self._scene.sizes.nq
+        keep = kept_rows(parts)
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
         work = work_of(self._scheme, counts, accepted, rejected)

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from integrators.contract import Integrator, PreparedRun, Steps, Trajectory
+from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
 from problems.engines.agreement import why_not
 from problems.initial_values import consistent_start
@@ -53,6 +54,11 @@ class EngineRun(PreparedRun):
         self.steps = resolution.count(t0, t_end)
         #: Times of the ends of the steps, the start first.
         self.t = np.linspace(t0, float(t_end), self.steps + 1)
+
+    def kept(self) -> set[int]:
+        """The numbers of the steps that are rows, the start among them."""
+        parts = np.linspace(0.0, 1.0, self.steps + 1)
+        return set(kept_rows(parts, width_of(self.scene.sizes)).tolist())
 
     def ended(self, trajectory: Trajectory, ending: Ending, step: int) -> Trajectory:
         """A trajectory with the outcome of a run that went wrong in a step."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from integrators.adapters.engines import Engine, EngineRun
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
-from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
 from problems.engines.agreement import check_start
 from problems.engines.exudyn_models import MODELS, engine, exudyn_model
@@ -140,8 +139,7 @@ class _ExudynRun(EngineRun):
         return solver
 
     def measure(self) -> Trajectory:
-        width = width_of(self.scene.sizes)
-        wanted, rows, count = set(kept_rows(self.steps, width).tolist()), [], 0
+        wanted, rows, count = self.kept(), [], 0
 
         def keep(system: Any, t: float) -> bool:
             nonlocal count

@@ -18,6 +18,7 @@ from integrators.adapters.sundials_run import SundialsRun
 from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import dense, sparse
 from problems import sparsity
+from problems.dependence import states_follow_accelerations
 from problems.formulations import FORMULATIONS, dae_layout
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -30,7 +31,9 @@ class IDA(CallsEquations, Integrator):
     The Jacobian dF/dw + cj dF/dwdot is exact (automatic differentiation). By default the
     multipliers are left out of the error test, as IDA's authors advise for index 2: with them
     in it the steps collapse. Outputs y of a constrained scene share the index of the multipliers
-    and are treated like them; in every other case y is an index-1 variable and stays in.
+    and are treated like them; in every other case y is an index-1 variable and stays in. So does
+    x: where it follows accelerations of a constrained scene, steps collapse unless formulation is
+    index1.
 
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x: BDF's derivative of v is not used.
@@ -147,11 +150,17 @@ class _IDARun(SundialsRun):
         # In IDA's Newton method every residual is followed by one solve.
         return work.factorisations or 0, work.residuals or 0
 
-    def _advice(self, status: str) -> str:
+    def _advice(self, cause: str) -> str:
         if self._scene.has("constraint"):
+            small = cause == "step_too_small" and self._method.formulation != "index1"
+            if small and states_follow_accelerations(self._scene):
+                return (
+                    "x follows accelerations, whose errors under constraints do not fall with the "
+                    "step, and the error test of x cuts it without end: use formulation=index1"
+                )
             if self._method.formulation in ("index3", "index2"):
                 return "use formulation=stabilised_index2"
             for name in ("multipliers_in_error_test", "suppress_algebraic"):
                 if getattr(self._method, name):
                     return f"use {name}=false"
-        return advice(status)
+        return advice(cause)

@@ -12,7 +12,6 @@ import numpy as np
 from integrators.adapters.engines import Engine, EngineRun
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
-from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
 from problems.engines.agreement import check_start
 from problems.engines.mujoco_models import LOOPS, MODELS, engine, hard_acceleration, mujoco_model
@@ -108,8 +107,7 @@ class _MujocoRun(EngineRun):
 
     def measure(self) -> Trajectory:
         model, data, mujoco = self._model, self._data, self._mujoco
-        width = width_of(self.scene.sizes)
-        wanted, rows, iterations, failed = set(kept_rows(self.steps, width).tolist()), [], 0, 0
+        wanted, rows, iterations, failed = self.kept(), [], 0, 0
         with self._quiet():
             self._reset()
             for step in range(self.steps + 1):

@@ -139,7 +139,7 @@ class ScipyRun(PreparedRun):
         return self._solve(self.counted_equations(), lambda solver: None, lambda t, w: None)
 
     def measure(self) -> Trajectory:
-        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
+        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2], self._t_end)
         equations = self.counted_equations()
         end = self._solve(
             equations, equations.count_linear_algebra, lambda time, values: kept.add((time, values))

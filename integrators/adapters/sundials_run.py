@@ -107,8 +107,8 @@ class SundialsRun(PreparedRun):
         """The numbers of factorisations and solves; None if they are not known."""
 
     @abstractmethod
-    def _advice(self, status: str) -> str:
-        """Advice after an early end."""
+    def _advice(self, cause: str) -> str:
+        """Advice after an early end of this status, or with the step too small."""
 
     def _compiled(self) -> Compiled | NotLowered:
         """The equations in C, compared with those of JAX, or why they are called through Python."""
@@ -137,14 +137,15 @@ class SundialsRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
-        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2])
-        flag, early_end, work = 0, None, Work(steps=0)
+        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2], self._t_end)
+        flag, early_end, work, h = 0, None, Work(steps=0), 0.0
         try:
             with self._solver() as solver:
                 try:
                     while kept.last[0] < self._t_end and flag >= 0:
                         flag, time, unknowns = solver.step()
                         if flag >= 0:
+                            h = time - kept.last[0]
                             kept.add((time, unknowns))
                 finally:
                     work = self._completed(solver.work(kept.steps))
@@ -157,8 +158,11 @@ class SundialsRun(PreparedRun):
         trajectory = replace(self._trajectory(t, w), work=work)
         if early_end is None:
             return trajectory
-        status, remedy = early_end.status, self._advice(early_end.status)
-        message = early_end_message(t[-1], self._t_end, early_end.reason, remedy)
+        status, cause, reason = early_end.status, early_end.status, early_end.reason
+        # More than a Jacobian in each step: the steps that were tried failed, one after the other.
+        if status == "budget_exceeded" and (work.jacobians or 0) > (work.steps or 0):
+            cause, reason = "step_too_small", f"the step has collapsed to {h:.2g} s, and {reason}"
+        message = early_end_message(t[-1], self._t_end, reason, self._advice(cause))
         return replace(trajectory, status=status, message=message)
 
     def bill(self, run: Trajectory) -> dict[str, float]:

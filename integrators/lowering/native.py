@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
+import platform
 import shutil
-import subprocess
 import tempfile
+import time
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -15,14 +15,18 @@ from pathlib import Path
 import platformdirs
 
 from integrators.lowering.graph import NotLowered
+from problems.other_programs import asked
+from problems.whole_files import keep, kept
 
 _COMPILER = "cc"
 #: Rounding stays as written: no operations are contracted. The library is not for one processor
 #: alone, as a folder of the user may be shared by several machines.
 _FLAGS = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 _CACHE = Path(platformdirs.user_cache_dir("stepbench")) / "native"
-#: Seconds that the compiler may take for one source.
-_PATIENCE = 300
+#: Whatever a compilation has left that was killed is removed after so many s.
+_OLD = 86_400
+#: The compiler hung in this process, which asks it no more.
+_hung: list[str] = []
 
 
 @cache
@@ -32,52 +36,53 @@ def load(source: str) -> ctypes.CDLL:
     Raises
     ------
     NotLowered
-        If there is no compiler, it refuses the source, or the result cannot be kept or loaded.
+        If there is no compiler, it hangs or refuses the source, or the result cannot be kept or
+        loaded.
     """
     compiler = shutil.which(_COMPILER)
     if compiler is None:
         raise NotLowered(f"there is no C compiler named {_COMPILER}")
+    if _hung:
+        raise NotLowered(_hung[0])
     try:
-        about = "\0".join((source, _version(compiler), *_FLAGS))
-        name = f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
-        _CACHE.mkdir(parents=True, exist_ok=True)
-        file = _CACHE / name
-        if file.exists():
-            with suppress(OSError):  # whatever stands there: it is made anew
+        about = "\0".join((source, platform.machine(), compiler_version(compiler), *_FLAGS))
+        file = _CACHE / f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
+        if kept(file) is not None:
+            with suppress(OSError):  # of another system: it is made anew
                 return ctypes.CDLL(str(file))
-        with tempfile.TemporaryDirectory(dir=_CACHE) as folder:
-            new = _compile(compiler, source, Path(folder))
-            new.replace(file)
+        keep(file, _compile(compiler, source))
         return ctypes.CDLL(str(file))
+    except TimeoutError as error:
+        _hung.append(f"{error}")
+        raise NotLowered(_hung[0]) from error
     except OSError as error:
         raise NotLowered(f"{_COMPILER} or the folder {_CACHE} fails ({error})") from error
 
 
-def _compile(compiler: str, source: str, folder: Path) -> Path:
-    text, new = folder / "functions.c", folder / "functions.so"
-    text.write_text(source, encoding="utf-8")
-    command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            env={**os.environ, "LC_ALL": "C"},
-            timeout=_PATIENCE,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise NotLowered(f"{_COMPILER} took more than {_PATIENCE} s") from error
-    if done.returncode:
-        words = done.stderr.decode(errors="replace").strip().splitlines()
-        raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
-    return new
+def _compile(compiler: str, source: str) -> bytes:
+    _CACHE.mkdir(parents=True, exist_ok=True)
+    for left in _CACHE.iterdir():
+        with suppress(OSError):  # another process may remove it, too
+            if left.is_dir() and time.time() - left.stat().st_mtime > _OLD:
+                shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(dir=_CACHE) as folder:
+        text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
+        text.write_text(source, encoding="utf-8")
+        command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
+        done = asked(command, LC_ALL="C", TMPDIR=folder)
+        if done.returncode:
+            words = done.stderr.decode(errors="replace").strip().splitlines()
+            raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
+        return new.read_bytes()
 
 
 @cache
-def _version(compiler: str) -> str:
-    """The first line of what the compiler says of itself."""
-    done = subprocess.run(
-        [compiler, "--version"], capture_output=True, stdin=subprocess.DEVNULL, check=False
-    )
-    return done.stdout.decode(errors="replace").partition("\n")[0]
+def compiler_version(compiler: str = _COMPILER) -> str:
+    """Return the first line of what a compiler says of itself.
+
+    Raises
+    ------
+    OSError
+        If there is none, or it hangs.
+    """
+    return asked([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.methods.rattle import refused_control, refused_mass
+from integrators.methods.rattle import refused_control
 from integrators.native.guesses import Guess
 from integrators.native.own_values import OwnValues
 from integrators.native.stage_equations import Base, Slopes, resting, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, largest
 from problems import formulations
-from problems.dependence import force_takes_velocities
+from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
@@ -37,7 +37,7 @@ class LobattoState(NamedTuple):
 
 @dataclass(frozen=True)
 class LobattoPair(OwnValues, ImplicitStepMethod):
-    """Lobatto IIIA-IIIB with three stages at t, t + h/2 and t + h; M is constant.
+    """Lobatto IIIA-IIIB with three stages at t, t + h/2 and t + h; symplectic as M is constant.
 
     With M a_i = f(Q_i, V_i) - Phi_q(Q_i)^T lam_i::
 
@@ -63,7 +63,12 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
         return self.orders | {"a": 2, "lam": 2}
 
     def supports(self, scene: MechatronicSystem) -> str | None:
-        return refused_control(self.name, scene) or refused_mass(self.name, scene)
+        if mass_varies(scene):
+            return (
+                f"{self.name} is symplectic with a constant mass matrix alone, and that of the "
+                f"scene depends on q; take variational_midpoint, or radau_iia for a high order."
+            )
+        return refused_control(self.name, scene)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> LobattoState:
         z, xdot = start.z, start.xdot

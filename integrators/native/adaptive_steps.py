@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
-from integrators.kept_rows import FIRST_ROWS, most_rows, width_of
+from integrators.kept_rows import EVERY_STEP, is_row, times_of, width_of
 from integrators.native import small_matrices
 from integrators.native.constant_steps import row_slots
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
-from integrators.native.rows import SpreadRows, bounded, flat, with_start
+from integrators.native.rows import KeptRows, bounded, flat, with_start
 from integrators.native.step_control import Span, StepControl
 from integrators.native.step_operations import run_bill
 from integrators.native.step_program import Numbers, StepProgram
@@ -58,7 +58,7 @@ class _Progress(NamedTuple):
     peaks: tuple[Scalar, ...]
     ending: Int[Array, ""]
     counts: tuple[Int[Array, ""], ...]
-    rows: SpreadRows
+    rows: KeptRows
 
 
 class AdaptiveRun(PreparedRun):
@@ -82,7 +82,7 @@ class AdaptiveRun(PreparedRun):
         packs = [scene.parameters(), numbers, self._start]
         self.arguments = self.kernel.pack(*packs, self._span)
         self._slots = row_slots(scene)
-        self.end_only = (jnp.zeros(self._slots, dtype=int),)
+        self.end_only = jnp.full(self._slots, EVERY_STEP), jnp.asarray(1)
         # A loop over no time compiles the kernel and costs nothing else.
         nothing = self.kernel.pack(*packs, self._span._replace(t_end=t0))
         jax.block_until_ready(self.kernel(nothing, *self.end_only))
@@ -91,19 +91,17 @@ class AdaptiveRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        most = most_rows(width_of(self._scene.sizes))
-        first, steps, parts, last, end = 1, most, [], np.zeros(0), np.zeros(0)
-        # Each call begins at the start again, and keeps the next rows.
-        while first <= steps:
-            wanted = jnp.full(self._slots, first)
-            window, spread, last, end = map(np.asarray, self.kernel(self.arguments, wanted))
-            steps, first = int(end[2]), first + self._slots
-            parts.append(window)
-            if steps > most:
-                parts.append(spread)
-                break
+        width, windows, last, end = width_of(self._scene.sizes), [], np.zeros(0), np.zeros(0)
+        first, times, full = 1, EVERY_STEP, True
+        while full:  # each call begins at the start again, and keeps the next rows
+            wanted = jnp.arange(first, first + self._slots), jnp.asarray(times)
+            window, last, end = map(np.asarray, self.kernel(self.arguments, *wanted))
+            before, times = times, times_of(int(end[2]), width)
+            if times == before:
+                windows.append(window)
+                first, full = first + self._slots, window[-1, 0] > 0
         ending, t, *counts = end
-        rows = in_order(np.concatenate([*parts, last[None]]))
+        rows = in_order(np.concatenate([*windows, last[None]]))
         values = with_start(self._start, rows[:, 1:], self._noted)
         ended = self._program.cause(Ending(int(ending)), self._scene, values)
         status, message = ended.outcome(
@@ -141,11 +139,10 @@ class _SparseKernel(SparseKernel):
 def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     """Return the compiled time loop of a method on a kind of scene, for any numbers and parameters.
 
-    It returns the first rows, rows spread over the run, and the last row, each ``[step, t, q, v, a,
-    lam, x, xdot, y, notes]`` (step 0: no row), and ``[ending, t, steps, rejected, newton, ...]``.
-    ``wanted`` is the number of the step with which the first rows begin, repeated for each slot of
-    them; a scalar has `FIRST_ROWS` slots. With 0 only the last row is stored. With None the program
-    has no memory for other rows: many runs side by side would copy it in every step.
+    It returns rows and the last row, each ``[step, t, q, v, a, lam, x, xdot, y, notes]`` (step 0:
+    no row), and ``[ending, t, steps, rejected, newton, ...]``. The rows are those of `is_row` with
+    as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1. With None the
+    program has no memory for them: many runs side by side would copy it in every step.
     """
     control = StepControl(program.functions)
 
@@ -161,7 +158,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         return program.step(template.with_parameters(p), numbers, state, t, h)
 
     def loop(
-        p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None
+        p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None, times: Array
     ) -> tuple[Array, ...]:
         scene = template.with_parameters(p)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
@@ -204,13 +201,15 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
             ending = jnp.where(accepted & ~bound(now), _DIVERGED, ending)
             used = counts[0] + counts[1]
-            short = (used >= span.max_steps) & (m.t + h * accepted < span.t_end)
+            short = (used >= span.max_steps) & (jnp.where(accepted, t, m.t) < span.t_end)
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
 
-            row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat(now)])
             rows = m.rows
             if wanted is not None:
-                rows = rows.with_row(counts[0], row, jnp.where(accepted, jnp.ravel(wanted)[0], 0))
+                row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat(now)])
+                before, part = ((at - span.t0) / (span.t_end - span.t0) for at in (m.t, t))
+                kept = accepted & is_row(counts[0], before, part, times)
+                rows = rows.with_row(row, kept, wanted[0])
 
             def choose(new: Any, old: Any) -> Any:
                 return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
@@ -222,9 +221,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 ending=ending, counts=counts, rows=rows,
             )  # fmt: skip
 
-        width, slots = 2 + flat(first).size, 0
-        if wanted is not None:
-            slots = wanted.size if wanted.ndim else FIRST_ROWS
+        width, slots = 2 + flat(first).size, 0 if wanted is None else wanted.size
         m = jax.lax.while_loop(
             going,
             try_step,
@@ -236,14 +233,14 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
                 peaks=sizes_of(first),
                 ending=jnp.asarray(_OK),
                 counts=(jnp.asarray(0),) * (2 + len(COUNTS)),
-                rows=SpreadRows.empty(slots, width, spread=wanted is not None),
+                rows=KeptRows(jnp.zeros((slots, width)), jnp.asarray(0)),
             ),
         )
         last = jnp.concatenate(
             [jnp.stack([1.0 * m.counts[0], m.t]), flat(program.read(scene, m.state))]
         )
         program.finish(m.state)
-        return m.rows.early, m.rows.spread, last, jnp.stack([m.ending, m.t, *m.counts])
+        return m.rows.table, last, jnp.stack([m.ending, m.t, *m.counts])
 
     if program.patterns:
         return _SparseKernel(loop)

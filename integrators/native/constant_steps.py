@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Steps, Trajectory, Work
-from integrators.kept_rows import kept_rows, most_rows, width_of
+from integrators.kept_rows import EVERY_STEP, is_row, most_rows, times_of, width_of
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
@@ -79,6 +79,20 @@ def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, int]:
     return Clock(t0, t_end - t0, macro, fractions, ends, slots), macro * slots
 
 
+def kept_steps(clock: Clock, steps: int, times: int) -> Int[np.ndarray, " k"]:
+    """Numbers of the steps that are rows (see `is_row`), in ascending order, the last among them.
+
+    Only those beside the equally spaced times are asked, as there may be a million million.
+    """
+    if times == EVERY_STEP:
+        return np.arange(1, steps + 1)
+    beside = np.arange(-_PATTERN_SLOTS, _PATTERN_SLOTS + 2)
+    near = np.arange(times + 1)[:, None] * (steps / times) + beside
+    near: Any = np.unique(np.clip(near, 1, steps).astype(np.int64))
+    before, part = ((step_times(clock, near - k)[0] - clock.t0) / clock.length for k in (2, 1))
+    return near[is_row(near, before, part, times) | (near == steps)]
+
+
 class ConstantStepsRun(PreparedRun):
     """A run at constant steps or patterns; ``noted`` are the names of a reading's notes."""
 
@@ -98,7 +112,7 @@ class ConstantStepsRun(PreparedRun):
         self.kernel = kernel(program, scene.template())
         self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
         self._slots = row_slots(scene)
-        self.end_only = jnp.full(self._slots, self._steps, dtype=int), jnp.asarray(1)
+        self.end_only = jnp.asarray(np.full(self._slots, self._steps)), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
 
@@ -106,7 +120,8 @@ class ConstantStepsRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        numbers = kept_rows(self._steps, width_of(self._scene.sizes))[1:]
+        times = times_of(self._steps, width_of(self._scene.sizes))
+        numbers = kept_steps(self._clock, self._steps, times)
         parts, end, done = [], np.zeros(0), 0
         # Each call begins at the start again, and keeps the next rows.
         for first in range(0, len(numbers), self._slots):

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from integrators.kept_rows import most_rows
 from integrators.native.step_records import Reading, largest
 from problems.formulations import Start
 from problems.runtime import jax, jnp
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
 #: A run whose q and v, or x, have grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
-#: Rows that are spread over a run, besides the first; fewer of large scenes. They are halved.
-_SPREAD_SLOTS = 400
 
 
 def flat(reading: Reading) -> Float[Array, " n"]:
@@ -41,37 +38,18 @@ def bounded(first: Reading) -> Callable[[Reading], Bool[Array, ""]]:
     return sane
 
 
-class SpreadRows(NamedTuple):
-    """Rows of a run with an unknown number of steps: wanted ones in order, others spread over it.
+class KeptRows(NamedTuple):
+    """Rows of a run with an unknown number of steps: those of `is_row`, from ``first`` on."""
 
-    When the spread is full, every other row of it is dropped and the stride doubles.
-    """
+    table: Float[Array, "k n"]
+    #: Number of rows so far, those before ``first`` included.
+    number: Int[Array, ""]
 
-    early: Float[Array, "e n"]
-    spread: Float[Array, "s n"]
-    stride: Int[Array, ""]
-
-    @classmethod
-    def empty(cls, slots: int, width: int, spread: bool) -> Self:
-        """Room for ``slots`` rows in order, and for a spread if wanted."""
-        room = min(_SPREAD_SLOTS, most_rows(width) // 2 * 2) if spread else 0
-        return cls(jnp.zeros((slots, width)), jnp.zeros((room, width)), jnp.asarray(1))
-
-    def with_row(self, n: Array, row: Array, wanted: Array) -> Self:
-        """Store the row of the n-th step; rows in order begin with ``wanted``, 0 keeps none."""
-        place = n - wanted
-        at = jnp.where((wanted > 0) & (place >= 0), place, len(self.early))
-        early = self.early.at[at].set(row, mode="drop")
-        room = len(self.spread)
-        slot, hit = n // self.stride - 1, (wanted > 0) & (n % self.stride == 0)
-        spread = self.spread.at[jnp.where(hit, slot, room)].set(row, mode="drop")
-        full = hit & (slot == room - 1)
-
-        def thin(spread: Array) -> Array:
-            return jnp.zeros_like(spread).at[: room // 2].set(spread[1::2])
-
-        spread = jax.lax.cond(full, thin, lambda spread: spread, spread)
-        return self._replace(early=early, spread=spread, stride=jnp.where(full, 2, 1) * self.stride)
+    def with_row(self, row: Array, kept: Bool[Array, ""], first: Array) -> Self:
+        """Take the row of a step if it is kept."""
+        number = self.number + kept
+        place = jnp.where(kept & (number >= first), number - first, len(self.table))
+        return type(self)(self.table.at[place].set(row, mode="drop"), number)
 
 
 def with_start(start: Start, rows: np.ndarray, noted: tuple[str, ...]) -> dict[str, Any]:

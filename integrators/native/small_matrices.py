@@ -163,7 +163,7 @@ def _rewritten(parameter: Any) -> Any:
     """A parameter of an equation, in which bodies of loops and branches are rewritten."""
     if type(parameter) is tuple:
         return tuple(map(_rewritten, parameter))
-    if not is_program(parameter):
+    if not is_program(parameter) or not hasattr(parameter, "consts"):
         return parameter
     body = partial(evaluated, parameter, rule=_as_sums)
     return jax.make_jaxpr(lambda *given: body(given))(*parameter.in_avals)

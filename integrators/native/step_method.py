@@ -146,9 +146,7 @@ class StepMethod(NativeMethod, StepFunctions):
         return {n: getattr(self, n) for n in spec.numbers_of(type(self)) if n not in others}
 
     def with_numbers(self, numbers: Any) -> Self:
-        copy = object.__new__(type(self))
-        vars(copy).update(vars(self) | numbers)
-        return copy
+        return spec.with_values(self, numbers)
 
 
 @dataclass(frozen=True)

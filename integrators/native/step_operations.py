@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from integrators.contract import Trajectory
@@ -9,6 +10,7 @@ from integrators.native.linear_solvers import SparseSolver
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_work import EquationsFinder
 from integrators.operations import NOTHING, Algebra, Operations, bill, dense, operations, sparse
+from problems.exported_programs import found_once
 from problems.formulations import Start
 from problems.named_equations import with_named_blocks
 from problems.runtime import jax
@@ -121,8 +123,13 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
         If the step has a loop of its own around equations of the scene.
     """
     key = program, template
-    if key in _costs:
-        return _costs[key]
+    if key not in _costs:
+        find = partial(_step_costs, program, template, shapes)
+        _costs[key] = found_once(find, lambda: key, StepCosts)
+    return _costs[key]
+
+
+def _step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -> StepCosts:
     named, found = with_named_blocks(template), []
     p, numbers, start, _ = shapes
     h = jax.ShapeDtypeStruct((), float)
@@ -140,7 +147,7 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
 
     state = jax.eval_shape(begin, p, numbers, start, h)
     others = operations(step, p, numbers, state, h, h, only_equations=True)
-    return _costs.setdefault(key, StepCosts(tuple(found), others))
+    return StepCosts(tuple(found), others)
 
 
 def run_bill(

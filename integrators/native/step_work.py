@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from integrators.native.linear_solvers import DENSE, LinearSolver
 from integrators.native.newton import newton
 from integrators.native.step_records import StepReport
-from problems.runtime import jnp
+from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from integrators.native.step_records import Scalar
 
     Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+    Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class StepWork:
@@ -128,6 +129,42 @@ class StepWork:
         )
         return u
 
+    def scan(self, stage: Stage, carry: Any, xs: Any) -> tuple[Any, Any]:
+        """Solve stages whose equations differ in numbers alone: `jax.lax.scan`, compiled once.
+
+        Parameters
+        ----------
+        stage
+            Function of what the stage before left, and of an item of ``xs``; it solves equations,
+            and returns what it leaves and a value. Stages share the tangents that are kept.
+        carry, xs
+            What the first stage gets, and arrays whose first axis counts the stages.
+
+        Returns
+        -------
+        tuple
+            What the last stage leaves, and the values, stacked.
+        """
+        calls, outer, kept = self._calls, self._report, self.kept
+
+        def one(state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
+            carry, self._before = state
+            self._calls, self._report, self.kept = calls, None, []
+            carry, y = stage(carry, x)
+            before = self._before
+            if before is not None:
+                before = (*before[:calls], *self.kept, *before[self._calls :])
+            return (carry, before), (y, jax.tree.map(jnp.asarray, self.report()))
+
+        (carry, self._before), (ys, reports) = jax.lax.scan(one, (carry, self._before), xs)
+        # Finders go through each stage, so that all have a place among the calls.
+        self._calls = calls + len(reports.converged) * (self._calls - calls)
+        self.kept = kept + list((self._before or [None] * self._calls)[calls : self._calls])
+        self._report = outer
+        fine, solved = reports.converged.all(), reports.solved.all()
+        self._add(StepReport(*map(jnp.sum, reports))._replace(converged=fine, solved=solved))
+        return carry, ys
+
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
         """Solve linear equations residual(u) = 0, or others approximately: no iteration, no test.
 
@@ -231,6 +268,14 @@ class EquationsFinder(StepWork):
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))
         return guess
+
+    def scan(self, stage: Stage, carry: Any, xs: Any) -> tuple[Any, Any]:
+        """Record the equations of each stage."""
+        ys = []
+        for k in range(len(jax.tree.leaves(xs)[0])):
+            carry, y = stage(carry, jax.tree.map(lambda x, k=k: x[k], xs))
+            ys.append(y)
+        return carry, jax.tree.map(lambda *parts: jnp.stack(parts), *ys)
 
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
         """Record the equations and return the guess."""

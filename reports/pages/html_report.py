@@ -11,7 +11,7 @@ from pathlib import Path
 import platformdirs
 import vl_convert
 
-from problems.whole_files import put
+from problems.whole_files import keep, kept, put
 from reports.charts.vega_lite import chart_json
 from reports.pages.addresses import FOLDER, FRONT
 from reports.pages.packing import packed
@@ -85,23 +85,14 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
 def javascript_library() -> str:
     """The JavaScript that draws the charts.
 
-    Its making takes seconds, so a copy is kept in the user's cache folder if possible. Its first
-    line is the digest of the others; a copy that differs is made anew.
+    Its making takes seconds, so a copy is kept in the user's cache folder if possible.
     """
-    folder = Path(platformdirs.user_cache_dir("stepbench"))
-    kept = folder / f"vega-{version('vl-convert-python')}.js"
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        digest, _, text = kept.read_text(encoding="utf-8").partition("\n")
-        if digest == _digest(text):
-            return text
+    file = Path(platformdirs.user_cache_dir("stepbench")) / f"vega-{version('vl-convert-python')}"
+    if (copy := kept(file)) is not None:
+        return copy.decode()
     # The type stub lacks the default of the argument.
     text = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
     text = text.replace("</script", "<\\/script")
     with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        put(kept, f"{_digest(text)}\n{text}")
+        keep(file, text.encode())
     return text
-
-
-def _digest(text: str) -> str:
-    return f"// sha256 {hashlib.sha256(text.encode()).hexdigest()}"

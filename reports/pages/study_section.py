@@ -219,8 +219,8 @@ class StudySections:
         else:
             styles = line_styles(label for _, label, _ in shown)
             for r, label, _ in shown:
-                name = f"{self.styles[label_of(r)].name}, {r.resolution}"
-                styles[label] = replace(styles[label], name=name)
+                own = f"{self.styles[label_of(r)].name}, {r.resolution}"
+                styles[label] = replace(styles[label], name=own)
         lines = [(label, rows) for _, label, rows in shown]
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]

@@ -62,8 +62,8 @@ TERMS = (
     ),
     Term(
         "Error",
-        "The distance from the reference, divided by the component's largest absolute value there; "
-        "of a group the worst component counts.",
+        "The distance from the reference, divided by the component's natural size, if the scene "
+        "states one, or its largest absolute value there; of a group the worst component counts.",
         ("relative error", "Relative error"),
     ),
     Term(

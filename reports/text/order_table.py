@@ -63,7 +63,9 @@ def order_table(series: Sequence[Series], title: str) -> Table | None:
             cells = (_cell(s.fit(g, norm), claims.get(g), norm) for g in groups)
             rows.append([names[s.label], said, *cells])
     head = ["integrator", "order", *("λ" if g == "lam" else g for g in groups)]
-    return Table(title, head, rows, code=(), note=_NOTE)
+    few = [s.label for s in series if s.controls == "step" and s not in shown]
+    missing = f" Left out, with fewer than three runs to the end: {', '.join(few)}." if few else ""
+    return Table(title, head, rows, code=(), note=_NOTE + missing)
 
 
 def _cell(fit: Fit, claimed: int | None, norm: str) -> str:

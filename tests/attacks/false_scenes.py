@@ -155,12 +155,12 @@ STARTS = {
     "StartLong": (
         begun(State(np.zeros(1), np.zeros(2))),
         "start",
-        "v of initial_state() is an array of float64 of shape (2,), expected real numbers of sha",
+        "v = dq/dt of initial_state() is an array of float64 of shape (2,), expected real numbers",
     ),
     "StartComplex": (
         begun(State(np.zeros(1), np.zeros(1) * 1j)),
         "start",
-        "v of initial_state() is array([0.+0.j]), expected real numbers of shape (1,)",
+        "v = dq/dt of initial_state() is array([0.+0.j]), expected real numbers of shape (1,)",
     ),
     "StartText": (
         begun(State(["a"], np.zeros(1))),

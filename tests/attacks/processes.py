@@ -16,8 +16,6 @@ from pathlib import Path
 STEPBENCH = [str(Path(sys.executable).with_name("stepbench"))]
 MODULE = [sys.executable, "-m", "bench"]
 MARK = "STEPBENCH_ATTACK"
-#: Two seconds are promised; other tests may keep the processors busy meanwhile.
-PROMISED_SECONDS = 4.0
 #: All commands of a test, whose `end_all` ends what failed.
 STARTED: list[Started] = []
 PHRASES = ("Interrupted.", "Stopped.")
@@ -27,6 +25,14 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 def parent_of(process: int) -> int:
     return int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[1])
+
+
+def promised_seconds() -> float:
+    """Twice the two seconds that are promised, longer by as much as others have the processors."""
+    begun, computed = time.monotonic(), time.process_time()
+    while time.process_time() - computed < 0.05:
+        pass
+    return 4.0 * (time.monotonic() - begun) / 0.05
 
 
 class Started:
@@ -72,13 +78,13 @@ class Started:
 
     def _role(self, process: int, line: bytes) -> str:
         above = parent_of(process)
-        if b"guard/keeper.py" in line:  # the line of what it keeps is in it, too
+        if b"problems/keeper.py" in line:  # the line of what it keeps is in it, too
             return "keeper" if above == self.pid else "keeper of an engine"
         if b"serve(int(" in line:
             return "worker" if parent_of(above) == self.pid else "engine"
         return "other"
 
-    def wait_for(self, condition: Callable[[], object], seconds: float = 90.0) -> None:
+    def wait_for(self, condition: Callable[[], object], seconds: float = 500.0) -> None:
         """Wait for a condition, or the end of the process."""
         late = time.monotonic() + seconds
         while not condition() and self.process.poll() is None:
@@ -94,7 +100,7 @@ class Started:
         match = re.search(r"SigCgt:\s*(\w+)", status)
         return int(match[1], 16) if match else 0
 
-    def finish(self, seconds: float = 120.0) -> int:
+    def finish(self, seconds: float = 500.0) -> int:
         """Exit code of the command; nothing of it is left, and it said no traceback."""
         code = self.process.wait(seconds)
         assert "Traceback" not in self.said, self.said
@@ -103,14 +109,14 @@ class Started:
 
     def check_nothing_left(self) -> None:
         """Every process that it started ends in time."""
-        late = time.monotonic() + PROMISED_SECONDS
+        late = time.monotonic() + promised_seconds()
         while (left := self.family()) and time.monotonic() < late:
             time.sleep(0.02)
         assert not left, [Path(f"/proc/{p}/cmdline").read_bytes() for p in left]
 
     def check_obeys(self, number: int) -> None:
         """It ends in time after this signal, with one sentence and the right code."""
-        code = self.process.wait(PROMISED_SECONDS)
+        code = self.process.wait(promised_seconds())
         assert "Traceback" not in self.said, self.said
         assert code == 128 + number, (code, self.said)
         assert sum(map(self.said.count, PHRASES)) == 1, self.said

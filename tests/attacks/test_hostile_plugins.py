@@ -19,6 +19,7 @@ from typing import NamedTuple
 import hostile_plugins as hostile
 import psutil
 import pytest
+from processes import promised_seconds
 
 from bench.plugins.registry import Registry
 from bench.results.records import INTERRUPTED, Record
@@ -100,7 +101,7 @@ def run(folder: Path, names: Sequence[str], samples: int, jobs: int) -> Run:
     (folder / "profile.toml").write_text("".join([HEAD.format(samples), CONTROLS, *studies]))
     options = ("--out", out, "--jobs", jobs, "--plugins", plugins)
     code, output = command(folder, "run", "profile.toml", *options, mark=mark)
-    given_up = time.monotonic() + 2.0
+    given_up = time.monotonic() + promised_seconds()
     while (left := processes(mark)) and time.monotonic() < given_up:
         time.sleep(0.1)
     with Store(out) as store:

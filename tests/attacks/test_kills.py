@@ -18,7 +18,7 @@ import psutil
 import pytest
 from busy_methods import BUSY
 from planted import everything, plant
-from processes import PROMISED_SECONDS, Started, end_all, parent_of
+from processes import Started, end_all, parent_of, promised_seconds
 
 attack = pytest.mark.attack
 KILL, STOP, CONT = signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT
@@ -76,7 +76,7 @@ def busy_children(process: Started) -> list[int]:
 def victim(process: Started, role: str, chance: random.Random) -> int:
     """A process of a role, at a random moment."""
     time.sleep(chance.uniform(0, 3))
-    process.wait_for(lambda: process.family(role), 20)
+    process.wait_for(lambda: process.family(role))
     return chance.choice(process.family(role) or [0])
 
 
@@ -99,7 +99,7 @@ def check_goes_on(folder: Path, measured: int) -> None:
 def test_a_killed_command_leaves_nothing(folder, how):
     process, _ = held(folder, how)
     kill(process.pid)
-    process.process.wait(4)
+    process.process.wait(promised_seconds())
     process.check_nothing_left()
 
 
@@ -108,7 +108,7 @@ def test_a_killed_command_leaves_nothing(folder, how):
 def test_a_killed_group_leaves_nothing_and_goes_on(folder, how):
     process, _ = held(folder, how)
     os.killpg(process.pid, KILL)
-    process.process.wait(4)
+    process.process.wait(promised_seconds())
     process.check_nothing_left()
     shown = Started(folder, "export", "out", "--json", "-o", "rows.json")
     assert shown.finish() == 0, shown.said
@@ -121,7 +121,7 @@ def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
     process = Started(folder, *RUN)
     time.sleep(random.Random(seed).uniform(0, 6))
     kill(process.pid)
-    process.process.wait(4)
+    process.process.wait(promised_seconds())
     process.check_nothing_left()
 
 
@@ -145,7 +145,7 @@ def test_a_killed_worker_costs_one_cell(folder, role, how):
         parent_of(worker) if role == "keeper" else worker,
         signal.SIGTERM if role == "terminated" else KILL,
     )
-    late = time.monotonic() + PROMISED_SECONDS
+    late = time.monotonic() + promised_seconds()
     while set(before) & set(process.family()):
         assert time.monotonic() < late, "what the worker started is left"
         time.sleep(0.02)
@@ -233,9 +233,9 @@ def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
         process.wait_for(lambda: (folder / "HELD").exists() and (folder / "HELD").read_text())
         worker = psutil.Process(int((folder / "HELD").read_text()))
         process.process.send_signal(number)
-        process.process.wait(4)
+        process.process.wait(promised_seconds())
         assert "Traceback" not in process.said
-        worker.wait(2 * PROMISED_SECONDS)
+        worker.wait(2 * promised_seconds())
         process.check_nothing_left()
 
 

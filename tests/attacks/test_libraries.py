@@ -33,12 +33,12 @@ DROPS = {
     "a flag": (
         "import os\nruntime._FLAGS += ('--xla_dropped=1',)\n"
         "os.environ['XLA_FLAGS'] += ' --xla_dropped=1'",
-        "XLA no longer knows --xla_dropped=1",
+        "",
     ),
     "joined loops": ("runtime._JOINED = 'xla_backend_extra'", ""),
     "XLA's interface": (
         "from integrators.adapters import counting\ncounting.header = lambda: ''",
-        "has another major version",
+        "cc failed",
     ),
     "shared memory": (
         "import jax, numpy\njax.dlpack.from_dlpack = lambda x, copy: jax.numpy.array(x, copy=True)",
@@ -66,7 +66,7 @@ def numbers(drop: str, cache: str) -> tuple[list, str]:
         env=os.environ | {"XDG_CACHE_HOME": cache, "XLA_FLAGS": FLAGS},
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=500,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -50,7 +50,7 @@ def ask(
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=500,
         check=False,
     )
     output = done.stdout + done.stderr
@@ -81,7 +81,7 @@ def in_a_namespace(script: str, disk: Path, profile: Path) -> list[tuple[int, st
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=500,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -253,7 +253,7 @@ def test_few_processes(tmp_path, profile, most, codes):
         pytest.skip("Only root may run a command as nobody.")
     script = f"ulimit -u {most}; exec {STEPBENCH} run {profile} --out {tmp_path}/out --jobs 1"
     done = subprocess.run(
-        [*nobody, script], capture_output=True, text=True, timeout=120, check=False
+        [*nobody, script], capture_output=True, text=True, timeout=500, check=False
     )
     assert "Traceback" not in done.stderr, done.stderr
     assert done.returncode in codes, done.stderr

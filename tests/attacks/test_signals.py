@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from planted import everything, plant
-from processes import MODULE, STEPBENCH, Started, end_all
+from processes import MODULE, STEPBENCH, Started, end_all, promised_seconds
 
 from bench.results.store import FILE
 
@@ -148,7 +148,7 @@ def test_short_work_ends_at_a_random_moment_or_is_done(folder, name, number):
     process.wait_until_it_obeys()
     time.sleep(moment)
     to_all(process, number)
-    if process.process.wait(4) != 0:  # else it had done all before
+    if process.process.wait(promised_seconds()) != 0:  # else it had done all before
         process.check_obeys(number)
     process.finish()
     done = Started(folder, *command.split())
@@ -179,7 +179,7 @@ def test_a_signal_at_the_very_end_is_obeyed_or_too_late(folder, seed):
     process.wait_for(lambda: "pendulum" in process.said)
     time.sleep(random.Random(seed).uniform(0, 0.05))
     to_all(process, INT)
-    if process.process.wait(4) != 0:
+    if process.process.wait(promised_seconds()) != 0:
         process.check_obeys(INT)
     process.finish()
 
@@ -209,7 +209,7 @@ def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
     time.sleep(1.0)
     assert process.process.poll() is None
     to_one(process, number)
-    assert process.process.wait(4) == 128 + number
+    assert process.process.wait(promised_seconds()) == 128 + number
     process.check_nothing_left()
     for end in (reading, writing):
         os.close(end)

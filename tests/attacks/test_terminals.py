@@ -149,7 +149,7 @@ def closed(*numbers: int) -> Callable[[], None]:
 
 
 def ended(arguments: list[str], **more) -> subprocess.CompletedProcess[bytes]:
-    known = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "timeout": 60}
+    known = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "timeout": 500}
     more["env"] = {**more.get("env", os.environ), "PYTHONUNBUFFERED": ""}  # as users have it
     result = subprocess.run([*COMMAND, *arguments], **known | more)
     assert b"Traceback" not in (result.stderr or b"")
@@ -221,7 +221,7 @@ def test_a_store_does_not_take_the_place_of_a_closed_stream(tmp_path):
         f"    number = os.open({str(tmp_path / 'store')!r}, os.O_CREAT | os.O_WRONLY)\n"
         "raise SystemExit(number)"
     )
-    process = subprocess.run([sys.executable, "-c", code], preexec_fn=closed(0, 2), timeout=60)
+    process = subprocess.run([sys.executable, "-c", code], preexec_fn=closed(0, 2), timeout=500)
     assert process.returncode > 2
 
 

@@ -13,6 +13,7 @@ from problems.dependence import (
     force_takes_velocities,
     mass_varies,
     output_takes,
+    states_follow_accelerations,
 )
 
 
@@ -64,6 +65,27 @@ class DriftingDamper(Blocks):
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -q - jnp.exp(-t) * v
+
+
+class Leaking(Undamped):
+    """The controller state follows its own value and the output."""
+
+    def state_rate(self, z) -> jax.Array:
+        return z.y - z.x
+
+
+class Feedback(Coupled):
+    """The same, but the output follows accelerations."""
+
+    def state_rate(self, z) -> jax.Array:
+        return z.y - z.x
+
+
+@pytest.mark.parametrize(
+    ("scene", "follows"), [(Blocks(), True), (Leaking(), False), (Feedback(), True)]
+)
+def test_states_follow_accelerations_by_themselves_or_through_outputs(scene, follows):
+    assert states_follow_accelerations(scene) == follows
 
 
 @pytest.mark.parametrize(

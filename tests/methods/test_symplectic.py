@@ -22,6 +22,7 @@ from problems.formulations import constraint_velocity
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.stiff_bar import StiffBar
+from problems.spec import SpecError
 
 ONE_SIDED = RATTLE(multiplier="one_sided")
 
@@ -246,7 +247,16 @@ def test_tangents_may_be_kept_or_sparse(options):
     assert two.q == pytest.approx(one.q, abs=1e-10)
 
 
+def test_a_run_that_is_not_supported_cannot_be_prepared():
+    for method in (RATTLE(), LobattoPair()):
+        with pytest.raises(SpecError, match=r"does not take turning_mass: .* constant mass matrix"):
+            method.prepare(TurningMass(), 1.0, Steps(0.01))
+
+
 def test_refusals_name_the_way_out():
     assert "variational_midpoint" in RATTLE().supports(TurningMass())
     assert VariationalMidpoint().supports(TurningMass()) is None
+    assert "is symplectic with a constant mass matrix alone" in LobattoPair().supports(
+        TurningMass()
+    )
     assert "rattle" in StormerVerlet().supports(Pendulum())

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 _PROC = Path("/proc")
+#: Longest time in s between two looks that counts: more passes if this process itself is halted.
+LONGEST_LOOK = 1.0
 
 
 class Usage(NamedTuple):
@@ -23,12 +25,26 @@ class Usage(NamedTuple):
         Resident memory in bytes.
     stopped
         Whether a signal has stopped the first process.
+    ready
+        Whether a thread computes now, or waits for a processor.
     """
 
     computed_s: float = 0.0
     queued_s: float = 0.0
     memory: int = 0
     stopped: bool = False
+    ready: bool = False
+
+
+def idle_seconds(before: Usage, after: Usage, passed: float) -> float:
+    """Return for how many of the s between two looks a tree of processes was idle.
+
+    Nothing tells how long threads and processes that have ended meanwhile had waited for a
+    processor. So this time counts only if at the second look no thread waits for one or has it.
+    """
+    computed = max(0.0, after.computed_s - before.computed_s)
+    queued = max(0.0, after.queued_s - before.queued_s)
+    return 0.0 if after.ready else max(0.0, min(passed, LONGEST_LOOK) - computed - queued)
 
 
 def usage(process: int) -> Usage | None:
@@ -44,6 +60,7 @@ def usage(process: int) -> Usage | None:
                     found.queued_s + more.queued_s,
                     found.memory + more.memory,
                     found.stopped,
+                    found.ready or more.ready,
                 )
         return found
     except (OSError, ValueError, IndexError):
@@ -51,16 +68,22 @@ def usage(process: int) -> Usage | None:
 
 
 def _linux(process: int) -> Usage:
-    # The name, in brackets, may hold anything, brackets too.
-    fields = (_PROC / str(process) / "stat").read_bytes().rpartition(b")")[2].split()
+    fields = _fields(_PROC / str(process))
     ticks = sum(map(int, fields[11:15]))  # user, system, and both of children that were waited for
-    queued = 0
+    queued, ready = 0, False
     with suppress(OSError):  # a kernel without statistics of its scheduler
         for thread in (_PROC / str(process) / "task").iterdir():
-            with suppress(FileNotFoundError):  # it has just ended
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
+                ready = ready or _fields(thread)[0] == b"R"
                 queued += int((thread / "schedstat").read_bytes().split()[1])
     memory = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
-    return Usage(ticks / os.sysconf("SC_CLK_TCK"), queued * 1e-9, memory, fields[0] in b"Tt")
+    computed, stopped = ticks / os.sysconf("SC_CLK_TCK"), fields[0] in b"Tt"
+    return Usage(computed, queued * 1e-9, memory, stopped, ready)
+
+
+def _fields(task: Path) -> list[bytes]:
+    # The name, in brackets, may hold anything, brackets too.
+    return (task / "stat").read_bytes().rpartition(b")")[2].split()
 
 
 def _children(process: int) -> list[int]:
@@ -78,8 +101,12 @@ def _elsewhere(process: int) -> Usage | None:
 
     try:
         found = psutil.Process(process)
-        times = found.cpu_times()
-        stopped = found.status() == psutil.STATUS_STOPPED
-        return Usage(times.user + times.system, 0.0, found.memory_info().rss, stopped)
+        times, status = found.cpu_times(), found.status()
+        return Usage(
+            times.user + times.system,
+            memory=found.memory_info().rss,
+            stopped=status == psutil.STATUS_STOPPED,
+            ready=status == psutil.STATUS_RUNNING,
+        )
     except psutil.Error:
         return None
