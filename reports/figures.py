@@ -8,7 +8,7 @@ From Python they are Altair charts:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from problems.spec import SpecError, suggest
 from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
 from reports.charts.line_styles import paper_line_styles
 from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, wide_rows
-from reports.charts.paper_style import FORMATS, on_paper
+from reports.charts.paper_style import FORMATS, file_content, on_paper
 from reports.charts.vega_lite import ChartOptions, Dataset, Spec, short
 from reports.formatting import component_title, words
 from reports.selection import Selection, group_and_place
@@ -127,14 +127,14 @@ def write_figure(
     """
     if kind not in _KINDS:
         raise SpecError(f"There is no figure {kind!r}; {suggest(kind, _KINDS)}.")
-    save = FORMATS.get(path.suffix)
-    if save is None:
+    if path.suffix not in FORMATS:
         raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
     make, allowed = _KINDS[kind]
     for name in more:
         if name not in allowed:
             raise SpecError(f"The figure {kind} has no --{name}; it takes {words(allowed)}.")
-    save(path, make(Selection(folder, scene, integrators, t_end), **more))
+    figure = make(Selection(folder, scene, integrators, t_end), **more)
+    path.write_bytes(file_content(figure, path.suffix))
     return path
 
 
@@ -199,21 +199,17 @@ def _errors_over_time(chosen: Selection, error: str = "q") -> Spec:
     note = error_note(error)
     if note not in ERRORS:
         raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
+    runs = [(s.label, chosen.rows(s.finest)) for s in chosen.series]
     rows = [
-        {"series": s.label, "t": short(t), note: short(value)}
-        for s in chosen.series
-        for t, value in _noted(chosen.rows(s.finest), note)
+        {"series": label, "t": short(t), note: short(value)}
+        for label, run in runs
+        for t, value in zip(run.t, run.notes.get(note, []), strict=False)
     ]
     if not any(row[note] for row in rows):
         raise SpecError(f"No chosen run on {chosen.name} has stored errors of {error} over time.")
     options = ChartOptions(paper_line_styles(s.label for s in chosen.series))
     data = Dataset("runs", rows)
     return on_paper({"layer": [note_lines(data, note, options, first=True)]}, [data])
-
-
-def _noted(rows: Rows, note: str) -> Iterable[tuple[float, float | None]]:
-    values = rows.notes.get(note, [])
-    return zip(rows.t, values, strict=True) if values else ()
 
 
 _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {

@@ -60,14 +60,12 @@ def file_name(text: str) -> str:
     return plain if plain == text else f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
-def named(items: Iterable[str], separator: str = ", ", most: int = 3) -> str:
+def named(items: Iterable[str], most: int = 3) -> str:
     """'a, b and c'; of more than ``most`` the first ones, and how many there are besides."""
     texts = list(items)
     if len(texts) > most:
         texts = [*texts[:most], f"{len(texts) - most} more"]
-    if separator == ", ":
-        return words(texts) if texts else ""
-    return separator.join(texts)
+    return words(texts) if texts else ""
 
 
 def paragraphs(text: str) -> list[str]:

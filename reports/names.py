@@ -8,64 +8,80 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from problems.spec import SpecError, split_spec
 
-#: Short names of the built-in integrators; those of the first family differ in parameters only.
-_ALPHA_FAMILY = {
-    "generalized_alpha": "gα",
-    "generalized_alpha_adaptive": "gα adaptive",
-    "generalized_alpha_classical": "gα classical",
-    "hht": "HHT",
-    "hht_classical": "HHT classical",
-    "wbz": "WBZ",
-    "wbz_classical": "WBZ classical",
-    "newmark": "Newmark",
+
+class BuiltIn(NamedTuple):
+    """A built-in integrator: its short name, and hue in degrees, mark and dash of its line."""
+
+    name: str
+    hue: int
+    mark: int
+    dash: int
+
+
+#: Looks, and the steps of options in `reports.charts.line_styles`, are the find of a search: in a
+#: built-in suite, lines of nearly the same colour differ in mark or dash, and in both in the suites
+#: that people run first.
+BUILT_IN = {
+    "generalized_alpha": BuiltIn("gα", 222, 0, 0),
+    "generalized_alpha_adaptive": BuiltIn("gα adaptive", 188, 1, 2),
+    "generalized_alpha_classical": BuiltIn("gα classical", 206, 0, 3),
+    "hht": BuiltIn("HHT", 270, 3, 4),
+    "hht_classical": BuiltIn("HHT classical", 280, 1, 0),
+    "wbz": BuiltIn("WBZ", 296, 1, 3),
+    "wbz_classical": BuiltIn("WBZ classical", 308, 0, 2),
+    "newmark": BuiltIn("Newmark", 246, 5, 2),
+    "ida": BuiltIn("IDA", 22, 0, 0),
+    "cvode": BuiltIn("CVODE", 28, 13, 3),
+    "bdf": BuiltIn("BDF", 335, 0, 0),
+    "bdf_dae": BuiltIn("BDF DAE", 350, 5, 0),
+    "radau": BuiltIn("Radau", 42, 5, 0),
+    "radau_dae": BuiltIn("Radau DAE", 55, 6, 0),
+    "kvaerno3": BuiltIn("Kvaerno3", 165, 4, 0),
+    "kvaerno4": BuiltIn("Kvaerno4", 152, 5, 0),
+    "kvaerno5": BuiltIn("Kvaerno5", 140, 2, 0),
+    "kencarp3": BuiltIn("KenCarp3", 110, 7, 1),
+    "kencarp4": BuiltIn("KenCarp4", 95, 5, 1),
+    "kencarp5": BuiltIn("KenCarp5", 80, 4, 1),
+    "implicit_euler": BuiltIn("Implicit Euler", 5, 1, 0),
+    "dopri8": BuiltIn("Dopri8", 318, 0, 0),
+    "ali3p": BuiltIn("ALI3-P", 34, 4, 3),
+    "bathe": BuiltIn("Bathe", 190, 8, 6),
+    "bdf2": BuiltIn("BDF2", 349, 9, 6),
+    "bdf_adaptive": BuiltIn("BDF 1-5", 325, 5, 4),
+    "cr": BuiltIn("CR", 238, 12, 3),
+    "energy_momentum": BuiltIn("Energy-momentum", 169, 6, 4),
+    "exudyn": BuiltIn("exudyn", 128, 8, 1),
+    "explicit_generalized_alpha": BuiltIn("explicit gα", 226, 6, 2),
+    "half_explicit_euler": BuiltIn("Half-explicit Euler", 295, 5, 7),
+    "hht_i3": BuiltIn("HHT-I3", 269, 0, 3),
+    "houbolt": BuiltIn("Houbolt", 305, 13, 4),
+    "implicit_fast": BuiltIn("Implicit fast", 12, 4, 4),
+    "kr_alpha": BuiltIn("KR-α", 236, 7, 3),
+    "linearly_implicit_euler": BuiltIn("Linearly implicit Euler", 348, 12, 0),
+    "lobatto_iiia_iiib": BuiltIn("Lobatto A-B", 119, 9, 3),
+    "mujoco": BuiltIn("MuJoCo", 68, 11, 5),
+    "noh_bathe": BuiltIn("Noh-Bathe", 214, 11, 7),
+    "park": BuiltIn("Park", 311, 14, 6),
+    "phem56": BuiltIn("PHEM56", 285, 13, 1),
+    "radau_iia": BuiltIn("Radau IIA", 46, 2, 4),
+    "rattle": BuiltIn("RATTLE", 95, 4, 3),
+    "rho_inf_bathe": BuiltIn("ρ∞-Bathe", 180, 0, 6),
+    "rodas5p": BuiltIn("Rodas5P", 62, 12, 2),
+    "semi_implicit_euler": BuiltIn("Semi-implicit Euler", 0, 3, 3),
+    "shake": BuiltIn("SHAKE", 89, 14, 1),
+    "stormer_verlet": BuiltIn("Störmer-Verlet", 75, 10, 4),
+    "tr_bdf2": BuiltIn("TR-BDF2", 196, 5, 7),
+    "variational_midpoint": BuiltIn("Variational midpoint", 105, 5, 0),
+    "wilson_theta": BuiltIn("Wilson-θ", 254, 3, 0),
 }
-BUILT_IN = _ALPHA_FAMILY | {
-    "ida": "IDA",
-    "cvode": "CVODE",
-    "bdf": "BDF",
-    "bdf_dae": "BDF DAE",
-    "radau": "Radau",
-    "radau_dae": "Radau DAE",
-    "kvaerno3": "Kvaerno3",
-    "kvaerno4": "Kvaerno4",
-    "kvaerno5": "Kvaerno5",
-    "kencarp3": "KenCarp3",
-    "kencarp4": "KenCarp4",
-    "kencarp5": "KenCarp5",
-    "implicit_euler": "Implicit Euler",
-    "dopri8": "Dopri8",
-    "ali3p": "ALI3-P",
-    "bathe": "Bathe",
-    "bdf2": "BDF2",
-    "bdf_adaptive": "BDF 1-5",
-    "cr": "CR",
-    "energy_momentum": "Energy-momentum",
-    "exudyn": "exudyn",
-    "explicit_generalized_alpha": "explicit gα",
-    "half_explicit_euler": "Half-explicit Euler",
-    "hht_i3": "HHT-I3",
-    "houbolt": "Houbolt",
-    "implicit_fast": "Implicit fast",
-    "kr_alpha": "KR-α",
-    "linearly_implicit_euler": "Linearly implicit Euler",
-    "lobatto_iiia_iiib": "Lobatto A-B",
-    "mujoco": "MuJoCo",
-    "noh_bathe": "Noh-Bathe",
-    "park": "Park",
-    "phem56": "PHEM56",
-    "radau_iia": "Radau IIA",
-    "rattle": "RATTLE",
-    "rho_inf_bathe": "ρ∞-Bathe",
-    "rodas5p": "Rodas5P",
-    "semi_implicit_euler": "Semi-implicit Euler",
-    "shake": "SHAKE",
-    "stormer_verlet": "Störmer-Verlet",
-    "tr_bdf2": "TR-BDF2",
-    "variational_midpoint": "Variational midpoint",
-    "wilson_theta": "Wilson-θ",
+#: Integrators that differ in parameters only.
+_ALPHA_FAMILY = {
+    *("generalized_alpha", "generalized_alpha_adaptive", "generalized_alpha_classical"),
+    *("hht", "hht_classical", "wbz", "wbz_classical", "newmark"),
 }
 #: Names of families; others are called as their methods state it.
 _FAMILIES = {
@@ -177,16 +193,14 @@ def _parts(label: str) -> tuple[str, Options, str]:
 
 
 def _written(name: str, options: Mapping[str, str], steps: str) -> str:
-    head = " ".join(
-        [BUILT_IN.get(name, name), *(_number(options[key]) for key in _BARE if key in options)]
-    )
-    rest = [_option(key, value) for key, value in options.items() if key not in _BARE]
+    known = BUILT_IN[name].name if name in BUILT_IN else name
+    head = " ".join([known, *(_number(options[key]) for key in _BARE if key in options)])
+    rest = [
+        _VALUES.get((key, value)) or f"{_GREEK.get(key, key.replace('_', ' '))} {_number(value)}"
+        for key, value in options.items()
+        if key not in _BARE
+    ]
     return " · ".join([head, *rest, *([f"steps {steps}"] if steps else [])])
-
-
-def _option(key: str, value: str) -> str:
-    known = _VALUES.get((key, value))
-    return known or f"{_GREEK.get(key, key.replace('_', ' '))} {_number(value)}"
 
 
 def _number(value: str) -> str:

@@ -132,9 +132,8 @@ def several_contestants(entries: Iterable[RankEntry]) -> set[str]:
 
 
 def _same(one: Series, two: Series) -> bool:
-    if not one.ok or len(one.records) != len(two.records):
-        return False
-    return all(map(_same_run, one.records, two.records))
+    alike = one.ok and len(one.records) == len(two.records)
+    return bool(alike) and all(map(_same_run, one.records, two.records))
 
 
 def _same_run(one: Record, two: Record) -> bool:

@@ -60,14 +60,13 @@ def work_precision(
     series: Sequence[Series],
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
-    norm: str = NORM,
 ) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.
 
     None if there is nothing to draw.
     """
     series = [s for s in series if s.ok]
-    options = vl.ChartOptions(styles_of(series, styles), norm)
+    options = vl.ChartOptions(styles_of(series, styles))
     data, panels, columns = [error_data(series, group, options) for group in groups], [], 1
     for across in [(cost, COST_NAMES[cost]) for cost in ("seconds", "residuals")]:
         before = len(panels)

@@ -16,66 +16,10 @@ from itertools import product
 from typing import TypeVar
 
 from problems.spec import SpecError, split_spec
-from reports.names import short_names
+from reports.names import BUILT_IN, BuiltIn, short_names
 from reports.series import Series
 
 _T = TypeVar("_T")
-#: Hue in degrees, mark and dash of the built-in integrators. These and the steps below are the find
-#: of a search: in a built-in suite, lines of nearly the same colour differ in mark or dash, and in
-#: both in the suites that people run first.
-_BUILT_IN = {
-    "generalized_alpha": (222, 0, 0),
-    "generalized_alpha_adaptive": (188, 1, 2),
-    "generalized_alpha_classical": (206, 0, 3),
-    "hht": (270, 3, 4),
-    "hht_classical": (280, 1, 0),
-    "wbz": (296, 1, 3),
-    "wbz_classical": (308, 0, 2),
-    "newmark": (246, 5, 2),
-    "ida": (22, 0, 0),
-    "cvode": (28, 13, 3),
-    "bdf": (335, 0, 0),
-    "bdf_dae": (350, 5, 0),
-    "radau": (42, 5, 0),
-    "radau_dae": (55, 6, 0),
-    "kvaerno3": (165, 4, 0),
-    "kvaerno4": (152, 5, 0),
-    "kvaerno5": (140, 2, 0),
-    "kencarp3": (110, 7, 1),
-    "kencarp4": (95, 5, 1),
-    "kencarp5": (80, 4, 1),
-    "implicit_euler": (5, 1, 0),
-    "dopri8": (318, 0, 0),
-    "bdf2": (349, 9, 6),
-    "bdf_adaptive": (325, 5, 4),
-    "houbolt": (305, 13, 4),
-    "park": (311, 14, 6),
-    "radau_iia": (46, 2, 4),
-    "bathe": (190, 8, 6),
-    "rho_inf_bathe": (180, 0, 6),
-    "tr_bdf2": (196, 5, 7),
-    "rattle": (95, 4, 3),
-    "shake": (89, 14, 1),
-    "stormer_verlet": (75, 10, 4),
-    "variational_midpoint": (105, 5, 0),
-    "lobatto_iiia_iiib": (119, 9, 3),
-    "rodas5p": (62, 12, 2),
-    "phem56": (285, 13, 1),
-    "half_explicit_euler": (295, 5, 7),
-    "energy_momentum": (169, 6, 4),
-    "hht_i3": (269, 0, 3),
-    "semi_implicit_euler": (0, 3, 3),
-    "implicit_fast": (12, 4, 4),
-    "linearly_implicit_euler": (348, 12, 0),
-    "explicit_generalized_alpha": (226, 6, 2),
-    "noh_bathe": (214, 11, 7),
-    "kr_alpha": (236, 7, 3),
-    "cr": (238, 12, 3),
-    "wilson_theta": (254, 3, 0),
-    "ali3p": (34, 4, 3),
-    "exudyn": (128, 8, 1),
-    "mujoco": (68, 11, 5),
-}
 #: What an option adds: to the number of the dash, and of the mark. Others add by their digest.
 _STEPS = {
     ("rho_inf", "0.8"): (0, 0),
@@ -154,7 +98,8 @@ def style_of(label: str) -> LineStyle:
     digest = _digest(label)
     name, options = _parts(label)
     own = _digest(name)
-    hue, mark, dash = _BUILT_IN.get(name, (own % 360, own // 360, 0 if options else digest))
+    other = BuiltIn(name, own % 360, own // 360, 0 if options else digest)
+    _, hue, mark, dash = BUILT_IN.get(name, other)
     for option in options:
         more = _STEPS.get(option, (_digest(str(option)) % 7 + 1, _digest(str(option)) // 7))
         dash, mark = dash + more[0], mark + more[1]

@@ -35,12 +35,11 @@ def map_image(found: Mapping[str, Any], best: float, threshold: float) -> str:
     ]
     size = struct.pack(">IIBBBBB", len(found["x"]["values"]), len(lines), 8, 2, 0, 0, 0)
     pixels = zlib.compress(b"".join(reversed(lines)), 9)
-    chunks = b"".join(_chunk(*c) for c in ((b"IHDR", size), (b"IDAT", pixels), (b"IEND", b"")))
+    chunks = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in ((b"IHDR", size), (b"IDAT", pixels), (b"IEND", b""))
+    )
     return "data:image/png;base64," + base64.b64encode(b"\x89PNG\r\n\x1a\n" + chunks).decode()
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def _color(outcome: str, error: float | None, best: float, threshold: float) -> Color:

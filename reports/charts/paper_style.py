@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from problems.spec import SpecError
 from reports.charts.rendering import picture
@@ -13,6 +12,7 @@ from reports.charts.vega_lite import Dataset, Spec, chart_json, datasets
 #: Width of a column in points (88 mm), and height of the panel without its legend.
 _WIDTH, _HEIGHT = 250, 165
 _PNG_PER_INCH = 300
+FORMATS = (".svg", ".png", ".pdf", ".json")
 _SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"
 _THIN: dict[str, Spec] = {
     "line": {"strokeWidth": 0.9},
@@ -59,30 +59,21 @@ def _config() -> Spec:
     }
 
 
-def _drawn(figure: Spec, form: str, **options: float) -> bytes:
-    drawn = picture(figure, form, **options)
+def file_content(figure: Spec, suffix: str) -> bytes:
+    """Return the content of a figure's file; ``suffix`` is one of `FORMATS`.
+
+    Raises
+    ------
+    SpecError
+        If the figure cannot be drawn.
+    """
+    if suffix == ".json":
+        return f"{chart_json(figure, indent=1)}\n".encode()
+    options = {"ppi": _PNG_PER_INCH} if suffix == ".png" else {}
+    drawn = picture(figure, suffix[1:], **options)
     if drawn.reason:
         raise SpecError(drawn.sentence)
-    return drawn.content
-
-
-def _svg(path: Path, figure: Spec) -> None:
-    text = _drawn(figure, "svg").decode()
+    if suffix != ".svg":
+        return drawn.content
     # A pixel of the drawing is a point on paper, as it is in the PDF.
-    text = re.sub(r'(?<= )(width|height)="([\d.]+)"', r'\1="\2pt"', text, count=2)
-    path.write_text(text, encoding="utf-8")
-
-
-def _png(path: Path, figure: Spec) -> None:
-    path.write_bytes(_drawn(figure, "png", ppi=_PNG_PER_INCH))
-
-
-def _pdf(path: Path, figure: Spec) -> None:
-    path.write_bytes(_drawn(figure, "pdf"))
-
-
-def _json(path: Path, figure: Spec) -> None:
-    path.write_text(chart_json(figure, indent=1) + "\n", encoding="utf-8")
-
-
-FORMATS = {".svg": _svg, ".png": _png, ".pdf": _pdf, ".json": _json}
+    return re.sub(rb'(?<= )(width|height)="([\d.]+)"', rb'\1="\2pt"', drawn.content, count=2)

@@ -72,10 +72,10 @@ def wrapped(words: Iterable[Word], size: float, width: float) -> list[list[Word]
 
 def tag(name: str, content: str = "", /, **attributes: object) -> str:
     """An element; ``_`` in a name of an attribute stands for a hyphen."""
-    given = "".join(
-        f" {key.rstrip('_').replace('_', '-')}={quoteattr(_text(value))}"
-        for key, value in attributes.items()
-    )
+    given = ""
+    for key, value in attributes.items():
+        shown = f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
+        given += f" {key.replace('_', '-')}={quoteattr(clean(shown))}"
     return f"<{name}{given}>{content}</{name}>" if content else f"<{name}{given}/>"
 
 
@@ -109,7 +109,3 @@ def svg(width: int, height: int, title: str, about: str, parts: Iterable[str]) -
     }
     ground = tag("rect", width=width, height=height, fill="#ffffff")
     return tag("svg", "\n".join(["", named, ground, *parts, ""]), **frame) + "\n"
-
-
-def _text(value: object) -> str:
-    return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else clean(str(value))

@@ -62,12 +62,12 @@ def work_precision_with_menus(
             "cost", COST if COST in costs else costs[0], {c: _COSTS[c] for c in costs}, " against "
         ),
     ]
-    titles = json.dumps(_COSTS), json.dumps(ERROR_NAMES)
     tooltip = vl.run_tooltip(
         vl.quantity("error", title="error", format=".3g"),
         *(vl.quantity(c, title=_COSTS[c], format=".3g") for c in costs if c not in ("h", "rtol")),
     )
     floors = _floors(series, errors_of, rows)
+    chosen = {"transform": [{"filter": "datum.group === group && datum.norm === norm"}]}
     # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
     place = {
         channel: vl.log_quantity(field, title=None, axis=vl.log_axis((1, 50), text, minExtent=40))
@@ -88,7 +88,7 @@ def work_precision_with_menus(
             {"calculate": "cost === 'seconds' ? datum.slowest : datum.across", "as": "high"},
         ],
         "layer": [
-            *([_floor_line(floors)] if floors.rows else []),
+            *([{"data": floors.source} | chosen | floor_layer()] if floors.rows else []),
             *lines,
             {
                 "mark": {"type": "rule", "strokeWidth": 1},
@@ -100,8 +100,13 @@ def work_precision_with_menus(
                     "opacity": options.opacity(0.45),
                 },
             },
-            _title(f"{titles[0]}[cost]", x="width / 2", y="height + 34"),
-            _title(f"'relative error in ' + {titles[1]}[group]", x="-56", y="height / 2", turn=270),
+            _title(f"{json.dumps(_COSTS)}[cost]", x="width / 2", y="height + 34"),
+            _title(
+                f"'relative error in ' + {json.dumps(ERROR_NAMES)}[group]",
+                x="-56",
+                y="height / 2",
+                turn=270,
+            ),
         ],
         "width": 620,
         "height": 340,
@@ -125,11 +130,6 @@ def _floors(
         if found
     ]
     return vl.Dataset("floors", table if any(row["seen"] for row in table) else [])
-
-
-def _floor_line(floors: vl.Dataset) -> vl.Spec:
-    chosen = {"transform": [{"filter": "datum.group === group && datum.norm === norm"}]}
-    return {"data": floors.source} | chosen | floor_layer()
 
 
 def _title(text: str, x: str, y: str, turn: int = 0) -> vl.Spec:

@@ -38,16 +38,8 @@ def write_card(
 ) -> Path:
     """Write the card of a run folder; the suffix of ``path`` says SVG or PNG.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    path
-        The file.
-    group, target, cost
-        The question.
-    scenes
-        A tag, for the scenes that have it; or "all".
+    ``group``, ``target`` and ``cost`` are the question, ``scenes`` is "all", or a tag, for the
+    scenes that have it.
 
     Raises
     ------
@@ -56,8 +48,7 @@ def write_card(
     bench.results.store.StoreError
         If the folder holds no readable store.
     """
-    save = _FORMATS.get(path.suffix)
-    if save is None:
+    if path.suffix not in _FORMATS:
         raise SpecError(f"{path.name} is no card; give a name that ends in {listed(_FORMATS)}.")
     question = _question(group, target, cost)
     stored = stored_runs(folder)
@@ -65,21 +56,15 @@ def write_card(
     if scenes not in chosen:
         raise SpecError(f"There is no set of scenes {scenes!r}; {suggest(scenes, chosen)}.")
     found = answer(stored.series, question).on(chosen[scenes].scenes)
-    save(path, card_svg(stored, found, chosen[scenes].name.removesuffix(" scenes")))
+    content = card_svg(stored, found, chosen[scenes].name.removesuffix(" scenes"))
+    path.write_bytes(_FORMATS[path.suffix](content))
     return path
 
 
 def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
-    """The card as SVG.
+    """The card of these runs as SVG.
 
-    Parameters
-    ----------
-    stored
-        The runs.
-    found
-        The answer on the scenes that are asked for.
-    scenes
-        These scenes in a word: all, stiff.
+    ``found`` is the answer on the scenes asked for, ``scenes`` these in a word: all, stiff.
     """
     words = words_of(stored.series, stored.tags)
     said = sentences(found, words)[:_MOST_SENTENCES]
@@ -135,7 +120,7 @@ def _paragraphs(said: Sequence[Sentence], box: Box) -> list[str]:
     size, lines = 24, []
     for size in range(24, 14, -1):
         lines = [wrapped(words, size, box.width) for words in split]
-        if _height(lines, size) <= box.height:
+        if size * (1.35 * sum(map(len, lines)) + 0.5 * (len(lines) - 1)) <= box.height:
             break
     parts, y = [], box.y + size
     for paragraph in lines:
@@ -147,10 +132,6 @@ def _paragraphs(said: Sequence[Sentence], box: Box) -> list[str]:
             y += 1.35 * size
         y += 0.5 * size
     return parts
-
-
-def _height(paragraphs: Sequence[Sequence[object]], size: float) -> float:
-    return size * (1.35 * sum(map(len, paragraphs)) + 0.5 * (len(paragraphs) - 1))
 
 
 def _words(sentence: Sentence) -> list[Word]:
@@ -174,15 +155,11 @@ def _line(line: Sequence[Word], x: float, y: float, size: float) -> str:
     return tag("text", spans, x=x, y=y, font_size=size)
 
 
-def _save_svg(path: Path, content: str) -> None:
-    path.write_text(content, encoding="utf-8")
-
-
-def _save_png(path: Path, content: str) -> None:
+def _png(content: str) -> bytes:
     drawn = png_of(content)
     if drawn.reason:
         raise SpecError(drawn.sentence)
-    path.write_bytes(drawn.content)
+    return drawn.content
 
 
-_FORMATS: dict[str, Callable[[Path, str], None]] = {".svg": _save_svg, ".png": _save_png}
+_FORMATS: dict[str, Callable[[str], bytes]] = {".svg": str.encode, ".png": _png}

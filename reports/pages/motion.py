@@ -26,7 +26,7 @@ class Motion:
 
 def motion(drawings: Sequence[Mapping[str, Any]]) -> Motion | None:
     """The frames of these drawings, y downwards; None if they hold no point."""
-    frames = [{"t": d["t"], "lines": [_points(line) for line in d["lines"]]} for d in drawings]
+    frames = [{"t": d["t"], "lines": [*map(_points, d["lines"])]} for d in drawings]
     points = [p for frame in frames for line in frame["lines"] for p in line]
     if not points:
         return None

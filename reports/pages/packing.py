@@ -7,18 +7,10 @@ from typing import Any
 
 
 def packed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Data of a page as its scripts read them.
+    """Data of `reports.pages.site_data` as the scripts of a page read them.
 
-    Parameters
-    ----------
-    data
-        What `reports.pages.site_data` gives.
-
-    Returns
-    -------
-    dict of str to Any
-        The same; ``refs`` are the references of all sentences, which have their places instead.
-        The states on a scene are a list in the order of the methods, None for those not tried.
+    ``refs`` are the references of all sentences, which have their places instead. The states on a
+    scene are a list in the order of the methods, None for those not tried.
     """
     places: dict[tuple[tuple[str, str], ...], int] = {}
 
@@ -31,19 +23,17 @@ def packed(data: Mapping[str, Any]) -> dict[str, Any]:
     def part(found: Mapping[str, Any]) -> dict[str, Any]:
         return {**found, "sentences": [sentence(said) for said in found["sentences"]]}
 
+    def scene(own: Mapping[str, Any]) -> dict[str, Any]:
+        states = own["states"]
+        return {**own, "states": [states.get(k) for k in range(max(states, default=-1) + 1)]}
+
     answers = {
         question: {
             **answer,
-            "scenes": [
-                own and {**own, "states": _listed(own["states"])} for own in answer["scenes"]
-            ],
+            "scenes": [own and scene(own) for own in answer["scenes"]],
             "verdicts": [said and sentence(said) for said in answer.get("verdicts", ())],
             "filters": {name: part(found) for name, found in answer["filters"].items()},
         }
         for question, answer in data["answers"].items()
     }
     return {**data, "answers": answers, "refs": [dict(ref) for ref in places]}
-
-
-def _listed(states: Mapping[int, Any]) -> list[Any]:
-    return [states.get(k) for k in range(max(states, default=-1) + 1)]

@@ -98,10 +98,6 @@ def site_data(report: Report) -> dict[str, Any]:
     }
 
 
-def _shortened(text: str) -> str:
-    return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
-
-
 def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
     """The part of the data that the first question needs.
 
@@ -109,13 +105,17 @@ def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
     """
     kept = [k for k, name in enumerate(data["columns"]) if name in (FIRST.group, FIRST.cost)]
     profiles = data["profiles"].get(f"{FIRST.group}|{FIRST.cost}", {})
+
+    def shortened(text: str) -> str:
+        return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
+
     return {
         **data,
         "letters": _LETTERS - 1,
         "columns": [data["columns"][k] for k in kept],
         "runs_of": [
             [
-                (method, at, [_shortened(columns[k]) for k in kept], *endings)
+                (method, at, [shortened(columns[k]) for k in kept], *endings)
                 for method, at, columns, *endings in own
             ]
             for own in data["runs_of"]

@@ -78,16 +78,13 @@ def _joined_part(parts: Sequence[Part]) -> Part | None:
     if len({*parts}) == 1:
         return parts[0]
     texts = [plain([part]) for part in parts]
-    if len({_NUMBER.sub("", text) for text in texts}) > 1 or not all(map(_may_differ, parts)):
+    free = all(p.kind == "run" if isinstance(p, Ref) else _FREE.match(p) for p in parts)
+    if len({_NUMBER.sub("", text) for text in texts}) > 1 or not free:
         return None
     numbers = zip(*map(_NUMBER.findall, texts), strict=True)
     shown = (dict.fromkeys(own) if len({*own}) == 1 else own for own in numbers)
     said = (plain(listed(([number] for number in own), len(texts))) for own in shown)
     return _NUMBER.sub(lambda _: next(said), texts[0])
-
-
-def _may_differ(part: Part) -> bool:
-    return part.kind == "run" if isinstance(part, Ref) else bool(_FREE.match(part))
 
 
 def on_silent_errors(

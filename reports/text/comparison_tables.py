@@ -40,10 +40,11 @@ def _changes(kind: str, changes: Sequence[Change]) -> Table:
     # Errors have a group and a norm, work has a count; times need no further name.
     named = {"error": ["group", "norm"], "work": ["count"], "time": []}[kind]
     worst_first = sorted(changes, key=lambda c: -1.0 if c.ratio is None else -c.ratio)
-    rows = [
-        [*_run_cells(c.run), *[c.name, c.norm][: len(named)], shown(c.old), shown(c.new), _ratio(c)]
-        for c in worst_first
-    ]
+    rows = []
+    for c in worst_first:
+        ratio = factor(c.ratio) + ("" if c.comparable else ", not comparable")
+        numbers = [*[c.name, c.norm][: len(named)], shown(c.old), shown(c.new), ratio]
+        rows.append([*_run_cells(c.run), *numbers])
     unit = " in s" if kind == "time" else ""
     head = ["integrator", "scene", "run", *named, f"before{unit}", f"now{unit}", "ratio"]
     return Table(_CAPTIONS[kind], head, rows)
@@ -56,7 +57,3 @@ def _runs(caption: str, runs: Sequence[ComparedCell]) -> Table:
 
 def _run_cells(run: ComparedCell) -> list[str]:
     return [run.integrator, run.scene, run.resolution]
-
-
-def _ratio(change: Change) -> str:
-    return factor(change.ratio) + ("" if change.comparable else ", not comparable")

@@ -51,7 +51,8 @@ def lost_orders_table(
             for (claim, found, why), groups in alike.items():
                 if why in experiments:
                     links[len(rows), 5] = [f"atlas-{why}"]
-                rows.append([s.label, scene, ", ".join(groups), claim, found, _command(why)])
+                command = f"stepbench atlas {why}" if why else "no experiment"
+                rows.append([s.label, scene, ", ".join(groups), claim, found, command])
     if not rows:
         return None
     return Table(
@@ -93,7 +94,3 @@ def _explained(s: Series, group: str, fit: Fit, transient: bool) -> str:
     stuck = fit.verdict == "does not converge" and group in ("a", "lam")
     steady = s.controls == "step" and s.formulations == "index3"
     return UNDAMPED if stuck and steady else ""
-
-
-def _command(experiment: str) -> str:
-    return f"stepbench atlas {experiment}" if experiment else "no experiment"

@@ -120,13 +120,9 @@ def _cheapest(runs: Sequence[Record], cost: str, names: Mapping[str, str]) -> st
 
 
 def winners_table(
-    found: Mapping[str, Mapping[str, Verdict]],
-    ids: Mapping[str, str],
-    names: Mapping[str, str],
-    group: str = GROUP,
-    target: float = TARGET,
+    found: Mapping[str, Mapping[str, Verdict]], ids: Mapping[str, str], names: Mapping[str, str]
 ) -> Table | None:
-    """The verdicts on each scene and cost.
+    """The verdicts on each scene and cost, for `GROUP` and `TARGET`.
 
     ``ids`` are the anchors of records by key, ``names`` those of integrators by label.
     """
@@ -136,7 +132,7 @@ def winners_table(
         [scene, *(by[cost].worded(names) for cost in LEAST_COST)] for scene, by in found.items()
     ]
     return Table(
-        f"Cheapest way to {accuracy_text(group, target)}",
+        f"Cheapest way to {accuracy_text(GROUP, TARGET)}",
         ["scene", *LEAST_COST.values()],
         rows,
         note=f"{TIES} Integrators joined by = do the same on the scene (equal errors and equal "
@@ -212,7 +208,8 @@ def integrators_table(
             if (s.label, s.group, s.target, s.cost) == (label, GROUP, TARGET, COST)
         ]
         ratios = [(s.ratio, s.scene) for s in tried if s.ratio and s.scene in compared]
-        best, worst = (f"{name} ({number(r)})" for r, name in _ends(ratios))
+        ends = (f(ratios, default=(None, "none")) for f in (min, max))
+        best, worst = (f"{name} ({number(r)})" for r, name in ends)
         if missed := [s.scene for s in tried if not s.reached]:
             worst = f"{named(missed, most=2)} (not reached)"
         rows.append(
@@ -240,10 +237,6 @@ def integrators_table(
         f"({COST_NAMES[COST]}) as a multiple of the cheapest integrator's on a scene with several "
         "contestants.",
     )
-
-
-def _ends(ratios: Sequence[tuple[float, str]]) -> Sequence[tuple[float | None, str]]:
-    return (min(ratios), max(ratios)) if ratios else ((None, "none"), (None, "none"))
 
 
 def _measured(series: Sequence[Series]) -> str:

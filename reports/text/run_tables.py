@@ -48,7 +48,8 @@ def summary_table(series: Sequence[Series]) -> Table:
                     doubtful = True
                 else:
                     best_errors.setdefault(j, []).append((min(found), i))
-        run = _most_accurate(s)
+        judged = with_values(s.ok, lambda r: error_of(r, "q", NORM))
+        run = min(judged, key=lambda pair: pair[0])[1] if judged else None
         rows.append(
             {
                 "integrator": s.label,
@@ -69,11 +70,6 @@ def summary_table(series: Sequence[Series]) -> Table:
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
     return Table.from_dicts("All integrators", rows, best=best, note=note)
-
-
-def _most_accurate(s: Series) -> Record | None:
-    runs = with_values(s.ok, lambda r: error_of(r, "q", NORM))
-    return min(runs, key=lambda pair: pair[0])[1] if runs else None
 
 
 def _orders(s: Series, groups: Sequence[str]) -> str:
@@ -153,7 +149,7 @@ def runs_table(
     sampled = [
         f"{r.resolution} of {names.get(s.label, s.label)} at {measured_at(r)}"
         for s, r in records
-        if _sampled(r)
+        if r.status == "ok" and r.rows < (r.work.get("steps") or 0)
     ]
     if sampled:
         note += f"Not all steps were measured: {'; '.join(sampled)}. "
@@ -168,10 +164,6 @@ def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) 
     worst = worst_component(record, group, NORM)
     name = "" if worst is None else component_text(group, worst, components).partition(" [")[0]
     return f"{number(error_of(record, group, NORM))} {name}".strip()
-
-
-def _sampled(record: Record) -> bool:
-    return record.status == "ok" and record.rows < (record.work.get("steps") or 0)
 
 
 def drift_table(series: Sequence[Series]) -> Table | None:

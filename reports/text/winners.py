@@ -140,11 +140,8 @@ def verdict(case: Sequence[RankEntry]) -> Verdict:
     unknown = [s for s in own if s.reached and s.value is None]
     ranked = sorted((s for s in own if s.value is not None), key=lambda s: s.value or 0.0)
     # In the order of the plan: the medians of those who tie change places from run to run.
-    tied = {s.label for s in ranked if not _apart(ranked[0], s, cost)}
+    best = ranked[0].run if ranked else None
+    tied = {s.label for s in ranked if not (best and s.run and told_apart(best, s.run, cost))}
     first = [s for s in own if s.label in tied]
     second = next((s for s in ranked if s.label not in tied), None)
     return Verdict(scene, cost, first, second, unknown, len(own) - len(unknown), alike)
-
-
-def _apart(one: RankEntry, two: RankEntry, cost: str) -> bool:
-    return bool(one.run and two.run and told_apart(one.run, two.run, cost))
