@@ -68,12 +68,7 @@ def drift(
     """
     registry = options.usable_registry(plugins)
     scene = registry.problem(problem, **settings)
-    methods = [registry.integrator(name) for name in names]
-    specs = [method.spec for method in methods]
-    twice = next((spec for spec in specs if specs.count(spec) > 1), None)
-    if twice:
-        raise SpecError(f"{twice} is named twice.")
-
+    methods = options.integrators_once(registry, names)
     if step is not None:
         check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 

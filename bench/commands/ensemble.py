@@ -143,15 +143,14 @@ def _run(
 ) -> tuple[ShardRun, Any]:
     """Run the members that the parts lack; return them, and what is known of the run."""
     from bench.commands.terminal import RunProgress
-    from bench.guard.limits import Limits
+    from bench.guard.limits import Limits, cores
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.running.session import teller
-    from bench.sweeps.batch import processors
     from bench.sweeps.shards import ShardRun
 
     workers = processes(jobs, request.count)
-    threads = max(1, processors() // workers)
+    threads = max(1, cores() // workers)
     # A shard watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * request.sweep.budget, processors=threads)
     with _threads(threads), RunProgress() as progress:
@@ -198,10 +197,11 @@ def _print_json(run: ShardRun, results: Results) -> None:
 @contextmanager
 def _threads(count: int) -> Iterator[None]:
     """Have processes that are started now give JAX so many threads; a user's setting wins."""
-    before = os.environ.get("NPROC")
-    os.environ.setdefault("NPROC", str(count))
+    if "NPROC" in os.environ:
+        yield
+        return
+    os.environ["NPROC"] = str(count)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["NPROC"]
+        del os.environ["NPROC"]

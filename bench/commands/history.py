@@ -75,14 +75,9 @@ def _table(found: History) -> Table:
         table.add_column(Text(store.folder), justify="right", overflow="fold")
     last = None
     for run, line in found.changed[:_MOST]:
-        cells = [
-            Text("\n".join(filter(None, (_text(value), told))))
-            for value, told in zip(line.values, line.changed, strict=True)
-        ]
+        values = (f"{v:.4g}" if isinstance(v, float) else str(v or "-") for v in line.values)
+        pairs = zip(values, line.changed, strict=True)
+        cells = [Text("\n".join(filter(None, pair))) for pair in pairs]
         table.add_row(Text("" if run == last else str(run)), line.quantity, *cells)
         last = run
     return table
-
-
-def _text(value: object) -> str:
-    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -9,7 +9,6 @@ import click
 import msgspec
 
 from bench.commands import completion, options
-from bench.plugins.facts import PluginFacts
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, suggest
@@ -100,16 +99,8 @@ def _rows(kind: str, registry: Inventory) -> list[dict[str, Any]]:
         read = (read_profile(name) for name in built_in_profiles())
         usable = {"available": True, "reason": ""}  # in every row of the list
         return [{"name": name} | usable | msgspec.to_builtins(suite) for name, suite in read]
-    return [_row(plugin) for plugin in getattr(registry, kind).values()]
-
-
-def _row(plugin: PluginFacts) -> dict[str, Any]:
-    return {
-        "name": plugin.name,
-        "summary": plugin.summary,
-        "description": plugin.description,
-        "origin": plugin.origin,
-        "available": not plugin.reason,
-        "reason": plugin.reason,
-        "options": plugin.options,
-    }
+    told = ("name", "summary", "description", "origin", "reason", "options")
+    return [
+        {name: getattr(plugin, name) for name in told} | {"available": not plugin.reason}
+        for plugin in getattr(registry, kind).values()
+    ]

@@ -87,10 +87,6 @@ def _text(value: Any) -> str:
 
 def _allowed(option: dict[str, Any]) -> str:
     """The choices of an option and the range of its numbers."""
-    low, high = option.get("low"), option.get("high")
-    ends = [
-        f"from {_text(low)}" if low is not None else "",
-        f"to {_text(high)}" if high is not None else "",
-    ]
-    reach = " ".join(filter(None, ends))
+    ends = (("from", option.get("low")), ("to", option.get("high")))
+    reach = " ".join(f"{word} {_text(end)}" for word, end in ends if end is not None)
     return ", ".join([*map(str, option.get("choices", ())), *([reach] if reach else [])])

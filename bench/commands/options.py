@@ -15,7 +15,7 @@ import click
 from bench.commands import completion
 from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
-from bench.plugins.facts import SceneFacts, Sources
+from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
@@ -125,6 +125,15 @@ def usable_registry(plugins: Sequence[str]) -> Inventory:
     return registry
 
 
+def integrators_once(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
+    """Return the facts of integrators; raise SpecError if one is named twice."""
+    methods = [registry.integrator(name) for name in names]
+    for k, method in enumerate(methods):
+        if method in methods[:k]:
+            raise SpecError(f"{method.spec} is named twice.")
+    return methods
+
+
 def end_time(scene: SceneFacts, t_end: float | None) -> float:
     """Return the end time in s: the given one or the scene's own.
 
@@ -181,11 +190,7 @@ with_results = click.argument("folder", type=PathName("folder"), default=RESULTS
 def with_folder(default: str, words: str) -> Callable:
     """Add --out for a folder with a default name."""
     return click.option(
-        "--out",
-        type=PathName("folder"),
-        default=default,
-        show_default=True,
-        help=words,
+        "--out", type=PathName("folder"), default=default, show_default=True, help=words
     )
 
 
@@ -258,26 +263,17 @@ with_set = click.option(
     metavar="NAME=VALUE",
     help="Set a parameter of the scene; repeatable.",
 )
-with_budget = click.option(
-    "--budget",
-    type=click.FloatRange(0, LARGEST_BUDGET, min_open=True),
-    callback=not_nan,
-    default=300.0,
-    show_default=True,
-    help="Processor time in s after which a run is stopped.",
+
+
+def with_given_budget(words: str, **default: Any) -> Callable:
+    """Add --budget; without a default, as a file may state one."""
+    seconds = click.FloatRange(0, LARGEST_BUDGET, min_open=True)
+    return click.option("--budget", type=seconds, callback=not_nan, help=words, **default)
+
+
+with_budget = with_given_budget(
+    "Processor time in s after which a run is stopped.", default=300.0, show_default=True
 )
-
-
-def with_given_budget(words: str) -> Callable:
-    """Add --budget without a default: a file may state one."""
-    return click.option(
-        "--budget",
-        type=click.FloatRange(0, LARGEST_BUDGET, min_open=True),
-        callback=not_nan,
-        help=words,
-    )
-
-
 with_as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
 )

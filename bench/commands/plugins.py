@@ -63,10 +63,8 @@ def check(
                     say(check_line(result))
             wrong = sum(result.verdict == FAILED for result in results)
             count, failed = count + len(results), failed + wrong
-            checks = [vars(result) for result in results]
-            answers.append(
-                {"name": text, "kind": WORDS[kind], "passed": not wrong, "checks": checks}
-            )
+            about = {"name": text, "kind": WORDS[kind], "passed": not wrong}
+            answers.append(about | {"checks": [vars(result) for result in results]})
     if as_json:
         click.echo(json.dumps(answers, indent=2))
     if failed:
@@ -103,10 +101,8 @@ def new(kind: str, name: str, out: Path | None) -> None:
             file.write(text)
     except FileExistsError:
         raise SpecError(f"{path} is there already; give another name or --out.") from None
-    if kind == "integrator":
-        trial = f"stepbench solve pendulum {name} --plugins {path}"
-    else:
-        trial = f"stepbench solve {name} newmark --plugins {path}"
+    run = f"pendulum {name}" if kind == "integrator" else f"{name} newmark"
+    trial = f"stepbench solve {run} --plugins {path}"
     click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {path}")
 
 

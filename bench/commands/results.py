@@ -39,11 +39,14 @@ def export(folder: Path, form: str, out: Path | None) -> None:
         rows = [flatten(record, machines) for record in store.records().values()]
         options.tell_set_aside(store)
     text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
+    _tell(text, out, f"{len(rows)} records in {out}")
+
+
+def _tell(text: str, out: Path | None, done: str) -> None:
+    """Print a text, or write it into a file and say that it is done."""
     if out:
         out.write_text(text, encoding="utf-8")
-        click.echo(f"{len(rows)} records in {out}")
-    else:
-        click.echo(text, nl=False)
+    click.echo(done if out else text, nl=bool(out))
 
 
 def _limits(
@@ -209,21 +212,15 @@ def figure(
       stepbench figure stepbench-results trajectory --scene pendulum --component a:Y -o a.png
     """
     given = {"error": error, "cost": cost, "component": component}
-    written = view("figure")(
-        kind,
-        folder,
-        out or Path(f"{kind}.svg"),
-        scene=scene,
-        integrators=integrators,
-        t_end=t_end,
-        **{name: value for name, value in given.items() if value is not None},
-    )
+    more = {name: value for name, value in given.items() if value is not None}
+    more |= {"scene": scene, "integrators": integrators, "t_end": t_end}
+    written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **more)
     options.tell_set_aside_of(folder)
     click.echo(f"Figure: {written}")
 
 
 @click.command()
-@click.argument("folder", type=PathName("folder"), default=options.RESULTS)
+@options.with_results
 @click.option(
     "--group", metavar="q|v|a|lam|x|y", help="Quantity whose error counts; a if not given."
 )
@@ -252,17 +249,14 @@ def card(
       stepbench card --group lam --target 1e-6 --cost seconds --scenes constrained
     """
     given = {"group": group, "target": target, "cost": cost, "scenes": scenes}
-    written = view("card")(
-        folder,
-        out or Path("card.svg"),
-        **{name: value for name, value in given.items() if value is not None},
-    )
+    more = {name: value for name, value in given.items() if value is not None}
+    written = view("card")(folder, out or Path("card.svg"), **more)
     options.tell_set_aside_of(folder)
     click.echo(f"Card: {written}")
 
 
 @click.command()
-@click.argument("folder", type=PathName("folder"), default=options.RESULTS)
+@options.with_results
 @options.with_file("File in Markdown; the screen if not given.")
 def choose(folder: Path, out: Path | None) -> None:
     """Say which integrator suits which kind of system.
@@ -276,8 +270,4 @@ def choose(folder: Path, out: Path | None) -> None:
     """
     text = view("choosing_in_markdown")(folder)
     options.tell_set_aside_of(folder)
-    if out:
-        out.write_text(text, encoding="utf-8")
-        click.echo(f"Guide: {out}")
-    else:
-        click.echo(text, nl=False)
+    _tell(text, out, f"Guide: {out}")

@@ -76,12 +76,7 @@ def stability(
     if zeta is not None and system != _SYSTEMS[0]:
         raise SpecError(f"--zeta damps the oscillator; the system {system} has no such number.")
     registry = options.usable_registry(plugins)
-    methods = [registry.integrator(name) for name in names]
-    specs = [method.spec for method in methods]
-    twice = next((spec for spec in specs if specs.count(spec) > 1), None)
-    if twice:
-        raise SpecError(f"{twice} is named twice.")
-
+    methods = options.integrators_once(registry, names)
     from bench.stability.analysis import analysis_job
 
     results, faults = [], []

@@ -109,9 +109,7 @@ def run_suite(
 @click.command(cls=_WithSuites)
 @click.argument("suite", default="quick", shell_complete=completion.suites)
 @options.with_scenes
-@options.with_integrators(
-    "Only this integrator; repeatable. One that the suite lacks is added.",
-)
+@options.with_integrators("Only this integrator; repeatable. One that the suite lacks is added.")
 @click.option(
     "--mine",
     metavar="INTEGRATOR",
@@ -163,8 +161,11 @@ def run(
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
-    if planned.plan.mine:
-        _show_card(out, planned.plan.mine)
+    if planned.plan.mine:  # where it wins, loses and fails, and what it costs
+        from bench.commands.terminal import say
+
+        for line in view("method_card")(out, planned.plan.mine):
+            say(line)
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
     if cut := outcome.interrupted:
@@ -176,14 +177,6 @@ def run(
         first, *others = outcome.lost
         more = f" {len(others)} more reasons are above." if others else ""
         raise click.ClickException(f"{first}{more}")
-
-
-def _show_card(folder: Path, integrator: str) -> None:
-    """Print where an integrator wins, loses and fails, and what it costs."""
-    from bench.commands.terminal import say
-
-    for line in view("method_card")(folder, integrator):
-        say(line)
 
 
 def in_common(records: Sequence[Record]) -> str:

@@ -237,14 +237,8 @@ def check_start_time(registry: Registry, method: Integrator) -> str:
     return f"The start may lie at any time on {names_of(scenes)}."
 
 
-def _order(registry: Registry, method: Integrator) -> str:
-    scenes = order_trials(registry, method)
-    return check_order(method, [(scene, trial_end(scene)) for scene in scenes])
-
-
-def _tolerance(registry: Registry, method: Integrator) -> str:
-    scenes = trials(registry, method)
-    return check_tolerance(method, [(scene, trial_end(scene)) for scene in scenes])
+def _with_ends(scenes: list[MechatronicSystem]) -> list[tuple[MechatronicSystem, float]]:
+    return [(scene, trial_end(scene)) for scene in scenes]
 
 
 CHECKS = {
@@ -260,6 +254,6 @@ CHECKS = {
     "empty interval": check_empty_interval,
     "nan": check_nan,
     "blow-up": check_blow_up,
-    "order": _order,
-    "tolerance": _tolerance,
+    "order": lambda *of: check_order(of[1], _with_ends(order_trials(*of))),
+    "tolerance": lambda *of: check_tolerance(of[1], _with_ends(trials(*of))),
 }

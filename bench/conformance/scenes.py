@@ -81,11 +81,8 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
         if shape != (size,):
             raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
-    return f"Consistent at t={scene.interval[0]:g} s: {_size_words(scene)}."
-
-
-def _size_words(scene: MechatronicSystem) -> str:
-    return ", ".join(f"{name}={size}" for name, size in scene.sizes._asdict().items() if size)
+    shown = ", ".join(f"{name}={size}" for name, size in sizes._asdict().items() if size)
+    return f"Consistent at t={scene.interval[0]:g} s: {shown}."
 
 
 def check_mass(registry: Registry, scene: MechatronicSystem) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import defaultdict
 from dataclasses import dataclass
@@ -71,6 +72,12 @@ class Limits:
     def idle_seconds(self) -> float:
         """Return the time in s that a process may do nothing."""
         return max(_LEAST_IDLE, _IDLE * self.budget_s)
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 class Excess(NamedTuple):

@@ -178,24 +178,16 @@ class Registry:
             module = None if reason else _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
             reason = explain(error)
-        if module is None:
-            # Its kind is not known: it is listed under both.
-            for kind in KINDS:
-                self._add(kind, _unusable(file.stem, str(file), reason, str(file)))
-            return
-        found = 0
-        for cls in vars(module).values():
-            kind = _kind_of(cls, module.__name__)
-            if kind:
-                found += 1
-                # A class whose name is of no use is listed, with the reason, under its own.
-                name = cls.name if spec.is_name(cls.name) else cls.__name__
-                known = found_class(kind, name, lambda cls=cls: cls)
-                self._add(kind, Plugin(name, str(file), lambda known=known: known, str(file)))
-        if not found:
-            reason = "it defines no MechatronicSystem and no Integrator."
-            for kind in KINDS:
-                self._add(kind, _unusable(file.stem, str(file), reason, str(file)))
+        classes = vars(module).values() if module else ()
+        kinds = [(kind, cls) for cls in classes if (kind := _kind_of(cls, module.__name__))]
+        for kind, cls in kinds:
+            # A class whose name is of no use is listed, with the reason, under its own.
+            name = cls.name if spec.is_name(cls.name) else cls.__name__
+            known = found_class(kind, name, lambda cls=cls: cls)
+            self._add(kind, Plugin(name, str(file), lambda known=known: known, str(file)))
+        for kind in () if kinds else KINDS:  # its kind is not known: it is listed under both
+            why = reason or "it defines no MechatronicSystem and no Integrator."
+            self._add(kind, _unusable(file.stem, str(file), why, str(file)))
 
     def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
         origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value

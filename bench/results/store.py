@@ -40,6 +40,9 @@ T = TypeVar("T")
 #: Times in s that a clock can tell.
 _TIMES = 1e-12, 1e12
 
+#: Tables that stores of earlier versions may lack.
+_LATER = ("experiments", "long_runs", "damping")
+
 #: Most rows that are named in the sentence about those set aside.
 _NAMED = 3
 
@@ -139,12 +142,8 @@ class Store:
         except Unreadable as error:
             scene = undescribed(scene, error)
             value = encoded(scene)
-        self._write(
-            "INSERT OR REPLACE INTO scenes VALUES (?, ?, ?)",
-            clean(scene.problem),
-            scene.t_end,
-            value,
-        )
+        row = clean(scene.problem), scene.t_end, value
+        self._write("INSERT OR REPLACE INTO scenes VALUES (?, ?, ?)", *row)
 
     def save_experiment(self, found: ExperimentResult) -> None:
         """Keep the result of an experiment of the atlas."""
@@ -235,22 +234,16 @@ class Store:
 
     def experiments(self) -> dict[str, ExperimentResult]:
         """Results of the experiments of the atlas by name, in the order of their numbers."""
-        if not self._has_table("experiments"):
-            return {}
         found = [value for _, value in self._values("experiments", ("name",), ExperimentResult)]
         return {value.name: value for value in sorted(found, key=lambda value: value.number)}
 
     def long_runs(self) -> dict[str, LongRun]:
         """Long runs by key, in the order in which they were kept."""
-        if not self._has_table("long_runs"):
-            return {}
         found = self._values("long_runs ORDER BY rowid", ("key",), LongRun)
         return {key: run for (key,), run in found}
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""
-        if not self._has_table("damping"):
-            return {}
         return {name: value for (name,), value in self._values("damping", ("integrator",), Damping)}
 
     def records(self) -> dict[str, Record]:
@@ -261,10 +254,8 @@ class Store:
         # Before the records: a run that goes on meanwhile may add samples, but takes no record
         # away, so that every sample read here finds its record below.
         samples = self._samples()
-        found = {
-            key: record
-            for (key,), record in self._values("records ORDER BY rowid", ("key",), Record)
-        }
+        read = self._values("records ORDER BY rowid", ("key",), Record)
+        found = {key: record for (key,), record in read}
         plan = self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
@@ -297,15 +288,13 @@ class Store:
         return {key for key, raw in found if self._decoded("rows", str(key), raw, Rows)}
 
     # ---- parts -------------------------------------------------------------------------
-    def _has_table(self, name: str) -> bool:
-        """Whether there is a table; stores of earlier versions may lack some."""
-        return bool(self._read("SELECT 1 FROM sqlite_master WHERE name = ?", name))
-
     def _values(
         self, source: str, columns: Sequence[str], kind: type[T]
     ) -> Iterator[tuple[tuple, T]]:
         """Pairs (key, value) of a table's rows; those that cannot be read are noted."""
         table = "plan" if kind is Plan else source.split()[0]
+        if table in _LATER and not self._read("SELECT 1 FROM sqlite_master WHERE name = ?", table):
+            return
         for *key, raw in self._read(f"SELECT {', '.join(columns)}, value FROM {source}"):
             name = ", ".join(map(str, key))
             value = self._decoded(table, name, raw, kind)
@@ -359,7 +348,8 @@ class Store:
         try:
             return self._db.execute(sql, parameters).fetchall()
         except sqlite3.Error as error:
-            raise self._unreadable(error) from error
+            text = f"The store {self._path} cannot be read ({error}); {WAY_OUT}."
+            raise StoreError(text) from error
 
     def _write(self, sql: str, *parameters: object) -> None:
         try:
@@ -380,9 +370,6 @@ class Store:
             if isinstance(error, sqlite3.Error):
                 raise self._unwritable(error) from error
             raise
-
-    def _unreadable(self, reason: object) -> StoreError:
-        return StoreError(f"The store {self._path} cannot be read ({reason}); {WAY_OUT}.")
 
     def _unwritable(self, error: sqlite3.Error) -> StoreError:
         return StoreError(

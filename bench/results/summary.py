@@ -40,15 +40,9 @@ def orders(records: list[Record]) -> dict[str, Any]:
     The records are those of one integrator at fixed steps.
     """
     steps = [record.h for record in records if record.h is not None]
-    result: dict[str, Any] = {
-        "steps": steps,
-        "orders": {},
-        "window": {},
-        "points": {},
-        "verdict": {},
-        "errors": {},
-        "status": [record.status for record in records],
-    }
+    names = ("orders", "window", "points", "verdict", "errors")
+    result: dict[str, Any] = {"steps": steps} | {name: {} for name in names}
+    result["status"] = [record.status for record in records]
     groups = [g for g in GROUPS if any(g in r.reference_error for r in records)]
     for norm in NORMS:
         errors = {g: [r.errors.get(g, {}).get(norm) for r in records] for g in groups}
@@ -57,12 +51,7 @@ def orders(records: list[Record]) -> dict[str, Any]:
             for g in groups
         }
         for group, fit in fit_orders(steps, errors, floors).items():
-            for name, value in (
-                ("orders", fit.order),
-                ("window", fit.window),
-                ("points", fit.points),
-                ("verdict", fit.verdict),
-                ("errors", errors[group]),
-            ):
+            values = fit.order, fit.window, fit.points, fit.verdict, errors[group]
+            for name, value in zip(names, values, strict=True):
                 result[name].setdefault(group, {})[norm] = value
     return result

@@ -68,9 +68,6 @@ class ClusterRunner(Runner):
             ) from None
         super().__init__(1, limits, printed)
 
-    def __enter__(self) -> ClusterRunner:
-        return self
-
     def __exit__(self, *details: object) -> None:
         self._client.close()
         super().__exit__(*details)

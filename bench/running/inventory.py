@@ -210,15 +210,16 @@ class Inventory:
             raise PluginFailed(_unusable(plugin))
         sources = plugin.sources if self._apart else self._sources
         answer = self._answer(sources, question, text, *more)
-        if _no_answer(answer) and sources != plugin.sources:  # others may be to blame
+        failed = isinstance(answer, NoAnswer) and not isinstance(answer, Refused)
+        if failed and sources != plugin.sources:  # others may be to blame
             self._apart = True
             answer = self._answer(plugin.sources, question, text, *more)
         if isinstance(answer, Refused):
             raise SpecError(answer.message)
         if isinstance(answer, NoAnswer):
-            failed = PluginFailed(f"{text} gives no facts about itself: {answer.message}")
-            failed.ended = not self._process_lives()
-            raise failed
+            error = PluginFailed(f"{text} gives no facts about itself: {answer.message}")
+            error.ended = self._outside is None or not self._outside.alive
+            raise error
         return answer
 
     def _answer(self, sources: Sources, question: Callable[..., Any], *given: Any) -> Any:
@@ -227,9 +228,6 @@ class Inventory:
         if isinstance(answer, NoAnswer) and answer.status == INTERRUPTED:
             answer = self._process(sources).ask(question, *given)
         return answer
-
-    def _process_lives(self) -> bool:
-        return self._outside is not None and self._outside.alive
 
     def _process(self, sources: Sources) -> GuardedProcess:
         """A process that has loaded these sources and nothing else."""
@@ -245,13 +243,7 @@ def _unusable(plugin: PluginFacts) -> str:
     return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
 
 
-def _no_answer(answer: Any) -> bool:
-    return isinstance(answer, NoAnswer) and not isinstance(answer, Refused)
-
-
-def _listed_alone(
-    each: Sequence[Sources],
-) -> list[dict[str, dict[str, PluginFacts]]]:
+def _listed_alone(each: Sequence[Sources]) -> list[dict[str, dict[str, PluginFacts]]]:
     """List plugins by sources, each in a process of its own, several side by side."""
     found: dict[Sources, dict[str, dict[str, PluginFacts]]] = {}
     due, asked = deque(each), {}

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 from bench.guard.limits import REFERENCE, WAITING, Limits
 from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
@@ -111,7 +111,7 @@ class Runner:
         self._owner: dict[str, _WorkerProcess] = {}
         self._lacking: dict[str, str] = {}
 
-    def __enter__(self) -> Runner:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

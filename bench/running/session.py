@@ -21,7 +21,7 @@ from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
 
 #: Said of the answer of a plugin that writes into the rows of others.
-_OTHER = "Its answer is about something else than it was asked."
+OTHER_ANSWER = "Its answer is about something else than it was asked."
 
 
 class Progress(Protocol):
@@ -146,11 +146,9 @@ def measure_suite(
         progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
         for task, answer in runner.run(groups, progress.working):
             if task.job is Worker.scene:
-                if fault := _fault_of_scene(task, answer):
-                    progress.note(f"No picture of {task.arguments[0]}: {fault}")
-                else:
-                    answer.budget_s, answer.memory_gib = suite.plan.budget_s, suite.memory_gib
-                    store.save_scene(answer)
+                if record := _described(task, answer, progress):
+                    record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
+                    store.save_scene(record)
             else:
                 keep(task.arguments[0], answer)
             if task.job is counted:
@@ -185,7 +183,6 @@ def solve_cells(
     budget_s: float,
     memory_gib: float = 4.0,
     printed: Callable[[str, str], None] = lambda label, text: None,
-    working: Callable[[str], None] = lambda text: None,
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
@@ -199,7 +196,7 @@ def solve_cells(
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
     with Runner(1, Limits(budget_s, memory_gib), _each_line_once(printed)) as runner:
-        for task, answer in runner.run([tasks], working):
+        for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)
             elif not isinstance(answer, NoAnswer):
@@ -212,21 +209,16 @@ def solve_cells(
 
 
 def describe_scenes(
-    scenes: list[SceneFacts],
-    budget_s: float,
-    progress: Progress,
-    memory_gib: float = 4.0,
+    scenes: list[SceneFacts], budget_s: float, progress: Progress
 ) -> list[SceneRecord]:
     """Make records of scenes over their own intervals; one that fails is noted and left out."""
     records = {}
     groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
     progress.phase("references", len(groups))
-    with Runner(2, Limits(budget_s, memory_gib), teller(progress)) as runner:
+    with Runner(2, Limits(budget_s, memory_gib=4.0), teller(progress)) as runner:
         for task, answer in runner.run(groups, progress.working):
-            if fault := _fault_of_scene(task, answer):
-                progress.note(f"No picture of {task.arguments[0]}: {fault}")
-            else:
-                records[task.arguments[0]] = answer
+            if record := _described(task, answer, progress):
+                records[record.problem] = record
             progress.advance()
     return [records[scene.spec] for scene in scenes if scene.spec in records]
 
@@ -234,7 +226,7 @@ def describe_scenes(
 def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
     if not isinstance(answer, NoAnswer) and answer.record.key != cell.key:  # a plugin forged it
-        answer = NoAnswer(status="crashed", message=_OTHER)
+        answer = NoAnswer(status="crashed", message=OTHER_ANSWER)
     if isinstance(answer, NoAnswer):
         record = cell.record(*cell.facts(registry), answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
@@ -243,11 +235,15 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
 
 
 # ---- parts -----------------------------------------------------------------------------
-def _fault_of_scene(task: Task, answer: SceneRecord | NoAnswer) -> str:
-    """Return the reason why there is no record of a scene, or nothing."""
-    if isinstance(answer, NoAnswer):
-        return answer.message
-    return "" if (answer.problem, answer.t_end) == task.arguments else _OTHER
+def _described(
+    task: Task, answer: SceneRecord | NoAnswer, progress: Progress
+) -> SceneRecord | None:
+    """Return the record of a scene; if there is none, note the reason."""
+    if isinstance(answer, SceneRecord) and (answer.problem, answer.t_end) == task.arguments:
+        return answer
+    fault = answer.message if isinstance(answer, NoAnswer) else OTHER_ANSWER
+    progress.note(f"No picture of {task.arguments[0]}: {fault}")
+    return None
 
 
 def _in_words(record: Record) -> str:

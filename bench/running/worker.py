@@ -9,6 +9,7 @@ import gc
 import os
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,57 +115,53 @@ class Worker:
         record.work, record.rows = asdict(trajectory.work), max(0, len(trajectory.t) - 1)
         record.compile_s = compile_s
         if trajectory.status == "ok":
-            self._compare(record, trajectory, scene, errors and not lacking)
             if lacking:
                 _add(record, f"No errors are known. {lacking}")
                 record.stopped = REFERENCE
-            self._bill(record, trajectory)
-            self._claims(record, scene)
+            self._compare(record, trajectory, scene, errors and not lacking)
         return CellResult(record, measure.rows_of(trajectory))
 
     def _compare(
         self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
     ) -> None:
-        # A failure from here on is not the integrator's fault.
-        histories: dict[str, Any] = {}
-        if errors:
+        """Find all that is known of a good run; a failure costs a part, and is not the run's."""
+
+        def part(fault: str, find: Callable[[], Any], otherwise: Any) -> Any:
             try:
-                reference = self._reference(scene, record.t_end)
-                if reference.missing:
-                    _add(record, f"No errors are known. {reference.missing}")
-                else:
-                    found = relative_errors(run, reference)
-                    record.errors, record.components = found.errors, found.components
-                    record.reference_error, histories = found.reference_errors, found.histories
+                return find()
             except BaseException as error:
-                _add(record, f"No errors are known, the reference failed: {why(error)}")
-        drift = {}
-        for name, measured in (
-            ("residual of the constraints", measure.violations),
-            ("energy drift", measure.energy_drift),
-        ):
-            try:
-                drift |= measured(scene, run)
-            except BaseException as error:
-                _add(record, f"No {name} is known: {why(error)}")
+                _add(record, f"{fault}: {why(error)}")
+                return otherwise
+
+        def histories() -> dict[str, Any]:
+            reference = self._reference(scene, record.t_end)
+            if reference.missing:
+                _add(record, f"No errors are known. {reference.missing}")
+                return {}
+            found = relative_errors(run, reference)
+            record.errors, record.components = found.errors, found.components
+            record.reference_error = found.reference_errors
+            return found.histories
+
+        fault = "No errors are known, the reference failed"
+        noted = part(fault, histories, {}) if errors else {}
+        fault = "No residual of the constraints is known"
+        drift = part(fault, lambda: measure.violations(scene, run), {})
+        drift |= part("No energy drift is known", lambda: measure.energy_drift(scene, run), {})
         largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
-        run.notes |= histories | drift
+        run.notes |= noted | drift
 
-    def _claims(self, record: Record, scene: MechatronicSystem) -> None:
-        try:
-            claims = self.registry.integrator(record.integrator).claims(scene)
-            record.claims = answers.orders(claims, "claims()")
-        except BaseException as error:
-            _add(record, f"Its claimed orders are not known: {why(error)}")
+        def operations() -> dict[str, float]:
+            return answers.bill(self.prepared[record.key].bill(run), PARTS)
 
-    def _bill(self, record: Record, run: Trajectory) -> None:
-        try:
-            record.operations = answers.bill(self.prepared[record.key].bill(run), PARTS)
-        except BaseException as error:
-            # Counting is not the integrator's work, and a run without a bill still has its errors.
-            _add(record, f"Its operations are not known: {why(error)}")
+        def claims() -> dict[str, int]:
+            stated = self.registry.integrator(record.integrator).claims(scene)
+            return answers.orders(stated, "claims()")
+
+        record.operations = part("Its operations are not known", operations, {})
+        record.claims = part("Its claimed orders are not known", claims, None)
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         """Run a cell; return its trajectory, whatever its end, and the seconds to prepare it."""

@@ -7,7 +7,6 @@ no Python. Nothing calls back to Python, so the same code runs on a GPU.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.guard.limits import cores
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
@@ -162,7 +162,7 @@ class Batch:
         """
         order = self._times.longest_first()
         parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
-        jobs = jobs or processors()
+        jobs = jobs or cores()
         pool = ThreadPoolExecutor(jobs)
         try:
             # Blocks that are not submitted yet take no memory.
@@ -244,11 +244,8 @@ class Batch:
 
 
 def _table(trees: Sequence[Any]) -> np.ndarray:
-    return np.array([_numbers(tree) for tree in trees])
-
-
-def _numbers(tree: Any) -> np.ndarray:
-    return np.concatenate([np.ravel(leaf).astype(float) for leaf in jax.tree.leaves(tree)] or [[]])
+    rows = ([np.ravel(leaf).astype(float) for leaf in jax.tree.leaves(tree)] for tree in trees)
+    return np.array([np.concatenate(row or [[]]) for row in rows])
 
 
 def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
@@ -268,12 +265,6 @@ def _lanes(sizes: Sizes, count: int) -> int:
     while lanes > max(1, most) or lanes // 2 >= count:
         lanes //= 2
     return lanes
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 @cache

@@ -18,7 +18,7 @@ from bench.guard.process import NoAnswer, Refused
 from bench.plugins.facts import Sources
 from bench.plugins.fingerprint import fingerprint
 from bench.running.runner import Runner, Task
-from bench.running.session import Progress
+from bench.running.session import OTHER_ANSWER, Progress
 from bench.sweeps.ensemble import Ensemble
 from bench.sweeps.jobs import EnsemblePlan, EnsembleRequest, plan_job, shard_job
 from bench.sweeps.parts import Columns, NamelessParts, Parts
@@ -31,8 +31,6 @@ _TRIES = 3
 _MOST_FAILED = 8
 #: A worker draws the values with its own exponential function, which may round differently.
 _SAME_DRAW = 1e-9
-#: Said of the answer of a plugin that writes into the rows of others.
-_OTHER = "Its answer is about something else than it was asked."
 
 
 class ShardRun:
@@ -131,7 +129,7 @@ class ShardRun:
                 columns = {}
                 if isinstance(answer, Ensemble):
                     columns = self._columns(answer, first, count, pattern)
-                    answer = answer if columns else NoAnswer(status="crashed", message=_OTHER)
+                    answer = answer if columns else NoAnswer(status="crashed", message=OTHER_ANSWER)
                 if not isinstance(answer, NoAnswer):
                     pattern = pattern or columns
                     (parts if answer.whole else self.lost).put(k, columns)

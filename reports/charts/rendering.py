@@ -16,7 +16,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.guard.limits import Limits
+from bench.guard.limits import Limits, cores
 from bench.guard.process import GuardedProcess, NoAnswer
 from problems.plain_text import clean
 from reports.charts.vega_lite import Spec, chart_json
@@ -51,10 +51,7 @@ class Picture:
 def draw(charts: Mapping[str, Spec], folder: Path) -> dict[str, Picture]:
     """Write every chart into the folder as name.svg; SVG files of an earlier time are deleted.
 
-    Returns
-    -------
-    dict
-        The charts that cannot be drawn, with the reason; they have no file.
+    Return the charts that cannot be drawn, with the reason; they have no file.
     """
     for old in folder.glob("*.svg"):
         old.unlink()
@@ -71,14 +68,7 @@ def draw(charts: Mapping[str, Spec], folder: Path) -> dict[str, Picture]:
 def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) -> dict[str, Picture]:
     """Draw charts by name, several at a time when there are many.
 
-    Parameters
-    ----------
-    charts
-        The charts by name.
-    form
-        "svg", "png" or "pdf".
-    **options
-        Those of vl-convert for this form: ``scale``, ``ppi``.
+    ``form`` is "svg", "png" or "pdf"; ``options`` are vl-convert's for it: ``scale``, ``ppi``.
     """
     texts = {name: chart_json(chart) for name, chart in charts.items()}
     if not texts:
@@ -110,13 +100,6 @@ def parts(texts: Mapping[str, str], count: int) -> list[dict[str, str]]:
         split[smallest][name] = text
         sizes[smallest] += len(text)
     return split
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 # ---- parts -------------------------------------------------------------------------------

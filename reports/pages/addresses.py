@@ -59,16 +59,9 @@ def root(here: str) -> str:
 
 
 def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: bool = False) -> Site:
-    """The contents of a report.
+    """The contents of a report; ``anchors`` are pairs of an anchor and the file in which it is.
 
-    Parameters
-    ----------
-    report
-        Its content.
-    anchors
-        Pairs of an anchor and the file in which it is.
-    single
-        Whether one file holds all pages; a page is then a part with an anchor.
+    Where a ``single`` file holds all pages, a page is a part with an anchor.
     """
 
     def page(file: str) -> str:
@@ -83,10 +76,8 @@ def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: boo
     why = [Link("Orders", page("orders.html"))] if report.orders else []
     why += [Link("Long runs", page("drift.html"))] if report.long_runs else []
     why += [Link("Failure atlas", page("atlas.html"))] if report.atlas else []
-    why += [
-        Link("How it was measured", page("measured.html")),
-        Link("Glossary", page("glossary.html")),
-    ]
+    why.append(Link("How it was measured", page("measured.html")))
+    why.append(Link("Glossary", page("glossary.html")))
     contents = [("Answer", answer), ("Scenes", scenes), ("Why", why)]
     runs = f"{len(report.run_ids)} runs"
     return Site(

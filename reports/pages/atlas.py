@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.experiments import ExperimentResult
+from problems.whole_files import put
 from reports.charts.atlas import experiment_chart
 from reports.charts.rendering import pictures
 from reports.formatting import file_name
@@ -54,22 +55,16 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
         for figure in experiment.figures
         for name, chart in figure.charts.items()
     }
-    path = Path(folder) / FILE
-    text = html(
-        "atlas.html.j2",
-        atlas=chapter,
-        pictures={n: drawn.svg for n, drawn in pictures(charts).items()},
-    )
-    path.write_text(text, encoding="utf-8")
-    return path
+    drawn = {name: picture.svg for name, picture in pictures(charts).items()}
+    put(folder / FILE, html("atlas.html.j2", atlas=chapter, pictures=drawn))
+    return folder / FILE
 
 
 def _section(f: ExperimentResult) -> ExperimentSection:
-    verdict = f.verdict.capitalize()
     parts = []
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
         figure = captioned(caption, {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)})
         parts.append((part_table(part), figure))
-    return ExperimentSection(f, f"{verdict}: {predicted_counts(f)} numbers.", parts)
+    return ExperimentSection(f, f"{f.verdict.capitalize()}: {predicted_counts(f)} numbers.", parts)

@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.results.records import SceneRecord
 from problems.spec import SpecError
+from problems.whole_files import put
 from reports.charts.mechanism import mechanism
 from reports.charts.rendering import picture, pictures
 from reports.formatting import file_name, number, paragraphs
@@ -55,8 +56,7 @@ def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) 
     frames = motion(drawings)
     if frames is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    text = html("animation.html.j2", title=title, motion=frames)
-    path.write_text(text, encoding="utf-8")
+    put(path, html("animation.html.j2", title=title, motion=frames))
     return path
 
 
@@ -80,14 +80,13 @@ def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
         if entry["picture"] and entry["picture"].content:
             (folder / PICTURES).mkdir(exist_ok=True)
             (folder / entry["file"]).write_bytes(entry["picture"].content)
-    pages = [folder / "catalogue.html", folder / "catalogue.md"]
-    texts = (
-        html("catalogue.html.j2", entries=entries),
-        markdown("catalogue.md.j2", entries=entries),
-    )
-    for page, text in zip(pages, texts, strict=True):
-        page.write_text(text, encoding="utf-8")
-    return pages
+    pages = {
+        folder / "catalogue.html": html("catalogue.html.j2", entries=entries),
+        folder / "catalogue.md": markdown("catalogue.md.j2", entries=entries),
+    }
+    for page, text in pages.items():
+        put(page, text)
+    return list(pages)
 
 
 def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:
@@ -95,13 +94,9 @@ def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:
     found = [("Equations", "; ".join(scene.equations))]
     if scene.rates:
         r = {name: number(value) for name, value in scene.rates.items()}
-        found.append(
-            (
-                "Rates along the motion",
-                f"eigenvalues from {r['slowest']} to {r['fastest']} 1/s, decay up to "
-                f"{r['decay']} 1/s, oscillation up to {r['oscillation']} rad/s",
-            )
-        )
+        text = f"eigenvalues from {r['slowest']} to {r['fastest']} 1/s, decay up to {r['decay']} "
+        text += f"1/s, oscillation up to {r['oscillation']} rad/s"
+        found.append(("Rates along the motion", text))
     found.append(("Expected difficulties", "; ".join(scene.difficulties)))
     found.append(("Tags", ", ".join(scene.tags)))
     return [(name, text) for name, text in found if text]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.results.comparison import Comparison
+from problems.whole_files import put
 from reports.charts.comparison import ratio_charts
 from reports.charts.rendering import draw
 from reports.pages.templating import html, markdown
@@ -24,12 +25,7 @@ def write_comparison(
 ) -> list[Path]:
     """Write comparison.html and comparison.md into a folder.
 
-    Parameters
-    ----------
-    comparison
-        The result of ``bench.results.compare.compare``.
-    regressions
-        A sentence for each change that is worse than allowed.
+    ``regressions`` are sentences, one for each change that is worse than allowed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     charts = ratio_charts(comparison)
@@ -50,11 +46,10 @@ def write_comparison(
         "failed": [picture.sentence for picture in failed.values()],
     }
     inline = [(folder / name).read_text(encoding="utf-8") for name in pictures]
-    pages = [folder / "comparison.html", folder / "comparison.md"]
-    texts = (
-        html("comparison.html.j2", **values, inline=inline),
-        markdown("comparison.md.j2", **values),
-    )
-    for page, text in zip(pages, texts, strict=True):
-        page.write_text(text, encoding="utf-8")
-    return pages
+    pages = {
+        folder / "comparison.html": html("comparison.html.j2", **values, inline=inline),
+        folder / "comparison.md": markdown("comparison.md.j2", **values),
+    }
+    for page, text in pages.items():
+        put(page, text)
+    return list(pages)

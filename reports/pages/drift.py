@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.drift import LongRun, scenes_of
+from problems.whole_files import put
 from reports.charts.drift import drift_chart
 from reports.charts.rendering import pictures
 from reports.names import scene_name
@@ -47,9 +48,8 @@ def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     sections = drift_chapter(runs, interactive=False)
     charts = {n: c for s in sections if s.figure for n, c in s.figure.charts.items()}
     drawn = {name: picture.svg for name, picture in pictures(charts).items()}
-    path = Path(folder) / FILE
-    path.write_text(html("drift.html.j2", sections=sections, pictures=drawn), encoding="utf-8")
-    return path
+    put(folder / FILE, html("drift.html.j2", sections=sections, pictures=drawn))
+    return folder / FILE
 
 
 def _section(anchor: str, own: list[LongRun], interactive: bool) -> DriftSection:

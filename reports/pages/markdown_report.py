@@ -25,15 +25,7 @@ FIGURES = "report_figures"
 def write_markdown_report(folder: Path) -> Path:
     """Write report.md, report/scene-NAME.md and their pictures, from a run folder's store alone.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-
-    Returns
-    -------
-    pathlib.Path
-        The index.
+    Return the path of report.md, the index.
 
     Raises
     ------
@@ -42,7 +34,7 @@ def write_markdown_report(folder: Path) -> Path:
     """
     report = read_report(folder, interactive=False)
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
-    failed = draw(charts, Path(folder) / FIGURES)
+    failed = draw(charts, folder / FIGURES)
     files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
     said = {
         name: scene_sentence(report.answer.question, name, on, report.words)
@@ -52,7 +44,7 @@ def write_markdown_report(folder: Path) -> Path:
         for name, error in report.answer.unjudged.items()
     }
     names = {**report.names, **{name: scene_name(name) for name in report.series}}
-    own = Path(folder) / FOLDER
+    own = folder / FOLDER
     own.mkdir(exist_ok=True)
     for chapter in report.scenes:
         text = markdown(
@@ -77,19 +69,14 @@ def write_markdown_report(folder: Path) -> Path:
         answer=[_text(s, links) for s in sentences(report.answer, report.words)],
         standings=standings_table(report.answer),
         scenes=[
-            (
-                scene_name(s.name),
-                files[s.name],
-                _text(said.get(s.name, []), links),
-            )
+            (scene_name(s.name), files[s.name], _text(said.get(s.name, []), links))
             for s in report.scenes
         ],
         figures=FIGURES,
         failed=failed,
     )
-    path = Path(folder) / FILE
-    put(path, text)
-    return path
+    put(folder / FILE, text)
+    return folder / FILE
 
 
 def _scene_file(name: str) -> str:

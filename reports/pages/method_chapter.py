@@ -15,7 +15,7 @@ from reports.questions.answers import Answer
 from reports.questions.method_card import card
 from reports.questions.phrases import Sentence
 from reports.questions.words import Words
-from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text
+from reports.ranking import GROUP, TARGET, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.nearest_method import atlas_beside, nearest, stability_beside
@@ -48,7 +48,6 @@ class MethodChapter:
 
 def method_chapters(
     scenes: Mapping[str, Sequence[Series]],
-    entries: Sequence[RankEntry],
     known: Mapping[str, IntegratorFacts],
     damping: Mapping[str, Damping],
     records: Mapping[str, SceneRecord],
@@ -56,28 +55,11 @@ def method_chapters(
     words: Words,
     experiments: Sequence[ExperimentResult] = (),
 ) -> list[MethodChapter]:
-    """The chapters of all integrators.
+    """The chapters of all integrators, from series and records by scene.
 
-    Parameters
-    ----------
-    scenes
-        Series by scene.
-    entries
-        The ranking of the scenes.
-    known, damping
-        Statements and damping of integrators, by printed name.
-    records
-        Records of the scenes.
-    answer, words
-        The answer to the first question, and the names that its sentences use.
-    experiments
-        Results of the failure atlas.
+    ``known`` and ``damping`` are their statements and damping by printed name, ``answer`` is that
+    to the first question, ``experiments`` are results of the failure atlas.
     """
-    asked = {
-        (e.scene, e.label): e
-        for e in entries
-        if (e.group, e.target, e.cost) == (GROUP, TARGET, COST)
-    }
     own: dict[str, dict[str, Series]] = {}
     for scene, series in scenes.items():
         for s in series:
@@ -89,7 +71,7 @@ def method_chapters(
         runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
         facts = known.get(name)
-        files = facts.files if facts else ()
+        files = facts.files if facts else []
         plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
         analysed = {name: damping[name]} if name in damping else {}
         found.append(
@@ -99,7 +81,7 @@ def method_chapters(
                 title=facts.title.rstrip(".") if facts else "",
                 card=card(label, answer, scenes, words),
                 facts=_facts(name, first, facts),
-                scenes=_scenes_table(label, by_scene, asked),
+                scenes=_scenes_table(label, by_scene, answer),
                 orders=_orders_table(by_scene, facts.orders if facts else {}),
                 damping=_own(damping_table(analysed, list(records.items())), "Its damping"),
                 beside=_beside(name, damping, families, experiments, words.names),
@@ -153,9 +135,7 @@ def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tup
     return [(name, text) for name, text in pairs if text]
 
 
-def _scenes_table(
-    label: str, series: Mapping[str, Series], asked: Mapping[tuple[str, str], RankEntry]
-) -> Table:
+def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> Table:
     """A row per scene: best errors, cost to the accuracy, its multiple of the best, endings."""
     groups = groups_of(r for s in series.values() for r in s.ok)
     rows = []
@@ -166,7 +146,8 @@ def _scenes_table(
             )
             for g in groups
         }
-        entry = asked.get((scene, label))
+        judged = answer.scenes.get(scene)
+        entry = judged.entries.get(label) if judged else None
         state = _STATES.get(str(entry.state), "reached") if entry else "not judged"
         if all(r.status in NOT_TRIED for r in s.records):
             state = "not tried"

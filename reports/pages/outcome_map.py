@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from problems.whole_files import put
 from reports.charts.outcome_map import ROUND_OFF, axis_ticks, legend_color, map_image
 from reports.formatting import number
 from reports.pages.templating import html
@@ -44,6 +45,5 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
         },
     )
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / FILE
-    path.write_text(text, encoding="utf-8")
-    return path
+    put(folder / FILE, text)
+    return folder / FILE

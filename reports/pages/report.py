@@ -82,14 +82,7 @@ class Report:
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
-    """Read the store in a folder and make the content of its report.
-
-    Parameters
-    ----------
-    folder
-        The run folder.
-    interactive
-        Whether charts are interactive instead of still.
+    """Read the store in a folder and make the content of its report, charts interactive or still.
 
     Raises
     ------
@@ -160,9 +153,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
         environments=list(environments.items()),
         method=method_of_measurement(plan),
         atlas=atlas_chapter(experiments),
-        methods=method_chapters(
-            series, ranking, facts, known, described, first, words, experiments
-        ),
+        methods=method_chapters(series, facts, known, described, first, words, experiments),
         names=dict(words.names),
         failed=sum(r.status not in {"ok", *NOT_TRIED} for r in runs),
         series=series,

@@ -96,16 +96,9 @@ def named(report: Report) -> dict[str, tuple[str, str]]:
 
 
 def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
-    """Write all pages but the first, and what they share, into the folder ``report/``.
+    """Write all pages but the first, and what they share, into ``report/`` of the run folder.
 
-    Parameters
-    ----------
-    report
-        The content.
-    folder
-        The run folder.
-    data
-        What the scripts are given, for all scenes.
+    ``data`` are those of the scripts, for all scenes.
     """
     site, made = report_site(report)
     target = Path(folder) / FOLDER

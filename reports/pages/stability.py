@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from problems.whole_files import put
 from reports.charts.rendering import Picture, pictures
 from reports.charts.stability import radius_map, stability_curves
 from reports.pages.templating import html
@@ -39,9 +40,8 @@ def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
         steps=found[0]["first_steps"],
     )
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / FILE
-    path.write_text(text, encoding="utf-8")
-    return path
+    put(folder / FILE, text)
+    return folder / FILE
 
 
 def png_url(drawn: Picture) -> str:

@@ -24,15 +24,7 @@ _OPEN["residuals"] = "the residual evaluations are not counted"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
-    """The answer: who is cheapest on how many scenes, who reaches it on most, and nobody where.
-
-    Parameters
-    ----------
-    found
-        The answer on the scenes that are asked for.
-    words
-        Names and tags of the report.
-    """
+    """The answer: who is cheapest on how many scenes, who reaches it on most, and nobody where."""
     if not found.scenes:
         return [*_unjudged(found)] or [["No scene has runs with an error in this quantity."]]
     voting = {name: s for name, s in found.scenes.items() if s.verdict.votes and s.verdict.first}
@@ -73,14 +65,8 @@ def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words)
         verb = " reaches " if len(answer.verdict.unknown) == 1 else " reach "
         goal = [*words.accuracy(question), " on ", scene_ref(scene)]
         return [*unknown, verb, *goal, f", but {_OPEN[question.cost]}."]
-    return [
-        "No integrator reaches ",
-        *words.accuracy(question),
-        " on ",
-        scene_ref(scene),
-        *_near(answer, words),
-        ".",
-    ]
+    goal = [*words.accuracy(question), " on ", scene_ref(scene)]
+    return ["No integrator reaches ", *goal, *_near(answer, words), "."]
 
 
 def _reached(found: Answer, words: Words) -> list[Sentence]:
