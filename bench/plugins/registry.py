@@ -178,8 +178,8 @@ class Registry:
             module = None if reason else _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
             reason = explain(error)
-        classes = vars(module).values() if module else ()
-        kinds = [(kind, cls) for cls in classes if (kind := _kind_of(cls, module.__name__))]
+        pairs = ((_kind_of(cls, module), cls) for cls in (vars(module).values() if module else ()))
+        kinds = [(kind, cls) for kind, cls in pairs if kind]
         for kind, cls in kinds:
             # A class whose name is of no use is listed, with the reason, under its own.
             name = cls.name if spec.is_name(cls.name) else cls.__name__
@@ -264,8 +264,8 @@ def _import_file(file: Path) -> Any:
     return module
 
 
-def _kind_of(cls: Any, module: str) -> str | None:
-    if not inspect.isclass(cls) or cls.__module__ != module or inspect.isabstract(cls):
+def _kind_of(cls: Any, module: Any) -> str | None:
+    if not inspect.isclass(cls) or cls.__module__ != module.__name__ or inspect.isabstract(cls):
         return None
     return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
