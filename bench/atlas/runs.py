@@ -13,14 +13,7 @@ import msgspec
 
 from bench.atlas.conditioning import conditions
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
-from bench.atlas.measures import (
-    history,
-    number_of,
-    quantity,
-    rounding_of,
-    value_of,
-    within,
-)
+from bench.atlas.measures import history, number_of, quantity, rounding_of, value_of, within
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import MethodFacts
@@ -68,23 +61,11 @@ def run_experiments(
     progress: Progress,
     memory_gib: float = 4.0,
 ) -> Iterator[ExperimentResult]:
-    """Run experiments and yield the result of each.
+    """Run experiments in so many ``jobs``, worker processes, and yield the result of each.
 
-    Parameters
-    ----------
-    experiments
-        As `bench.atlas.experiments.read_experiments` returns them.
-    added
-        Integrators that go through every part beside its own. Nothing is predicted for them; the
-        result says whether they are spared.
-    registry
-        Makes scenes and integrators; its plugin files are loaded in every worker.
-    jobs
-        Worker processes.
-    budget_s, memory_gib
-        Limits of one run.
-    progress
-        Shows the experiment in work.
+    Integrators that are ``added`` go through every part beside its own. Nothing is predicted for
+    them; the result says whether they are spared. A run may take ``budget_s`` (s) and
+    ``memory_gib`` (GiB).
 
     Raises
     ------

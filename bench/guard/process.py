@@ -51,16 +51,10 @@ _START = (
 
 
 class NoAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """The fate of a job that failed.
+    """The fate of a job that failed, and a sentence with the reason.
 
-    Attributes
-    ----------
-    status
-        "crashed", "budget_exceeded", or "interrupted" if the job is not to blame.
-    message
-        A sentence with the reason.
-    phase
-        The phase in which it ended, one of `bench.guard.limits`, with words on it.
+    ``status`` is "crashed", "budget_exceeded", or "interrupted" if the job is not to blame,
+    ``phase`` that of `bench.guard.limits` in which it ended, with ``words`` on it.
     """
 
     status: str

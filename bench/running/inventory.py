@@ -22,14 +22,7 @@ from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
 from bench.plugins.fingerprint import reference_file
 from bench.plugins.reasons import PluginError
-from bench.plugins.registry import (
-    KINDS,
-    PROJECT,
-    Registry,
-    package_of,
-    plugin_files,
-    taken_name,
-)
+from bench.plugins.registry import KINDS, PROJECT, Registry, package_of, plugin_files, taken_name
 from bench.results.records import INTERRUPTED
 from problems import spec
 from problems.reference import keep_references

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LinearSystem(MechatronicSystem):
-    """Base of the test systems; ``excited`` are the places in [q, v, x] of unit deviations."""
+    """Base of the test systems, unit masses on unit springs if a system states no others.
+
+    ``excited`` are the places in [q, v, x] of unit deviations.
+    """
 
     #: All entries if None; entries that they never reach take no part in the spectrum.
     excited: ClassVar[tuple[int, ...] | None] = None
@@ -35,6 +38,12 @@ class LinearSystem(MechatronicSystem):
         units = np.eye(2 * nq + nx)
         return units if self.excited is None else units[list(self.excited)]
 
+    def mass(self, q: Any) -> Any:
+        return jnp.eye(self.size[0])
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return -q
+
     def initial_state(self) -> State:
         nq, nx = self.size
         s = np.zeros(2 * nq + nx) if self.deviation is None else self.deviation
@@ -46,9 +55,6 @@ class Oscillator(LinearSystem):
     """q'' + 2 zeta q' + q = 0: the test equation of structural dynamics with omega = 1."""
 
     zeta: float = parameter(0.0, "1", "damping ratio", low=0.0)
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
 
     def force(self, q: Any, v: Any, t: Any) -> Any:
         return -q - 2 * self.zeta * v
@@ -64,12 +70,6 @@ class Relaxation(LinearSystem):
     excited: ClassVar[tuple[int, ...] | None] = (2,)
     size: ClassVar[tuple[int, int]] = (1, 1)
 
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return -q
-
     def state_rate(self, z: Variables) -> Any:
         return -z.x
 
@@ -84,12 +84,6 @@ class Loop(LinearSystem):
     size: ClassVar[tuple[int, int]] = (1, 1)
     sigma: float = parameter(0.1, "1", "leak of the controller's integrator")
     b: float = parameter(1.4, "1", "feedback gain on the acceleration")
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return -q
 
     def state_rate(self, z: Variables) -> Any:
         return -self.sigma * z.x - self.b * z.a

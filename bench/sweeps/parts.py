@@ -147,14 +147,7 @@ class KeptParts(Parts):
 class Results:
     """Contents of the parts 0 to ``count - 1`` of an ensemble, a few columns in memory at a time.
 
-    Parameters
-    ----------
-    parts
-        Where they are; the first that has a part gives it.
-    count
-        Their number.
-    varied
-        Names of what varies.
+    The first of ``parts`` that has a part gives it; ``varied`` are the names of what varies.
 
     Attributes
     ----------

@@ -8,12 +8,7 @@ from bench.results.quantities import COST
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
-from reports.ranking import (
-    GROUP,
-    TARGET,
-    RankEntry,
-    several_contestants,
-)
+from reports.ranking import GROUP, TARGET, RankEntry, several_contestants
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
