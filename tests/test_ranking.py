@@ -147,7 +147,7 @@ def test_integrators_that_do_the_same_are_one_contestant(found):
     assert judged(*same) is None
     rival = [run("one", "rival", h, 9e-3, 9 * round(1 / h)) for h in steps]
     by = judged(*same, *rival)
-    assert by["residuals"].text == "a = b (100; next: rival, 9 times)"
+    assert by["residuals"].worded() == "a = b (100; next: rival, 9 times)"
     assert by["residuals"].compared == 2
     for change in (
         lambda r: r.work.update(residuals=r.work["residuals"] + 1),
@@ -165,7 +165,7 @@ def test_integrators_that_do_the_same_are_one_contestant(found):
 
 def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     said = verdicts(found)
-    texts = {scene: {cost: v.text for cost, v in by.items()} for scene, by in said.items()}
+    texts = {scene: {cost: v.worded() for cost, v in by.items()} for scene, by in said.items()}
     assert texts["won"] == {
         "operations": "lean (3000; next: quick, 3 times)",
         "seconds": "quick (1 ms; next: lean, 3 times)",
@@ -194,21 +194,21 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
 def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     records = [run("one", n, 0.01, None, k) for n, k in (("quick", 9), ("lean", 3), ("dark", None))]
     by = judged(*records)
-    assert by["residuals"].text == "lean (3; next: quick, 3 times); not measured: dark"
-    assert by["seconds"].text == "not measured"
+    assert by["residuals"].worded() == "lean (3; next: quick, 3 times); not measured: dark"
+    assert by["seconds"].worded() == "not measured"
     assert not by["seconds"].votes
     by = judged(records[0], run("one", "lean", 0.04, None, 1))
-    assert by["residuals"].text == "quick alone reaches it (9)"
+    assert by["residuals"].worded() == "quick alone reaches it (9)"
     by = judged(run("one", "quick", 0.01, None, 206), run("one", "lean", 0.01, None, 205))
-    assert by["residuals"].text == "lean (205; next: quick, 1.00488 times)"
+    assert by["residuals"].worded() == "lean (205; next: quick, 1.00488 times)"
     many = [run("one", f"m{k}", 0.01, None, 5, {"a": (1 - k / 100, 2)}) for k in range(6)]
-    assert judged(*many)["residuals"].text == "m0, m1, m2 and 3 more tie (5)"
+    assert judged(*many)["residuals"].worded() == "m0, m1, m2 and 3 more tie (5)"
 
 
 def test_a_count_of_zero_is_the_least_and_multiples_take_it_as_one():
     none, some, many = (run("one", n, 0.01, None, k) for n, k in (("a", 0), ("b", 1), ("c", 40)))
     by = judged(none, some, many)
-    assert by["residuals"].text == "a (0; next: b, 1 times)"
+    assert by["residuals"].worded() == "a (0; next: b, 1 times)"
     found = rank({"one": series_of([none, some, many])}, ["a"], [1e-4])
     assert [s.state for s in found if s.cost == "residuals"] == [1, 1, 40]
 
@@ -224,7 +224,7 @@ def test_those_who_tie_stand_in_the_order_of_the_plan():
     plan = ("quick", 105), ("lean", 100), ("other", 103)
     by = judged(*(run("one", n, 0.01, None, k, {"a": (k / 200, 2)}) for n, k in plan))
     assert first(by["operations"]) == ["quick", "lean", "other"]
-    assert by["operations"].text == "quick, lean and other tie (1000)"
+    assert by["operations"].worded() == "quick, lean and other tie (1000)"
 
 
 def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():

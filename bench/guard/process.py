@@ -71,21 +71,9 @@ class GuardedProcess:
     """A process that answers jobs, one at a time.
 
     A job is a function of a module, whose return annotation tells the type of its answer. It is
-    called with the state of the process and arguments, and must not return None.
-
-    Parameters
-    ----------
-    prepare
-        Makes the state, once, from a `Notify` and ``arguments``.
-    arguments
-        For ``prepare``.
-    limits
-        The most that one job may take.
-
-    Attributes
-    ----------
-    told
-        Called with the phase to which the job goes on, and words on it.
+    called with the state of the process, which ``prepare`` makes once from a `Notify` and
+    ``arguments``, and with its own arguments; it must not return None, and may take ``limits``.
+    ``told`` is called with the phase to which the job goes on, and words on it.
     """
 
     def __init__(

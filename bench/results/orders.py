@@ -88,14 +88,7 @@ def fit_orders(
 ) -> dict[str, Fit]:
     """Fit the order of every group of the same runs.
 
-    Parameters
-    ----------
-    steps
-        Step sizes in s, in any order.
-    errors
-        Errors at these steps by group, in one norm.
-    floors
-        The reference's own error by group.
+    By group there are errors at these steps (in s, any order), in one norm, and the reference's.
     """
     fits = {group: fit_order(steps, own, floors[group]) for group, own in errors.items()}
     if any(_gains(steps, own, floors[group]) for group, own in errors.items()):

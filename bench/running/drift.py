@@ -30,16 +30,7 @@ _PHASE_ITERATIONS = 2
 def drift_job(
     worker: Worker, problem: str, integrator: str, h: float | None, steps: int
 ) -> LongRun:
-    """Run an integrator over many steps and measure what drifts.
-
-    Parameters
-    ----------
-    problem, integrator
-        Names with options.
-    h
-        Step in s; the scene's nominal one if None.
-    steps
-        Number of steps.
+    """Run an integrator over so many steps of h (s; None: the nominal one), measure what drifts.
 
     Raises
     ------

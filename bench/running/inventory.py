@@ -55,12 +55,8 @@ class Prospect(NamedTuple):
 class Inventory:
     """All scenes and integrators by name, as facts.
 
-    Parameters
-    ----------
-    paths
-        Python files, or folders of them, that define scenes or integrators.
-    printed
-        Told what plugins print while they are loaded.
+    ``paths`` are Python files, or folders of them, that define more of them; ``printed`` is told
+    what plugins print while they are loaded.
 
     Raises
     ------

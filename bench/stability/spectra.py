@@ -96,18 +96,10 @@ def spectrum(
     pattern: Sequence[float] = (1.0,),
     omega_h: Sequence[float] = (),
 ) -> Spectrum:
-    """Analyse a method.
+    """Analyse a method at constant steps, or a pattern of fractions of the macro step, of sum 1.
 
-    Parameters
-    ----------
-    method
-        An integrator with constant steps.
-    system
-        The test system; the undamped oscillator if not given.
-    pattern
-        Fractions of the macro step, which sum to 1.
-    omega_h
-        Values of omega h to be analysed beside `OMEGA_H`.
+    Without a test system it is the undamped oscillator; values of ``omega_h`` are analysed beside
+    `OMEGA_H`.
 
     Raises
     ------
@@ -173,15 +165,7 @@ def principal(
     """Return the principal eigenvalue with positive imaginary part, NaN if there is none.
 
     It is the complex one next to the exact solution's where omega h < 1, beyond that the largest.
-
-    Parameters
-    ----------
-    roots
-        Eigenvalues.
-    omega_h
-        Of each row of roots.
-    zeta
-        Damping ratio of the oscillator.
+    Each row of eigenvalues belongs to an omega h; ``zeta`` is the oscillator's damping ratio.
     """
     exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * omega_h)
     found = np.full(len(roots), complex(np.nan, np.nan))

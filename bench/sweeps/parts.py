@@ -83,12 +83,8 @@ class NamelessParts(Parts):
 class KeptParts(Parts):
     """Parts in a folder, where another call of the same command finds them.
 
-    Parameters
-    ----------
-    folder
-        Is made if it is not there. One command writes into it at a time.
-    about
-        What decides the members, as values of JSON.
+    The folder is made if it is not there; one command writes into it at a time. ``about`` is all
+    that decides the members, as values of JSON.
 
     Raises
     ------

@@ -32,11 +32,6 @@ class SceneAnswer:
         return [twin for s in self.verdict.first for twin in self.verdict.names[s.label]]
 
     @property
-    def states(self) -> dict[str, float | str]:
-        """The multiple of the least cost by label, or one of `reports.ranking.STATES`."""
-        return {label: entry.state for label, entry in self.entries.items()}
-
-    @property
     def several(self) -> bool:
         """Whether several contestants were tried."""
         return len(self.verdict.names) > 1

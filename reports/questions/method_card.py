@@ -64,17 +64,10 @@ def card(
     return [*said, *_ends(label, scenes), *_costs(reached, question)]
 
 
-def method_card(folder: Path, integrator: str, question: Question = FIRST) -> list[str]:
+def method_card(folder: Path, integrator: str) -> list[str]:
     """The card of an integrator in plain text, from the store of a run folder.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    integrator
-        Its printed name, or its name without options for all of its variants.
-    question
-        What is asked.
+    It is named as it is printed, or without options for all of its variants.
 
     Raises
     ------
@@ -87,7 +80,7 @@ def method_card(folder: Path, integrator: str, question: Question = FIRST) -> li
     chosen = [k for k in labels if integrator in (k, k.partition("[")[0])]
     if not chosen:
         raise SpecError(f"There is no integrator {integrator!r}; {suggest(integrator, labels)}.")
-    found = answer(scenes, question)
+    found = answer(scenes, FIRST)
     return [plain(sentence) for k in chosen for sentence in card(k, found, scenes, words)]
 
 

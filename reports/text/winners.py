@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from bench.results.records import Record
 from bench.results.timings import LEAST_QUOTIENT, LEVEL
@@ -48,12 +49,7 @@ class Verdict:
         shown = [*self.first, self.second] if len(self.first) == 1 else self.first
         return [s.run for s in shown if s and s.run]
 
-    @property
-    def text(self) -> str:
-        """The verdict in words, with printed names."""
-        return self.worded({})
-
-    def worded(self, names: Mapping[str, str]) -> str:
+    def worded(self, names: Mapping[str, str] = MappingProxyType({})) -> str:
         """The verdict with these names by label; integrators that do the same: 'a = b'."""
 
         def name_of(entry: RankEntry) -> str:
@@ -64,16 +60,13 @@ class Verdict:
         least = min((s.value for s in self.first if s.value is not None), default=None)
         shown = cost_text(least, self.cost)
         firsts = [name_of(s) for s in self.first]
+        said = named(firsts)
         if len(firsts) > 1:
-            said = f"{named(firsts)} tie ({shown})"
+            said += f" tie ({shown})"
         elif self.second:
-            said = (
-                f"{firsts[0]} ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
-            )
-        elif self.unknown:
-            said = f"{firsts[0]} ({shown})"
+            said += f" ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
         else:
-            said = f"{firsts[0]} alone reaches it ({shown})"
+            said += f" ({shown})" if self.unknown else f" alone reaches it ({shown})"
         if self.unknown:
             said += f"; not measured: {named(map(name_of, self.unknown))}"
         return said
