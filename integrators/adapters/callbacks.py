@@ -23,12 +23,7 @@ NOT_FINITE = "the equations gave a value that is not finite"
 class EarlyEnd(Exception):
     """The end of a run ahead of its time; raised in a callback, it ends the run there.
 
-    Parameters
-    ----------
-    status
-        One of `integrators.contract.STATUSES`.
-    reason
-        A clause for the run's message.
+    It has a status of `integrators.contract.STATUSES`, and a clause for the run's message.
     """
 
     def __init__(self, status: str, reason: str) -> None:
@@ -142,14 +137,8 @@ class CountedEquations:
 
     The times of the calls tell iterations and attempts. The first call of every Newton iteration
     is at the earliest time of its attempt. An attempt that is repeated with a smaller step begins
-    earlier than those before it.
-
-    Parameters
-    ----------
-    value, jacobian
-        Functions of (t, ...).
-    max_calls
-        After so many calls of ``value`` the run ends as budget_exceeded.
+    earlier than those before it. Value and Jacobian are functions of (t, ...); after ``max_calls``
+    of the first the run ends as budget_exceeded.
     """
 
     def __init__(

@@ -229,16 +229,10 @@ def _made(name: str, address: int | None) -> int:
 
 
 class NativeIDA(NativeSolver):
-    """IDA at the start of a run.
+    """IDA at the start of a run, with what `NativeSolver` is given.
 
-    Parameters
-    ----------
-    given
-        Those of `NativeSolver`.
-    differential
-        1 for unknowns whose derivatives are in the equations, else 0.
-    suppress_algebraic
-        Whether the error test leaves the others out.
+    ``differential`` is 1 for unknowns whose derivatives are in the equations, else 0; with
+    ``suppress_algebraic`` the error test leaves the others out.
     """
 
     _name, _calls = "IDA", "ResEvals"

@@ -49,16 +49,9 @@ class Pivot(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Elimination of the matrices of one pattern.
+    """Elimination of the matrices of one pattern, a pivot in each step.
 
-    Parameters
-    ----------
-    entries
-        The pattern, ``(n, n)``.
-    colours
-        Columns of one colour share no row, so that one product with a matrix has them all.
-    pivots
-        The steps of the elimination.
+    Columns of one colour share no row, so that one product with a matrix has them all.
     """
 
     entries: Bool[np.ndarray, "n n"]

@@ -25,17 +25,7 @@ class ModelDiffers(Exception):
 def why_not(
     engine: str, scene: MechatronicSystem, stated: Collection[type[MechatronicSystem]]
 ) -> str | None:
-    """Return why an engine cannot take a scene, in a sentence, or None.
-
-    Parameters
-    ----------
-    engine
-        Name of the engine, for the message.
-    scene
-        The scene in question.
-    stated
-        The scenes that have a model in the engine.
-    """
+    """Return why an engine with models of the scenes ``stated`` cannot take one, or None."""
     if type(scene) not in stated:
         known = ", ".join(sorted(one.name for one in stated))
         return f"{engine} takes scenes that have a model there: {known}."
@@ -47,16 +37,9 @@ def why_not(
 def check_start(
     engine: str, scene: MechatronicSystem, start: Variables, **theirs: Float[np.ndarray, " n"]
 ) -> None:
-    """Compare what an engine computes at the start with the scene's own equations.
+    """Compare an engine's values at the start with the scene's own, ``start``.
 
-    Parameters
-    ----------
-    engine
-        Name of the engine, for the message.
-    scene, start
-        The scene and its consistent values at the start.
-    theirs
-        The engine's values there by group: q, v, a and, if it has them, lam.
+    ``theirs`` are by group: q, v, a and, if the engine has them, lam.
 
     Raises
     ------

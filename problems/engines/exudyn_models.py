@@ -79,7 +79,7 @@ class _Builder:
         return ExudynModel(self.system, multipliers)
 
 
-def _points(q: np.ndarray, v: np.ndarray, m: float, g: float, length: float) -> ExudynModel:
+def _points(s: Pendulum | Chain, q: np.ndarray, v: np.ndarray) -> ExudynModel:
     """Point masses on links from the origin; the constraint of a link is |d| - length = 0.
 
     Ours is (d.d - length^2)/2, whose multiplier is the link's force divided by its length.
@@ -88,20 +88,12 @@ def _points(q: np.ndarray, v: np.ndarray, m: float, g: float, length: float) -> 
     before = build.marker(build.ground)
     for at in np.arange(len(q)).reshape(-1, 2):
         node = build.node("NodePoint2D", q[at], v[at])
-        point = build.body("ObjectMassPoint2D", node, mass=m)
-        build.load(point, (0, -m * g, 0))
+        point = build.body("ObjectMassPoint2D", node, mass=s.m)
+        build.load(point, (0, -s.m * s.g, 0))
         here = build.marker(point)
-        build.join("ObjectConnectorDistance", before, here, distance=length)
+        build.join("ObjectConnectorDistance", before, here, distance=s.length)
         before = here
-    return build.model(lambda q, v, forces: forces / length)
-
-
-def _pendulum(s: Pendulum, q: np.ndarray, v: np.ndarray) -> ExudynModel:
-    return _points(q, v, s.m, s.g, s.length)
-
-
-def _chain(s: Chain, q: np.ndarray, v: np.ndarray) -> ExudynModel:
-    return _points(q, v, s.m, s.g, s.length)
+    return build.model(lambda q, v, forces: forces / s.length)
 
 
 def _slider_crank(s: SliderCrank, q: np.ndarray, v: np.ndarray) -> ExudynModel:
@@ -162,9 +154,9 @@ def _heavy_top(s: HeavyTop, q: np.ndarray, v: np.ndarray) -> ExudynModel:
 
 #: How a scene becomes a model.
 MODELS: dict[type[MechatronicSystem], Callable[..., ExudynModel]] = {
-    Pendulum: _pendulum,
+    Pendulum: _points,
     SliderCrank: _slider_crank,
-    Chain: _chain,
+    Chain: _points,
     HeavyTop: _heavy_top,
 }
 
@@ -172,15 +164,7 @@ MODELS: dict[type[MechatronicSystem], Callable[..., ExudynModel]] = {
 def exudyn_model(
     scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nq"]
 ) -> ExudynModel:
-    """State a scene of `MODELS` in exudyn.
-
-    Parameters
-    ----------
-    scene
-        Scene with its parameters.
-    q, v
-        Coordinates and velocities at the start.
-    """
+    """State a scene of `MODELS` in exudyn, from coordinates and velocities at the start."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return MODELS[type(scene)](scene, np.asarray(q), np.asarray(v))
