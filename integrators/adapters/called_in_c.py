@@ -137,7 +137,7 @@ def functions_in_c(
     """A solver's functions in C; those of JAX, and a sentence, where there are none or they differ.
 
     They are compared at the ``start``, t and the vectors there. ``functions`` are those of JAX,
-    with the parameters p; ``about``, the solver and the scene, is a clause that begins the sentence.
+    with the parameters p; ``about``, a clause on solver and scene, begins the sentence.
     """
     try:
         value, jacobian = (bound_in_c(one, p) for one in packed)

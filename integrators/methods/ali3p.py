@@ -104,9 +104,6 @@ class ALI3P(OwnValues, ImplicitStepMethod):
             z = self._projected(scene, z, h, softness, work)
         return ALI3PState(self.reported(scene, z, xdot, work), guess)
 
-    def read(self, scene: MechatronicSystem, state: ALI3PState) -> Reading:
-        return state.shown
-
     def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
         """4 / (alpha_p h^2), about 1/penalty of Phi_q M^-1 Phi_q^T."""
         if not scene.sizes.nl:

@@ -80,6 +80,3 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         shown = self.reported(scene, z, xdot, work)
         guess = state.guess.after(z, xdot, h)
         return BDF2State(shown, Base(now.q, now.v, now.x), guess, jnp.asarray(False))
-
-    def read(self, scene: MechatronicSystem, state: BDF2State) -> Reading:
-        return state.shown

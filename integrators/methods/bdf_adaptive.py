@@ -202,9 +202,6 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
     def ratios(self) -> tuple[Scalar, Scalar]:
         return 0.0, _GROWTH
 
-    def read(self, scene: MechatronicSystem, state: BDFState) -> Reading:
-        return state.shown
-
 
 def _respaced(state: BDFState, h: Time) -> BDFState:
     """Before the first step, give the Taylor polynomials of `begin` the spacing h.

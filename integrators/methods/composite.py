@@ -10,7 +10,7 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
-from integrators.native.own_values import Formulated, OwnValues
+from integrators.native.own_values import Formulated, OwnValues, rho_inf_option
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
@@ -99,9 +99,6 @@ class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
         z, xdot, guess = substep(known, h * w2, (1 - gamma) * h, t, m.q, guess)
         return CompositeState(self.reported(scene, z, xdot, work), z.a, xdot, guess)
 
-    def read(self, scene: MechatronicSystem, state: CompositeState) -> Reading:
-        return state.shown
-
 
 @dataclass(frozen=True)
 class Bathe(CompositeMethod):
@@ -129,13 +126,7 @@ class RhoInfBathe(CompositeMethod):
 
     source: ClassVar[str] = "Noh & Bathe (2019), doi:10.1016/j.compstruc.2018.11.001"
 
-    rho_inf: float = option(
-        0.5,
-        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
-        low=0.0,
-        high=1.0,
-        always=True,
-    )
+    rho_inf: float = rho_inf_option(0.5)
 
     def split_and_radius(self) -> tuple[Any, Any]:
         # The same gamma, without 0/0 at rho = 1.

@@ -101,9 +101,6 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
         shown = self.reported(scene, z, xdot, work)
         return ThreeStepState(shown, Past(first, second, h, past.h), state.guess.after(z, xdot, h))
 
-    def read(self, scene: MechatronicSystem, state: ThreeStepState) -> Reading:
-        return state.shown
-
 
 @dataclass(frozen=True)
 class Houbolt(ThreeStepMethod):
@@ -215,6 +212,3 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
             t=t,
         )
         return WilsonState(self.reported(scene, z, xdot_end, work), a_end, xdot_end, guess)
-
-    def read(self, scene: MechatronicSystem, state: WilsonState) -> Reading:
-        return state.shown

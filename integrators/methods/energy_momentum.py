@@ -125,9 +125,6 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
         shown = self.reported(scene, z, xdot, work)
         return EnergyMomentumState(shown, state.guess.after(z, xdot, h))
 
-    def read(self, scene: MechatronicSystem, state: EnergyMomentumState) -> Reading:
-        return state.shown
-
 
 @named
 def _momentum_balance(

@@ -151,6 +151,3 @@ class NohBathe(OwnValues, ExplicitMethod):
             x=x_p + d * (w0 * xdot + (0.5 + w1) * xdot_p + w2 * xdot_end),
         )
         return NohBatheState(self.reported(scene, z, xdot_end, work), z.a, xdot_end)
-
-    def read(self, scene: MechatronicSystem, state: NohBatheState) -> Reading:
-        return state.shown

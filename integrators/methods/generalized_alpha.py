@@ -17,6 +17,7 @@ from integrators.methods.generalized_alpha_parameters import (
     first_order_parameters,
     second_order_parameters,
 )
+from integrators.native.own_values import rho_inf_option
 from problems.spec import SpecError, format_spec
 from problems.system import MechatronicSystem
 
@@ -40,13 +41,7 @@ class GeneralizedAlpha(UpdatableMethod):
         "doi:10.1007/s11044-007-9084-0; Bruels & Arnold (2008), doi:10.1115/1.2960475"
     )
 
-    rho_inf: float = option(
-        0.8,
-        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
-        low=0.0,
-        high=1.0,
-        always=True,
-    )
+    rho_inf: float = rho_inf_option(0.8)
     rho_inf_x: float | None = option(
         None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
     )

@@ -107,9 +107,6 @@ class HalfExplicit(OwnValues, StepMethod):
         nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
         return HalfExplicitState(self.reported(scene, z, xdot), z, xdot, nothing)
 
-    def read(self, scene: MechatronicSystem, state: HalfExplicitState) -> Reading:
-        return state.shown
-
 
 @dataclass(frozen=True)
 class HalfExplicitEuler(HalfExplicit):

@@ -188,9 +188,6 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
             quick=jnp.where(again, state.quick + 1, 0),
         )
 
-    def read(self, scene: MechatronicSystem, state: HHTState) -> Reading:
-        return state.shown
-
     def first_step(self, h: Time) -> Time:
         return jnp.asarray(self.longest) if self._chooses_by_newton else h
 

@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluated
-from integrators.methods.generalized_alpha_parameters import (
-    SecondOrder,
-    second_order_parameters,
-)
-from integrators.native.own_values import OwnValues
+from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
+from integrators.native.own_values import OwnValues, rho_inf_option
 from integrators.native.step_records import Reading
 from problems.dependence import damping_varies
 from problems.formulations import Start, dynamics_residual
@@ -143,9 +140,6 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
             z = z._replace(q=q + p.beta * h**2 * rate, v=v + p.gamma * h * rate, a=rate)
         return ModelState(self.reported(scene, z, xdot, work), q, v, a, state.tangents, matrices)
 
-    def read(self, scene: MechatronicSystem, state: ModelState) -> Reading:
-        return state.shown
-
 
 @dataclass(frozen=True)
 class KRAlpha(ModelBasedMethod):
@@ -154,13 +148,7 @@ class KRAlpha(ModelBasedMethod):
     name: ClassVar[str] = "kr_alpha"
     source: ClassVar[str] = "Kolay & Ricles (2014), doi:10.1002/eqe.2401"
 
-    rho_inf: float = option(
-        0.8,
-        "spectral radius at infinite frequency: 0 damps most, 1 not at all",
-        low=0.0,
-        high=1.0,
-        always=True,
-    )
+    rho_inf: float = rho_inf_option(0.8)
 
     def parameters(self) -> SecondOrder:
         return second_order_parameters(self.rho_inf)

@@ -251,9 +251,6 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         shown = self.reported(scene, z, end.x, work)
         return RadauState(shown, end, stages, smooth, h, errors)
 
-    def read(self, scene: MechatronicSystem, state: RadauState) -> Reading:
-        return state.shown
-
     def estimate(self, before: RadauState, after: RadauState, h: Time) -> Errors:
         errors = after.errors
         assert errors is not None

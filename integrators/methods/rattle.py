@@ -115,9 +115,6 @@ class KickMethod(OwnValues, ImplicitStepMethod):
         guess = Guess.begin(start.z, start.xdot, jnp.nan * h)
         return KickedState(self.reported(scene, start.z, start.xdot), guess)
 
-    def read(self, scene: MechatronicSystem, state: KickedState) -> Reading:
-        return state.shown
-
     def first_half(
         self,
         scene: MechatronicSystem,

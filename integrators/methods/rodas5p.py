@@ -186,9 +186,6 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
         shown = self.reported(scene, end, xdot, work)
         return RosenbrockState(shown, end, (last.q, last.v, last.x))
 
-    def read(self, scene: MechatronicSystem, state: RosenbrockState) -> Reading:
-        return state.shown
-
     def estimate(self, before: RosenbrockState, after: RosenbrockState, h: Time) -> Errors:
         return Errors(*after.errors, 0.0 * after.z.a, 0.0 * after.z.lam)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 from integrators.contract import Integrator, option
 from integrators.native.step_method import ErrorControl, NativeMethod
@@ -32,9 +32,18 @@ FORMULATIONS = (
 _PROJECTIONS = 3
 
 
+def rho_inf_option(default: float) -> Any:
+    """The option that chooses the damping of high frequencies."""
+    text = "spectral radius at infinite frequency: 0 damps most, 1 not at all"
+    return option(default, text, low=0.0, high=1.0, always=True)
+
+
 @dataclass(frozen=True)
 class OwnValues(NativeMethod):
-    """Base of methods that compute accelerations and multipliers of their own."""
+    """Base of methods that compute accelerations and multipliers of their own.
+
+    Their states hold as ``shown`` what `reported` returned.
+    """
 
     values: str = option(
         "own",
@@ -57,6 +66,9 @@ class OwnValues(NativeMethod):
             z, xdot = complete(scene, z.q, z.v, z.x, z.t)
             work.count(residuals=1)
         return Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y)
+
+    def read(self, scene: MechatronicSystem, state: Any) -> Reading:
+        return state.shown
 
 
 @dataclass(frozen=True)
