@@ -39,13 +39,14 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
         Indices of the scenes that have no consistent start, each with the reason.
     """
     first = scenes[0]
-    states = [_state(scene) for scene in scenes]
+    states = [map(np.asarray, scene.initial_state()) for scene in scenes]
     settings = [scene.parameters() for scene in scenes]
     parameters = {name: np.array([values[name] for values in settings]) for name in settings[0]}
     count, filled = len(scenes), 1 << (len(scenes) - 1).bit_length()
     places = np.minimum(np.arange(filled), count - 1)  # few sizes are compiled
     program = _program(first.template())
-    together = State(*(np.array(part)[places] for part in zip(*states, strict=True)))
+    parts = (np.array(part, dtype=float)[places] for part in zip(*states, strict=True))
+    together = State(*parts)
     answer = program({n: v[places] for n, v in parameters.items()}, *together, first.interval[0])
     start, violation = jax.tree.map(lambda part: np.array(part)[:count], answer)
     numbers = np.column_stack([part.reshape(count, -1) for part in jax.tree.leaves(start)])
@@ -61,10 +62,6 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
         for table, row in zip(jax.tree.leaves(start), jax.tree.leaves(alone), strict=True):
             table[k] = row
     return start, refused
-
-
-def _state(scene: MechatronicSystem) -> State:
-    return State(*(np.asarray(part, dtype=float) for part in scene.initial_state()))
 
 
 @cache

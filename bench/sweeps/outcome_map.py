@@ -134,22 +134,13 @@ def outcome_map(
     ranges, counts
         The two quantities with their ranges (`bench.sweeps.variation.find_range`), and the number
         of values of each.
-    resolution
-        The step or the tolerances, as far as they do not vary; the scene's nominal step or
-        rtol=1e-6 if not given.
-    t_end
-        End time in s; the scene's own if not given.
+    resolution, t_end, budget, jobs, begun
+        As `bench.sweeps.ensemble.ensemble` takes them.
     error
         Group and norm of the relative error, as `bench.running.errors.relative_errors` takes it,
         but at some 200 rows spread over the run.
     threshold
         A run with a larger error is inaccurate.
-    budget
-        Seconds after which no further points are begun; compiling is not counted.
-    jobs
-        Threads; one per processor if not given.
-    begun
-        Called when everything is compiled.
 
     Raises
     ------

@@ -58,21 +58,12 @@ class PackedFunction:
     it returns, as programs run in the calling thread (see `problems.runtime`). Where JAX was in use
     before us and they do not, wait for the result before the next call. Results are new arrays.
 
-    Parameters
-    ----------
-    function
-        Traceable function of arrays.
-    lengths
-        Lengths of its arguments, which are vectors; None for a scalar.
-
     Attributes
     ----------
-    function
-        The function itself.
+    function, lengths
+        The traceable function, and the lengths of its arguments, vectors; None for a scalar.
     program
         The compiled function of one array, in which all arguments stand side by side.
-    lengths
-        Lengths of its arguments.
     places, size
         Places of the arguments in the array, and its length.
     """

@@ -47,14 +47,9 @@ class Solution(NamedTuple):
 class NativeSolver(ABC):
     """A solver of SUNDIALS at the start of a run; its memory is freed by `close`.
 
-    Parameters
-    ----------
-    compiled, p, start
-        The equations, values of their parameters, t0 and the vectors there.
-    options
-        ``rtol``, ``atol`` for each unknown, and ``max_order``.
-    max_calls
-        After so many residual calls the run ends as budget_exceeded.
+    ``p`` are the equations' parameters, ``start`` t0 and the vectors there. Options are ``rtol``,
+    ``atol`` for each unknown, and ``max_order``. After ``max_calls`` of the residual the run ends
+    as budget_exceeded.
 
     Raises
     ------

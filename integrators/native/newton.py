@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from integrators.native.linear_solvers import LinearSolver
 from integrators.native.step_records import StepReport, largest
@@ -156,7 +156,9 @@ def newton(
             # The size of an update that was taken back is no measure for the next one.
             size = jnp.where(to_full | to_guess, jnp.inf, size)
             exact = stale | too_large | (remaining <= most)
-            kept = jax.lax.cond(exact, partial(linear.renewed, residual), _as_it_is, u, kept)
+            kept = jax.lax.cond(
+                exact, partial(linear.renewed, residual), lambda _, kept: kept, u, kept
+            )
             du = linear.update(kept, residual(u))
         size, before = measure(du, u - du, exact, size), size
         return _Iteration(u - du, k + 1, remaining - 1, size, before, exact, kept, tangents + exact)
@@ -167,7 +169,3 @@ def newton(
     end = jax.lax.while_loop(go_on, iterate, start)
     solved, counts = settled(end), (end.k, end.k, end.tangents, end.tangents, end.k)
     return end.u, end.kept, StepReport(solved, *counts, solved)
-
-
-def _as_it_is(_: Any, kept: Array) -> Array:
-    return kept

@@ -88,9 +88,8 @@ def histories(
     data, panels = vl.Dataset("histories", rows), []
     for name in notes:
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
-        if not any(_varies(values) for values in noted):
-            continue
-        panels.append({"layer": [note_lines(data, name, options, first=not panels)]})
+        if any(v and max(v) - min(v) > 1e-9 * max(map(abs, v)) for v in noted):
+            panels.append({"layer": [note_lines(data, name, options, first=not panels)]})
     return vl.arrange(panels, [data], min(3, len(panels)), height=170)
 
 
@@ -109,10 +108,6 @@ def note_lines(data: vl.Dataset, name: str, options: vl.ChartOptions, first: boo
 def _pairs(*chosen: Any) -> list[tuple[str, int]]:
     """The components that a panel needs."""
     return list(zip(chosen[::2], chosen[1::2], strict=True))
-
-
-def _varies(values: Sequence[float]) -> bool:
-    return bool(values) and max(values) - min(values) > 1e-9 * max(map(abs, values))
 
 
 # ---- panels ------------------------------------------------------------------------------

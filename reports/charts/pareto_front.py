@@ -41,13 +41,12 @@ def pareto_chart(
                  "opacity": 0.45, "strokeJoin": "round"},
         "encoding": {"x": x, "y": y | {"field": "level"}, "order": vl.quantity("across")},
     }  # fmt: skip
-    color = options.colors()
     points: vl.Spec = {
         "mark": {"type": "point", "filled": True},
         "encoding": {
             "x": x,
             "y": y,
-            "color": color,
+            "color": options.colors(),
             "shape": options.shapes(),
             "size": {"condition": {"test": "datum.on_front", "value": 70}, "value": 28},
             "opacity": options.opacity(),
@@ -56,9 +55,14 @@ def pareto_chart(
     }
     if interactive:
         points["params"] = [vl.pick()]
+    first, names = GROUP if GROUP in groups else groups[0], {g: GROUP_NAMES[g] for g in groups}
+    menus = [
+        vl.menu("group", first, names, "error in "),
+        vl.menu("cost", COST, RANKED_COSTS, " at the cost of "),
+    ]
     return {
         "datasets": vl.datasets([data]),
-        "params": _menus(groups) if interactive else [],
+        "params": menus if interactive else [],
         "data": data.source,
         "transform": [
             {"calculate": f"datum[{group}]", "as": "error"},
@@ -101,11 +105,3 @@ def _rows(scene: str, series: Sequence[Series]) -> list[dict[str, Any]]:
                     row |= {group: error, f"{group}_least": vl.short(least[group])}
             rows.append(row | {name: 1 for name, keys in fronts.items() if r.key in keys})
     return rows
-
-
-def _menus(groups: Sequence[str]) -> list[vl.Spec]:
-    first = GROUP if GROUP in groups else groups[0]
-    return [
-        vl.menu("group", first, {group: GROUP_NAMES[group] for group in groups}, "error in "),
-        vl.menu("cost", COST, RANKED_COSTS, " at the cost of "),
-    ]

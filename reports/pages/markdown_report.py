@@ -14,7 +14,7 @@ from reports.pages.addresses import FOLDER
 from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
-from reports.questions.phrases import Ref, Sentence, plain, rendered
+from reports.questions.phrases import Ref, plain, rendered
 from reports.questions.sentences import scene_sentence, sentences, unjudged
 from reports.text.ranking_tables import standings_table
 
@@ -66,10 +66,10 @@ def write_markdown_report(folder: Path) -> Path:
         "report.md.j2",
         names,
         report=report,
-        answer=[_text(s, links) for s in sentences(report.answer, report.words)],
+        answer=[rendered(s, _escaped, links) for s in sentences(report.answer, report.words)],
         standings=standings_table(report.answer),
         scenes=[
-            (scene_name(s.name), files[s.name], _text(said.get(s.name, []), links))
+            (scene_name(s.name), files[s.name], rendered(said.get(s.name, []), _escaped, links))
             for s in report.scenes
         ],
         figures=FIGURES,
@@ -93,10 +93,6 @@ def _links(report: Report, files: Mapping[str, str]) -> Callable[[Ref], str]:
         return f"[{text}]({files[scene]})" if scene in files else text
 
     return link
-
-
-def _text(sentence: Sentence, link: Callable[[Ref], str]) -> str:
-    return rendered(sentence, _escaped, link)
 
 
 def _escaped(text: str) -> str:

@@ -26,7 +26,7 @@ Sentence = list[Part]
 
 def plain(sentence: Sequence[Part]) -> str:
     """The sentence without its references."""
-    return "".join(part if isinstance(part, str) else part.text for part in sentence)
+    return rendered(sentence, str, lambda ref: ref.text)
 
 
 def rendered(

@@ -78,14 +78,9 @@ def _cell(found: Sequence[Answer], scene: str, series: Series | None) -> str:
         return NO_VALUE
     if not series.ok:
         return ", ".join(dict.fromkeys(r.status for r in series.records))
-    cells = []
-    for answer in found:
-        if scene not in answer.scenes:
-            cells.append(_UNJUDGED)
-        else:
-            state = answer.scenes[scene].entries[series.label].state
-            cells.append(state if isinstance(state, str) else _multiple(state))
-    return _short(cells)
+    judged = (answer.scenes.get(scene) for answer in found)
+    states = [own.entries[series.label].state if own else _UNJUDGED for own in judged]
+    return _short([state if isinstance(state, str) else _multiple(state) for state in states])
 
 
 def _short(cells: Sequence[str]) -> str:

@@ -20,7 +20,8 @@ def _facts(found: Sequence[dict[str, Any]], name: str) -> Table:
         {
             "integrator": f["integrator"],
             "radius at infinity": number(f["radius_at_infinity"]),
-            "roots there": _roots(f["roots_at_infinity"]),
+            "roots there": _roots([root | {"times": n} for root, n in f["roots_at_infinity"]])
+            or "infinite",
             "order": NO_VALUE if f["order"] is None else str(f["order"]),
             f"grows for {name} in": _ranges(f["growing"]),
             **({f"step not solved for {name} in": _ranges(f["unsolved"])} if lost else {}),
@@ -95,8 +96,11 @@ def _theory(found: Sequence[dict[str, Any]]) -> list[Table]:
             "rho": _coefficients(formula["rho"]),
             "sigma": _coefficients(formula["sigma"]),
             "order": str(formula["order"]),
-            "roots of rho": _roots_text(formula["zero_roots"], formula["zero_stable"]),
-            "roots of sigma": _roots_text(formula["infinity_roots"], formula["infinity_stable"]),
+            **{
+                f"roots of {name}": _roots(formula[f"{at}_roots"])
+                + ("" if formula[f"{at}_stable"] else ": not stable")
+                for name, at in (("rho", "zero"), ("sigma", "infinity"))
+            },
         }
         for f in found
         if f["theory"]
@@ -128,19 +132,13 @@ def _coefficients(values: Sequence[float]) -> str:
     return ", ".join(f"{round(value, 12) + 0.0:.6g}" for value in values)
 
 
-def _root(re: float, im: float, times: int) -> str:
-    text = f"{round(re, 6) + 0.0:.4g}"
-    text += f"{im:+.4g}i" if abs(im) > 1e-6 else ""
-    return text + (f" (×{times})" if times > 1 else "")  # noqa: RUF001
-
-
-def _roots(roots: Sequence[Any]) -> str:
-    return ", ".join(_root(root["re"], root["im"], times) for root, times in roots) or "infinite"
-
-
-def _roots_text(roots: Sequence[dict[str, Any]], good: bool) -> str:
-    text = ", ".join(_root(r["re"], r["im"], r["times"]) for r in roots)
-    return text + ("" if good else ": not stable")
+def _roots(roots: Sequence[dict[str, Any]]) -> str:
+    texts = []
+    for root in roots:
+        text = f"{round(root['re'], 6) + 0.0:.4g}"
+        text += f"{root['im']:+.4g}i" if abs(root["im"]) > 1e-6 else ""
+        texts.append(text + (f" (×{root['times']})" if root["times"] > 1 else ""))  # noqa: RUF001
+    return ", ".join(texts)
 
 
 def _ranges(ranges: Sequence[Sequence[float | None]]) -> str:
