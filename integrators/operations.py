@@ -1,24 +1,27 @@
 """Floating-point operations of traced functions, and of factorisations and solves by formula.
 
-A function is counted in its program before compilation (jaxpr): every sum, difference, product,
-quotient and square root is one operation, an elementary function (sin, exp ...) is `ELEMENTARY`,
-a product of an (m, k) and a (k, n) matrix m n (2 k - 1). Comparisons, signs, choices and moves are
-free. As a compiler does, the count leaves out what nobody uses, takes equal expressions once and
-constants for nothing. Factorisations and solves go by their formulas, whatever routine computes
-them: dense LU 2/3 n^3, both substitutions 2 n^2 for each right-hand side.
+A function is counted in its program before compilation (`integrators.programs`): every sum,
+difference, product, quotient and square root is one operation, an elementary function (sin, exp
+...) is `ELEMENTARY`, a product of an (m, k) and a (k, n) matrix m n (2 k - 1). Comparisons, signs,
+choices and moves are free. As a compiler does, the count leaves out what nobody uses, takes equal
+expressions once and constants for nothing. Factorisations and solves go by their formulas, whatever
+routine computes them: dense LU 2/3 n^3, both substitutions 2 n^2 for each right-hand side.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from integrators.lowering.known import on_numbers
+from integrators.programs import Body, Follower, Program, Step, program
 from problems.compiled import compiled
 from problems.named_equations import EQUATIONS, INDEX1
-from problems.runtime import jax
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -28,33 +31,26 @@ if TYPE_CHECKING:
 
 #: Operations of an elementary function, such as sin or exp; about what their polynomials take.
 ELEMENTARY = 10
-_ONE = {"add", "sub", "mul", "div", "add_any", "sqrt", "square"}
-_ELEMENTARY = {
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
-    "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "pow", "logistic", "erf", "erfc",
-    "rsqrt", "cbrt", "log2",
+#: Turns of loops that are counted at all.
+_MOST_TURNS = 100_000
+#: Operations for each entry of the result, by the names of StableHLO.
+_EACH = {
+    **dict.fromkeys(("add", "subtract", "multiply", "divide", "remainder", "sqrt", "square"), 1),
+    **dict.fromkeys((
+        "sine", "cosine", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
+        "acosh", "atanh", "exponential", "exponential_minus_one", "log", "log_plus_one", "power",
+        "logistic", "erf", "erfc", "erf_inv", "rsqrt", "cbrt",
+    ), ELEMENTARY),
+    **dict.fromkeys((
+        "constant", "iota", "convert", "broadcast_in_dim", "reshape", "transpose", "slice",
+        "concatenate", "pad", "reverse", "select", "compare", "and", "or", "not", "xor",
+        "is_finite", "negate", "abs", "sign", "floor", "ceil", "round_nearest_even", "maximum",
+        "round_nearest_afz", "minimum", "clamp", "reduce_precision", "gather", "dynamic_slice",
+        "dynamic_update_slice", "sort", "optimization_barrier", "shift_left", "AllocateBuffer",
+        "shift_right_logical", "shift_right_arithmetic", "bitcast_convert", "real",
+        "imag",
+    ), 0),
 }  # fmt: skip
-_FREE = {
-    "convert_element_type", "broadcast_in_dim", "reshape", "transpose", "squeeze", "slice",
-    "concatenate", "pad", "iota", "stack", "split", "tile", "rev", "copy", "stop_gradient",
-    "select_n", "eq", "ne", "lt", "le", "gt", "ge", "and", "or", "not", "xor", "is_finite",
-    "neg", "abs", "sign", "floor", "ceil", "round", "max", "min", "clamp", "argmax", "argmin",
-    "reduce_max", "reduce_min", "reduce_and", "reduce_or", "reduce_precision", "gather",
-    "scatter", "dynamic_slice", "dynamic_update_slice", "sort", "lu_pivots_to_permutation",
-    "optimization_barrier", "device_put", "unstack", "empty", "nextafter", "shift_left",
-    "shift_right_logical", "bitcast_convert_type",
-}  # fmt: skip
-#: Primitives that call another program, and the name of its parameter.
-CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "remat": "jaxpr",
-    "checkpoint": "jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-}
 
 
 class NotCounted(Exception):
@@ -177,162 +173,190 @@ def operations(function: Callable, *arguments: Any, only_equations: bool = False
     NotCounted
         If the program has a loop whose number of turns it does not tell, or an unknown operation.
     """
-    from jax.interpreters.partial_eval import dce_jaxpr
-
-    program = jax.make_jaxpr(function)(*arguments).jaxpr
-    jaxpr, used = dce_jaxpr(program, [True] * len(program.outvars))
-    counter = _Counter(only_equations)
-    counter.walk(jaxpr, counter.new(len(jaxpr.constvars)), counter.new(sum(used)), "")
-    return counter.tally
+    functions = program(function, *arguments)
+    counter = _Counter(functions, only_equations)
+    given = [counter.new([]) for _ in functions["main"].parameters]
+    return counter.total(counter.called("main", given))
 
 
-class _Value(NamedTuple):
-    """A value of a program: its number, and whether it is known before the program runs."""
+@dataclass
+class _Counted:
+    """What the operations of a step are, and numbers of the steps that it needs.
 
-    number: Any
-    constant: bool
+    ``known`` is its result if that is one whole number that is known; ``constant`` tells whether
+    it depends on no argument. Of ``branches`` it needs the results of the dearest one.
+    """
+
+    given: list[int]
+    operations: Callable[[], Operations] = lambda: NOTHING
+    constant: bool = False
+    known: int | None = None
+    branches: list[list[int]] | None = None
 
 
-class _Counter:
-    """Walks through a program and adds up; equal operations on equal values count once."""
+class _Counter(Follower[int]):
+    """Lists a program's steps, in which equal operations on equal values stand once."""
 
-    def __init__(self, only_equations: bool) -> None:
-        self.only_equations = only_equations
-        self.tally = NOTHING
-        self._next = 0
-        self._seen: dict[Any, list[_Value]] = {}
+    def __init__(self, functions: Program, only_equations: bool) -> None:
+        super().__init__(functions)
+        self._only_equations = only_equations
+        self._steps: list[_Counted] = []
+        self._seen: dict[Any, int] = {}
+        #: Turns of the loops that are being followed; None if their number is not known.
+        self._turns: tuple[int | str | None, ...] = ()
 
-    def new(self, count: int, constant: bool = False) -> list[_Value]:
-        """New values."""
-        self._next += count
-        return [_Value(self._next - k, constant) for k in range(count)]
+    def new(self, given: list[int], *about: Any, **more: Any) -> int:
+        """The number of a new step."""
+        self._steps.append(_Counted(given, *about, **more))
+        return len(self._steps) - 1
 
-    def walk(
-        self, jaxpr: Any, consts: list[_Value], given: list[_Value], scopes: str
-    ) -> list[_Value]:
-        """Count a program that is called within these named scopes."""
-        from jax.extend.core import Literal
+    def total(self, results: Iterable[int]) -> Operations:
+        """The operations that results need."""
+        tally, reached, waiting = NOTHING, set[int](), [*results]
+        while waiting:
+            number = waiting.pop()
+            if number not in reached:
+                reached.add(number)
+                step = self._steps[number]
+                tally = tally.plus(step.operations())
+                waiting += step.given
+                if step.branches:
+                    waiting += max(step.branches, key=lambda results: sum(self.total(results)))
+        return tally
 
-        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *given], strict=True))
-
-        def value(atom: Any) -> _Value:
-            if isinstance(atom, Literal):
-                return _Value(("literal", str(atom.val), str(atom.aval)), True)
-            return values[atom]
-
-        for equation in jaxpr.eqns:
-            within = f"{scopes}/{equation.source_info.name_stack}"
-            out = self._equation(equation, [value(atom) for atom in equation.invars], within)
-            values.update(zip(equation.outvars, out, strict=True))
-        return [value(atom) for atom in jaxpr.outvars]
-
-    def _equation(self, equation: Any, given: list[_Value], scopes: str) -> list[_Value]:
-        name, params = equation.primitive.name, equation.params
-        if name in CALLS:
-            return self._called(params[CALLS[name]], given, scopes)
-        if name == "custom_linear_solve":
-            lengths = params["const_lengths"]
-            start = lengths.matvec + lengths.vecmat
-            taken = given[start : start + lengths.solve] + given[sum(lengths) :]
-            return self._called(params["jaxprs"].solve, taken, scopes)
-        if name in ("while", "scan", "cond"):
-            self._flow(name, params, given, scopes)
-            return self.new(len(equation.outvars))
-        key = name, tuple(v.number for v in given), _hashable(params)
+    def step(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
+        if step.name == "while":
+            return self._loop(step, given, values, scope)
+        if step.name == "case":
+            branches = [self.run(body, [], values, scope) for body in step.bodies]
+            return [self.new(given, branches=branches)] * len(step.made)
+        bodies = [[one.name for one in body.steps] for body in step.bodies]
+        number = None if step.value is None else step.value.tobytes()
+        types = [(one.shape, str(one.dtype)) for one in step.made]
+        key = step.name, *given, number, str((step.attributes, bodies, types)), self._turns
         if key not in self._seen:
-            constant = all(v.constant for v in given)
-            self._seen[key] = self.new(len(equation.outvars), constant)
-            if not constant:
-                self._add(equation, scopes)
-        return self._seen[key]
+            constant = all(self._steps[value].constant for value in given)
+            known = _known(step, [self._steps[value].known for value in given])
+            counts = EQUATIONS in scope or not self._only_equations
+            operations = partial(_repeated, step, counts, self._turns)
+            about = (operations, False, known) if not constant else (lambda: NOTHING, True, known)
+            self._seen[key] = self.new(given, *about)
+        return [self._seen[key]] * len(step.made)
 
-    def _called(self, program: Any, given: list[_Value], scopes: str) -> list[_Value]:
-        jaxpr = getattr(program, "jaxpr", program)
-        return self.walk(jaxpr, self.new(len(jaxpr.constvars), constant=True), given, scopes)
-
-    def _flow(self, name: str, params: dict[str, Any], given: list[_Value], scopes: str) -> None:
-        """Count loops and branches; of branches the dearest one."""
-        if name == "cond":
-            costs = [self._apart(branch, given[1:], scopes) for branch in params["branches"]]
-            self._include(max(costs, key=sum))
-        elif name == "scan":
-            varying = self.new(len(given))
-            self._include(self._apart(params["jaxpr"], varying, scopes).times(params["length"]))
-        else:
-            varying = self.new(len(given) - params["cond_nconsts"])
-            body = self._apart(params["body_jaxpr"], varying, scopes)
-            if INDEX1 in scopes:
-                body = Operations(0.0, 0.0, body.arithmetic, body.algebra)
-            elif any(body):
-                raise NotCounted("it has a loop whose number of turns is not known beforehand")
-            self._include(body)
-
-    def _apart(self, program: Any, given: list[_Value], scopes: str) -> Operations:
-        other = _Counter(self.only_equations)
-        other._called(program, [v if v.constant else other.new(1)[0] for v in given], scopes)
-        return other.tally
-
-    def _include(self, more: Operations) -> None:
-        self.tally = self.tally.plus(more)
-
-    def _add(self, equation: Any, scopes: str) -> None:
-        algebra = _algebra(equation)
-        if algebra is not None:
-            self._include(Operations(0.0, algebra))
-        elif EQUATIONS in scopes or not self.only_equations:
-            self._include(Operations(_arithmetic(equation)))
+    def _loop(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
+        (condition, turn), outside = step.bodies, self._turns
+        changed = [a != b for a, b in zip(turn.parameters, turn.returned, strict=True)]
+        start = [self.new([x]) if one else x for x, one in zip(given, changed, strict=True)]
+        known = {k: self._steps[value].known for k, value in values.items()}
+        first = [self._steps[value].known for value in given]
+        turns = INDEX1 if INDEX1 in scope else _turns(self.functions, step, first, known)
+        self._turns = *outside, turns
+        (goes_on,) = self.run(condition, start, values, scope)
+        after = self.run(turn, start, values, scope)
+        self._turns = outside
+        results = []
+        for before, x, one in zip(start, after, changed, strict=True):
+            if one:
+                self._steps[before].given.append(x)  # by another turn
+            results.append(self.new([before, x, goes_on]) if one else before)
+        return results
 
 
-def _algebra(equation: Any) -> float | None:
-    """Operations of a factorisation or solve; None for any other operation."""
-    name = equation.primitive.name
-    if name not in ("lu", "cholesky", "triangular_solve"):
+class _Numbers(Follower[int | None]):
+    """Follows whole numbers that are known."""
+
+    def step(
+        self, step: Step, given: list[int | None], values: dict[int, int | None], scope: str
+    ) -> list[int | None]:
+        return [_known(step, given)] * len(step.made)
+
+
+def _known(step: Step, given: list[int | None]) -> int | None:
+    """The result of a step, if it is one whole number, true or false, and known."""
+    (made, *others) = step.made
+    if others or made.shape or made.dtype.kind not in "biu" or None in given:
         return None
-    *many, n, _ = equation.invars[0].aval.shape
-    if name == "triangular_solve":
-        return float(n * equation.outvars[0].aval.size)
-    return math.prod(many) * dense(n).factorisation / (1 if name == "lu" else 2)
+    pairs = zip(given, step.taken, strict=True)
+    found = on_numbers(step, *(np.asarray(value, one.dtype) for value, one in pairs))
+    return None if found is None else int(found[0])
 
 
-def _arithmetic(equation: Any) -> float:
-    """Operations of a primitive on arrays.
+def _turns(
+    functions: Program, step: Step, given: list[int | None], values: dict[int, int | None]
+) -> int | None:
+    """The number of turns of a loop, found by those of its steps that its end needs."""
+    (condition, turn), more = step.bodies, list[int]()
+    places = [k for k, number in enumerate(condition.parameters) if number in condition.used]
+    while more != places:
+        more, part = places, turn.only(places)
+        places = [k for k, x in enumerate(turn.parameters) if k in more or x in part.used]
+    test = Body([condition.parameters[k] for k in places], condition.steps, condition.returned)
+    state, numbers, part = [given[k] for k in places], _Numbers(functions), turn.only(places)
+    for turns in range(_MOST_TURNS):
+        (goes_on,) = numbers.run(test, state, values)
+        if not goes_on:
+            return None if goes_on is None else turns
+        state = numbers.run(part, state, values)
+    return None
+
+
+def _repeated(step: Step, counts: bool, loops: tuple[int | str | None, ...]) -> Operations:
+    """Operations of a step in loops; if it does not count, of its linear algebra alone."""
+    operations = _operations(step, not counts)
+    for turns in reversed(loops):
+        if turns is None and any(operations):
+            raise NotCounted("it has a loop whose number of turns is not known beforehand")
+        if isinstance(turns, str):
+            operations = Operations(0.0, 0.0, operations.arithmetic, operations.algebra)
+        else:
+            operations = operations.times(turns or 0)
+    return operations
+
+
+def _operations(step: Step, algebra_only: bool) -> Operations:
+    """Operations of a step on arrays.
 
     Raises
     ------
     NotCounted
-        If the primitive is not among those that are known here.
+        If the step is not among those that are known here.
     """
-    name, params = equation.primitive.name, equation.params
-    out = equation.outvars[0].aval
-    if name in _FREE or not np.issubdtype(out.dtype, np.inexact):
-        return 0.0
-    if name in _ONE:
-        return float(out.size)
-    if name in _ELEMENTARY:
-        return float(ELEMENTARY * out.size)
-    first = equation.invars[0].aval
-    if name == "integer_pow":
-        power = abs(params["y"])
-        products = power.bit_length() + power.bit_count() - 2 + (params["y"] < 0)
-        return float(max(products, 0) * out.size)
+    algebra = _algebra(step)
+    if algebra is not None:
+        return Operations(0.0, algebra)
+    return NOTHING if algebra_only else Operations(float(_arithmetic(step)))
+
+
+def _algebra(step: Step) -> float | None:
+    """Operations of a factorisation or solve; None for any other step."""
+    name = step.name
+    if name == "triangular_solve" or "trsm" in name:
+        return float(step.taken[0].shape[-1] * step.made[0].size)
+    if "getrf" in name or "potrf" in name or name == "cholesky":
+        *many, _, n = step.taken[0].shape
+        return math.prod(many) * dense(n).factorisation / (1 if "getrf" in name else 2)
+    return None
+
+
+def _arithmetic(step: Step) -> int:
+    name, made = step.name, step.made[0]
+    if made.dtype.kind not in "fc":
+        return 0
+    if name in _EACH:
+        return _EACH[name] * made.size
+    first = step.taken[0]
     if name == "dot_general":
-        (contracted, _), _ = params["dimension_numbers"]
-        return float(out.size * (2 * math.prod(first.shape[k] for k in contracted) - 1))
-    if name == "one_minus_square":
-        return float(2 * out.size)
-    if name in ("reduce_sum", "reduce_prod"):
-        return float(first.size - out.size)
-    if name in ("cumsum", "cumprod"):
-        return float(out.size)
-    if name in ("scatter-add", "scatter_add"):
-        return float(equation.invars[2].aval.size)
-    raise NotCounted(f"operations of {name!r} are not known")
-
-
-def _hashable(params: dict[str, Any]) -> Any:
-    items = tuple(sorted(params.items()))
-    try:
-        hash(items)
-    except TypeError:
-        return repr(items)
-    return items
+        contracted = step.fields("dot_dimension_numbers")["lhs_contracting_dimensions"]
+        return made.size * (2 * math.prod(first.shape[k] for k in contracted) - 1)
+    # Cumulated sums are sums of padded windows.
+    window = 1 if any(step.numbers("padding")) else math.prod(step.numbers("window_dimensions")) - 1
+    folds = {
+        "reduce": first.size - made.size,
+        "reduce_window": made.size * window,
+        "scatter": step.taken[-1].size,
+    }
+    inside = [one.name for body in step.bodies for one in body.steps]
+    for one in (name, *inside):
+        if one not in (folds if one is name else _EACH):
+            raise NotCounted(f"operations of {one!r} are not known")
+    return folds[name] * sum(_EACH[one] for one in inside)

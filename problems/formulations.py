@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from problems.index1_newton import matrix_and_residual, newton
-from problems.named_equations import named
+from problems.named_equations import EQUATIONS, jitted, named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Sizes, Variables
 
@@ -245,7 +245,10 @@ def solve_algebraic(
     def solution(residual: Callable, guess: Array) -> Array:
         return newton(residual, guess)[0]
 
-    return _split(scene.sizes, jax.lax.custom_root(residual, guess, solution, tangent_solve))
+    def root(guess: Array) -> Array:
+        return jax.lax.custom_root(residual, guess, solution, tangent_solve)
+
+    return _split(scene.sizes, jitted(EQUATIONS, root)(guess))
 
 
 def algebraic_iterations(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from problems.named_equations import INDEX1
+from problems.named_equations import INDEX1, jitted
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
@@ -35,6 +35,6 @@ def newton(residual: Callable, guess: Float[Array, " n"]) -> tuple[Array, Array]
         du = jnp.linalg.solve(*matrix_and_residual(residual, u))
         return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
 
-    with jax.named_scope(INDEX1):
-        u, size, k = jax.lax.while_loop(go_on, iterate, (guess, jnp.inf, jnp.asarray(0)))
+    loop = jitted(INDEX1, lambda *start: jax.lax.while_loop(go_on, iterate, start))
+    u, size, k = loop(guess, jnp.inf, jnp.asarray(0))
     return jnp.where(size <= 1e-9, u, jnp.nan), k

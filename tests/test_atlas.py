@@ -32,6 +32,7 @@ LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_
 LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
 LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
 LONG |= {"no_error_control", "rosenbrock_index2", "variable_steps", "undamped_index3"}
+LONG |= {"sharp_cuts"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -59,6 +60,12 @@ MUTANTS = {
     "no_error_control": ((0, 0), {"integrator": "hht_i3[steps=constant]", "steps": [0.01]}),
     "rosenbrock_index2": ((0, 1), {"integrator": "rodas5p[steps=constant]"}),
 }
+
+
+@pytest.fixture(autouse=True)
+def _short_ones_run_in_this_process(request):
+    if not request.node.get_closest_marker("long"):
+        request.getfixturevalue("without_processes")
 
 
 class Quiet:

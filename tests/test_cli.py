@@ -57,6 +57,7 @@ def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
     assert len(answer["time"]["run_s"]) == 7
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_order_gives_orders_windows_and_errors(stepbench):
     steps = "0.01,0.005,0.0025,0.00125"
     result = stepbench(
@@ -127,6 +128,7 @@ def test_tables_for_people_show_the_same(stepbench):
         (["export", "nowhere"], "no stepbench results"),
     ],
 )
+@pytest.mark.usefixtures("without_processes")
 def test_bad_input_is_one_sentence(stepbench, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     result = stepbench(*arguments)
@@ -180,6 +182,7 @@ def test_an_output_folder_that_cannot_be_made_is_refused(stepbench, tmp_path, fo
     assert (tmp_path / "file").read_text() == "a file"
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_failed_runs_exit_with_their_reason_and_still_answer(stepbench):
     result = stepbench("solve", "pendulum", "ida[formulation=index3]", "--json")
     assert result.exit_code != 0

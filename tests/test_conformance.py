@@ -29,9 +29,8 @@ def registry():
         ("problems", "pendulum[th0=2.0]"),
         *long(("integrators", "newmark")),
         *long(("integrators", "generalized_alpha[rho_inf=0.5]"), ("integrators", "kvaerno5")),
-        *long(("integrators", "semi_implicit_euler")),
-        ("integrators", "ida"),
-        ("integrators", "wrong"),
+        *long(("integrators", "semi_implicit_euler"), ("integrators", "ida")),
+        *long(("integrators", "wrong")),
     ],
 )
 def test_what_is_right_passes_every_check(registry, kind, text):
@@ -128,6 +127,7 @@ def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
 
 
 @pytest.mark.parametrize("command", [("solve", "pendulum"), *long((("stability",),))])
+@pytest.mark.usefixtures("without_processes")
 def test_a_run_tells_that_a_step_pattern_is_ignored(stepbench, tmp_path, command):
     method = "wrong[how=unchanging]"
     step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)

@@ -62,6 +62,7 @@ def test_the_examples_pass_every_check(plugins, kind, name):
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 
+@pytest.mark.usefixtures("without_processes")
 @pytest.mark.parametrize(
     ("integrator", "order"),
     [("euler_dae", 1), *long(("bathe_ode", 2), ("euler", 1), ("sdirk3", 3))],

@@ -10,34 +10,35 @@ from integrators.native import small_matrices
 from problems import jax, jnp
 
 RANDOM = np.random.default_rng(7)
+inverse, solve = jax.jit(small_matrices.inverse), jax.jit(small_matrices.solve)
 
 
 @pytest.mark.parametrize("n", [1, 2, 13, small_matrices.MOST])
 def test_the_inverse_is_that_of_lapack(n):
     a = RANDOM.normal(size=(n, n))
     wanted = np.linalg.inv(a)
-    assert np.abs(small_matrices.inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
+    assert np.abs(inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
 def test_pivots_are_looked_for_where_the_diagonal_is_zero():
     a = np.eye(5)[[3, 0, 4, 1, 2]] * np.array([1.0, -2, 3, -4, 5])
-    assert np.array_equal(small_matrices.inverse(a) @ a, np.eye(5))
+    assert np.array_equal(inverse(a) @ a, np.eye(5))
 
 
 def test_large_pivots_keep_the_digits():
     a = np.array([[1e-17, 1.0], [1.0, 1.0]])
-    assert np.allclose(small_matrices.solve(a, np.array([1.0, 2.0])), [1.0, 1.0], rtol=1e-15)
+    assert np.allclose(solve(a, np.array([1.0, 2.0])), [1.0, 1.0], rtol=1e-15)
 
 
 def test_a_singular_matrix_has_no_finite_inverse():
-    assert not np.isfinite(small_matrices.inverse(np.ones((3, 3)))).all()
-    assert not np.isfinite(small_matrices.inverse(np.full((3, 3), np.nan))).any()
+    assert not np.isfinite(inverse(np.ones((3, 3)))).all()
+    assert not np.isfinite(inverse(np.full((3, 3), np.nan))).any()
 
 
 @pytest.mark.parametrize(("rows", "n"), [(3, 1), (4, 13), (2, small_matrices.MOST + 1)])
 def test_the_product_with_a_vector(rows, n):
     a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
-    assert np.allclose(small_matrices.product(a, b), a @ b, rtol=1e-13, atol=1e-14)
+    assert np.allclose(jax.jit(small_matrices.product)(a, b), a @ b, rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.parametrize(("n", "called"), [(5, False), (small_matrices.MOST + 1, True)])
@@ -85,7 +86,7 @@ def test_sums_give_what_products_gave(formula, a, b):
     a, b = RANDOM.normal(size=a), RANDOM.normal(size=b)
     rewritten = small_matrices.without_products(lambda a, b: jnp.einsum(formula, a, b))
     assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
-    assert np.allclose(rewritten(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14)
+    assert np.allclose(jax.jit(rewritten)(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14)
 
 
 def test_loops_branches_and_calls_are_rewritten():
@@ -98,7 +99,7 @@ def test_loops_branches_and_calls_are_rewritten():
     given = RANDOM.normal(size=(3, 3)), {"b": np.eye(3), "rows": RANDOM.normal(size=(2, 3))}
     rewritten = small_matrices.without_products(function)
     assert "dot_general" not in str(jax.make_jaxpr(rewritten)(*given))
-    ours, plain = rewritten(*given), function(*given)
+    ours, plain = jax.jit(rewritten)(*given), jax.jit(function)(*given)
     assert all(np.allclose(ours[key], plain[key], rtol=1e-13) for key in ("total", "first"))
 
 

@@ -68,6 +68,7 @@ def test_a_crash_while_timing_keeps_the_measured_row():
     assert len(well.run_s) == 2
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_a_reference_that_fails_is_not_the_integrators_fault(stepbench, tmp_path):
     (tmp_path / "odd.py").write_text(
         "from problems.scenes.pendulum import Pendulum\nimport numpy as np\n"
@@ -130,6 +131,7 @@ def test_a_larger_budget_tries_again(stepbench, tmp_path):
     assert "1 ok, 0 failed" in stories[2]
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_an_inconsistent_start_is_one_sentence(stepbench):
     result = stepbench("solve", "unhinged", "newmark", "--step", "0.01", "--plugins", PLUGINS)
     assert result.exit_code != 0

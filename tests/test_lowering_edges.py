@@ -125,7 +125,7 @@ def test_constants_of_any_type_are_those_of_jax(name):
     ("function", "reason"),
     [
         (lambda u: jax.lax.reduce_precision(u, 8, 10), "'reduce_precision'"),
-        (lambda u: u.astype(jnp.float32).astype(float), "'convert_element_type of float32'"),
+        (lambda u: u.astype(jnp.float32).astype(float), "'convert of float32'"),
         (lambda u: jnp.abs(jnp.fft.fft(u)), "of complex128'"),
         (lambda u: (jnp.sum(u > 0).astype(jnp.uint32) - jnp.uint32(5)) * u, "of uint32'"),
         (lambda u: (jnp.int32(u > 0) + jnp.array([2**31 - 1, 1], jnp.int32)) * u, "whole numbers"),

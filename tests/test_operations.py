@@ -1,7 +1,8 @@
 """The bill of a run: operations by hand counts, growth with the size, and the parts of a run.
 
 Hand counts follow the equations as automatic differentiation forms them: a Jacobian-vector product
-for every column, a product with the transposed constraint Jacobian as a sum of padded vectors.
+for every column, a product with the transposed constraint Jacobian as a sum of padded vectors where
+the release of JAX makes one.
 """
 
 from __future__ import annotations
@@ -29,6 +30,12 @@ from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
 
 WITHIN = 0.1  # of a hand count
+
+
+def joining(n: int) -> float:
+    """Additions by which this JAX makes a vector of the changes of its entries, taken apart."""
+    apart = jax.vjp(lambda q: [*q], jnp.zeros(n))[1]
+    return operations(lambda *entries: apart([*entries]), *[0.0] * n).arithmetic
 
 
 # ---- hand counts -----------------------------------------------------------------------
@@ -66,7 +73,7 @@ class SliderCrankByHand:
     sines = 4 * ELEMENTARY
     rows = 2 + 2 + 3 + 3 + 2 + 1  # of Phi, or of its derivative, from x, y, u, w
     constraint = sines + 4 + rows
-    padded = 6 * 7  # a sum of seven vectors of seven
+    padded = joining(7)  # a sum of seven vectors of seven, or none
     pull = 10 + 10 + padded  # forces at x, y, u, w; moments about both angles
     pull_column = 18 + padded
     dynamics = mass + product + force + 7 + pull + 7

@@ -110,6 +110,7 @@ def test_a_step_that_does_not_converge_is_told_and_is_no_growth(stepbench, tmp_p
     assert "not solved" in Document((tmp_path / "stability.html").read_text()).words
 
 
+@pytest.mark.usefixtures("without_processes")
 @pytest.mark.parametrize("system", ["relaxation", *long("joined", "loop", "coupled")])
 def test_other_systems_have_radii(stepbench, system):
     (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.5]", "--system", system)

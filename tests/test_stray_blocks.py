@@ -168,6 +168,7 @@ def test_a_sleigh_without_its_constraint_passes_nowhere(stepbench, tmp_path, arg
     assert "its method velocity_constraint is no block" in " ".join(result.output.split())
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_a_scene_whose_controller_has_no_rate_is_told_by_a_run(stepbench, tmp_path):
     file = tmp_path / "halves.py"
     file.write_text(SLEIGH.replace("velocity_constraint", "_slip").replace(

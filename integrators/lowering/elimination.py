@@ -5,7 +5,6 @@ Either way eliminates with pivots: that of a column is its largest entry, as in 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,65 +12,45 @@ import numpy as np
 from integrators.lowering.graph import Graph, NotLowered, Solve
 
 if TYPE_CHECKING:
-    from jaxtyping import Int
+    from jaxtyping import Bool, Int
 
 #: Unknowns of a system that is written out, those of a system at all, and of all in one operation.
 _WRITTEN_OUT, _MOST_UNKNOWNS, _MOST_IN_ALL = 4, 40, 4000
 
 
 def solve(
-    graph: Graph, product: Callable[[np.ndarray], np.ndarray], right: Int[np.ndarray, " n"]
-) -> Int[np.ndarray, " n"]:
-    """Solve A x = b for nodes, each independent part by itself.
-
-    Parameters
-    ----------
-    product
-        A x of nodes x.
+    graph: Graph, matrix: Int[np.ndarray, "n n"], right: Int[np.ndarray, "n m"]
+) -> Int[np.ndarray, "n m"]:
+    """Solve A X = B for nodes, each independent part by itself.
 
     Raises
     ------
     NotLowered
         If a part has too many unknowns.
     """
-    n = len(right)
-    if n > _MOST_IN_ALL:
+    if right.size > _MOST_IN_ALL:
         raise NotLowered(f"it solves systems of more than {_MOST_IN_ALL} unknowns in all")
-    parts = _parts(graph, product, n)
-    largest = max((len(part) for part in parts), default=0)
-    if largest > _MOST_UNKNOWNS:
+    parts = _parts(~np.isin(matrix, graph.zeros))
+    if max(map(len, parts), default=0) > _MOST_UNKNOWNS:
         raise NotLowered(f"it solves a system of more than {_MOST_UNKNOWNS} unknowns")
-    # A product with one unit vector of each part gives one column of each.
-    columns = np.empty((largest, n), int)
-    for k in range(largest):
-        unit = np.full(n, graph.zero)
-        unit[[part[k] for part in parts if k < len(part)]] = graph.one
-        columns[k] = product(unit)
-    same: dict[tuple[int, ...], list[np.ndarray]] = {}
+    same: dict[bytes, list[np.ndarray]] = {}
     for part in parts:
-        matrix = columns[: len(part), part].T
-        same.setdefault(tuple(matrix.ravel().tolist()), []).append(part)
-    x = np.empty(n, int)
-    for matrix, of in same.items():
-        size = len(of[0])
-        places = np.array(of).T
-        x[places] = (_eliminated if size <= _WRITTEN_OUT else _called)(
-            graph, np.array(matrix).reshape(size, size), right[places]
-        )
+        same.setdefault(matrix[np.ix_(part, part)].tobytes(), []).append(part)
+    x = np.empty_like(right)
+    for places in map(np.array, same.values()):
+        one = matrix[np.ix_(places[0], places[0])]
+        sides = np.moveaxis(right[places], 0, 1)
+        by = _eliminated if len(one) <= _WRITTEN_OUT else _called
+        found = by(graph, one, sides.reshape(len(one), -1)).reshape(sides.shape)
+        x[places] = np.moveaxis(found, 0, 1)
     return x
 
 
-def _parts(graph: Graph, product: Callable[[np.ndarray], np.ndarray], n: int) -> list[np.ndarray]:
-    """Numbers of the unknowns that depend on each other, found in the product with unknowns."""
-    from scipy.sparse import csr_matrix
+def _parts(entries: Bool[np.ndarray, "n n"]) -> list[np.ndarray]:
+    """Numbers of the unknowns that depend on each other."""
     from scipy.sparse.csgraph import connected_components
 
-    unknowns = [graph.fresh() for _ in range(n)]
-    rows = graph.origins(product(np.array(unknowns, int)).tolist(), unknowns)
-    entries = [(i, j) for i, row in enumerate(rows) for j in row]
-    i, j = np.array(entries, int).reshape(-1, 2).T
-    pattern = csr_matrix((np.ones(len(entries)), (i, j)), (n, n))
-    count, part = connected_components(pattern, directed=False)
+    count, part = connected_components(entries, directed=False)
     return [np.flatnonzero(part == number) for number in range(count)]
 
 

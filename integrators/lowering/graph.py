@@ -38,6 +38,12 @@ class Entry(NamedTuple):
     place: int
 
 
+class Unknown(NamedTuple):
+    """The operator without a form in C."""
+
+    name: str
+
+
 _ARITHMETIC = {"neg", "add", "sub", "mul", "div"}
 #: Operators on whole numbers, which C keeps as floats: as counters they stay exact.
 _COUNT = {"add", "sub", "max", "min", "number", "choose", "eq", "ne", "lt", "le", "gt", "ge"}
@@ -52,8 +58,8 @@ class Graph:
     ----------
     nodes
         ``(operator, arguments)``; of an input ("input", (argument, entry)), of a constant
-        ("constant", value), of an operation without a form in C ("unknown", its name). `Loop`
-        and `Solve` are operators that leave several values, each of which an `Entry` takes.
+        ("constant", value). `Loop` and `Solve` are operators that leave several values, each of
+        which an `Entry` takes.
     """
 
     def __init__(self) -> None:
@@ -73,17 +79,9 @@ class Graph:
         key = kind, struct.pack("d", plain) if kind == "f" else plain
         return self._node(key, "constant", plain, kind)
 
-    def other_constant(self, value: Any) -> int:
-        """The node of a constant that is no number of C, such as a key of random numbers."""
-        return self._node(("other", len(self.nodes)), "constant", value, "other")
-
     def input(self, argument: int, entry: int, kind: str = "f") -> int:
         """The node of an entry of an argument of the function."""
         return self._node(("input", argument, entry), "input", (argument, entry), kind)
-
-    def fresh(self) -> int:
-        """A new node for which any value may stand."""
-        return self._node(("fresh", len(self.nodes)), "input", (-1, len(self.nodes)), "f")
 
     def left_by(
         self, operator: Loop | Solve, given: tuple[int, ...], kinds: Iterable[str]
@@ -93,9 +91,9 @@ class Graph:
         node = self._node(key, operator, given, "f")
         return [self._node((node, k), Entry(k), (node,), kind) for k, kind in enumerate(kinds)]
 
-    def unknown(self, name: str, kind: str) -> int:
+    def unknown(self, name: str, kind: str, given: tuple[int, ...]) -> int:
         """A new node of an operation without a form in C, which no result may need."""
-        return self._node(("unknown", len(self.nodes)), "unknown", name, kind)
+        return self._node(("unknown", len(self.nodes)), Unknown(name), given, kind)
 
     def is_constant(self, node: int) -> bool:
         """Whether the value is known before the program runs."""
@@ -141,8 +139,8 @@ class Graph:
             operator, given = self.nodes[node]
             if operator in ("constant", "input") or node in order:
                 continue
-            if operator == "unknown":
-                raise NotLowered(f"it has the operation {given!r}")
+            if isinstance(operator, Unknown):
+                raise NotLowered(f"it has the operation {operator.name}")
             if ready:
                 order[node] = None
             else:
@@ -160,7 +158,7 @@ class Graph:
             operator, given = self.nodes[node]
             if node in found:
                 continue
-            if node < first or operator in ("constant", "input", "unknown"):
+            if node < first or operator in ("constant", "input"):
                 found[node] = set()
             elif ready:
                 found[node] = set().union(*(found[x] for x in given))
@@ -201,7 +199,7 @@ class Graph:
             return simple
         kind = kinds[1] if operator == "choose" else OPERATORS[operator].kind
         if wraps:
-            return self.unknown("arithmetic of whole numbers", "i")
+            return self.unknown("'arithmetic of whole numbers'", "i", given)
         if "i" in kinds and (operator in _ARITHMETIC or operator in ("max", "min")):
             kind = "i"
         return self._node(key, operator, given, kind)

@@ -31,7 +31,7 @@ OPERATORS = {
     "div": Operator("{} / {}", np.divide),
     "rem": _like_c("fmod", arguments=2),
     "neg": Operator("-{}", np.negative),
-    "abs": _like_c("fabs"),
+    "abs": _like_c("fabs", np.abs),
     # As in JAX, NaN wins, and -0 is less than 0.
     "max": Operator(
         "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}", np.maximum
@@ -44,10 +44,10 @@ OPERATORS = {
     "cbrt": _like_c("cbrt"),
     "pow": _like_c("pow", np.power, 2),
     "atan2": _like_c("atan2", np.arctan2, 2),
+    "rint": _like_c("rint"),
     "floor": _like_c("floor"),
     "ceil": _like_c("ceil"),
     "exp": _like_c("exp"),
-    "exp2": _like_c("exp2"),
     "expm1": _like_c("expm1"),
     "log": _like_c("log"),
     "log1p": _like_c("log1p"),
@@ -75,8 +75,8 @@ OPERATORS = {
     "not": Operator("!{}", np.invert, "b"),
     "is_finite": Operator("isfinite({}) != 0", np.isfinite, "b"),
     #: 1.0 for true, 0.0 for false.
-    "number": Operator("(double){}", float),
-    "count": Operator("(double){}", int, "i"),
+    "number": Operator("(double){}", np.float64),
+    "count": Operator("(double){}", np.int64, "i"),
     #: The second value where the first is true, else the third.
-    "choose": Operator("{} ? {} : {}", lambda which, yes, no: yes if which else no),
+    "choose": Operator("{} ? {} : {}", np.where),
 }

@@ -1,26 +1,27 @@
 """From a function that JAX can trace to a graph of scalar operations.
 
-A program is followed operation by operation. Its arrays are arrays of nodes: whatever moves numbers
-moves nodes here, once and for all, and what computes with numbers adds nodes
-(`integrators.lowering.primitives`). Indices have to be known beforehand. A loop with a known number
-of turns is written out; any other one is an operator with programs of its own. What depends on no
-argument is computed by JAX, with numbers of any type. An operation without a rule, or on others
-than 64-bit floats, whole numbers that are counters, true and false, spoils only the results that
-need it.
+Its program (`integrators.programs`) is followed step by step. Arrays that depend on arguments are
+arrays of nodes: whatever moves numbers moves nodes here, once and for all, and what computes with
+numbers adds nodes (`integrators.lowering.rules`). All others are arrays of numbers; indices have
+to be among them. A loop whose number of turns is known is written out; any other one is an operator
+with programs of its own. A step without a rule, or on others than 64-bit floats, whole numbers that
+are counters, true and false, spoils only the results that need it.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from integrators.lowering import moves
 from integrators.lowering.elimination import solve
 from integrators.lowering.graph import Graph, Loop, NotLowered, Program
-from integrators.lowering.primitives import RULES, entrywise
-from integrators.operations import CALLS
+from integrators.lowering.known import on_numbers
+from integrators.lowering.rules import ENTRYWISE, RULES, entrywise, operator
+from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
 
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
@@ -31,7 +32,18 @@ _MOST_TURNS = 1000
 _TYPES = {"bool", "int32", "int64", "float64"}
 
 
-def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
+class _Known(NamedTuple):
+    """An array of numbers that depend on no argument."""
+
+    numbers: np.ndarray
+
+
+_Value = _Known | np.ndarray
+#: No half of a solution.
+_NO = b"", False, np.zeros(0, int)
+
+
+def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
     """Follow a traceable function of one vector whose result is one array.
 
     Parameters
@@ -46,205 +58,242 @@ def lowered(program: Callable[..., Any], lengths: tuple[int | None, ...]) -> Pro
         operations.
     """
     sizes = [1 if n is None else n for n in lengths]
-    traced = jax.make_jaxpr(program)(jax.ShapeDtypeStruct((sum(sizes),), float))
     graph = Graph()
     nodes = [graph.input(k, entry) for k, n in enumerate(sizes) for entry in range(n)]
+    vector = jax.ShapeDtypeStruct((sum(sizes),), float)
     try:
-        (results,) = _Follower(graph).called(traced, [np.array(nodes)])
+        follower = _Follower(program(function, vector), graph)
+        (result,) = follower.called("main", [np.array(nodes, int)])
     except NotLowered:
         raise
     except Exception as error:  # of whatever kind: another release of JAX has other programs
         raise NotLowered(f"programs of this JAX are not as known ({error!r})") from error
-    return Program(graph, results)
+    return Program(graph, follower.nodes(result))
 
 
-class _Follower:
-    def __init__(self, graph: Graph) -> None:
+class _Follower(Follower[_Value]):
+    def __init__(self, functions: Any, graph: Graph) -> None:
+        super().__init__(functions)
         self._graph, self._entries, self._turns = graph, 0, 0
+        #: Matrices by the nodes that stand for their factors.
+        self._factored: dict[bytes, np.ndarray] = {}
+        #: Factors, which of them, and right sides, by the nodes that stand for a half solution.
+        self._halves: dict[bytes, tuple[bytes, bool, np.ndarray]] = {}
 
-    def called(self, program: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a program, with its constants or without any, on arrays of nodes."""
-        jaxpr, consts = getattr(program, "jaxpr", program), getattr(program, "consts", ())
-        return self._walk(jaxpr, [self._constants(value) for value in consts], given)
+    def nodes(self, value: _Value) -> np.ndarray:
+        """The nodes of a value."""
+        if not isinstance(value, _Known):
+            return value
+        numbers = value.numbers
+        if numbers.dtype.kind not in "biuf":
+            raise NotLowered("it has constants that are no numbers")
+        constants = [self._graph.constant(v) for v in numbers.flat]
+        return np.array(constants, int).reshape(numbers.shape)
 
-    def _walk(
-        self, jaxpr: Any, consts: list[np.ndarray], given: list[np.ndarray]
-    ) -> list[np.ndarray]:
-        from jax.extend.core import Literal
+    def _numbers(self, value: _Value) -> np.ndarray:
+        """The numbers of a value that depends on no argument."""
+        if isinstance(value, _Known):
+            return value.numbers
+        return np.array([self._graph.value(node) for node in value.flat]).reshape(value.shape)
 
-        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *given], strict=True))
-
-        def value(atom: Any) -> np.ndarray:
-            return self._constants(atom.val) if isinstance(atom, Literal) else values[atom]
-
-        for equation in jaxpr.eqns:
-            results = self._equation(equation, [value(atom) for atom in equation.invars])
-            values.update(zip(equation.outvars, results, strict=True))
-        return [value(atom) for atom in jaxpr.outvars]
-
-    def _equation(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray]:
-        name, params = equation.primitive.name, equation.params
-        if name in CALLS:
-            return self.called(params[CALLS[name]], given)
-        if name == "custom_linear_solve":
-            return self._solved(params, given)
-        shapes = [var.aval.shape for var in equation.outvars]
-        self._entries += sum(int(np.prod(shape)) for shape in shapes)
+    def step(
+        self, step: Step, given: list[_Value], values: dict[int, _Value], scope: str
+    ) -> list[_Value]:
+        self._entries += sum(made.size for made in step.made)
         if self._entries > _MOST_ENTRIES:
             raise NotLowered("its arrays are too large")
-        types = {str(var.aval.dtype) for var in (*equation.invars, *equation.outvars)}
-        others = sorted(types - _TYPES)
-        results = None
-        with contextlib.suppress(NotLowered):
-            if name not in RULES or types - {"bool", "float64"}:  # whole numbers wrap
-                results = self._known_beforehand(equation, given)
-            if results is None and name in _FLOW:
-                results = _FLOW[name](self, params, given)
-            elif results is None and name in RULES and not others:
-                results = RULES[name](self._graph, equation, *given)
-        if results is None:
-            name = f"{name} of {others[0]}" if others else name
-            return [self._unknown(name, var.aval) for var in equation.outvars]
-        results = results if isinstance(results, list) else [results]
-        return [np.asarray(r, int).reshape(s) for r, s in zip(results, shapes, strict=True)]
+        try:
+            results = self._results(step, given, values)
+        except NotLowered as reason:
+            others = sorted(_types(step) - _TYPES)
+            name = repr(f"{step.name} of {others[0]}" if others else step.name)
+            name = f"{name} ({reason})" if str(reason) else name
+            around = (values[k] for body in step.bodies for k in body.used if k in values)
+            return [self._unknown(name, made, [*given, *around]) for made in step.made]
+        pairs = zip(results, step.made, strict=True)
+        return [x if isinstance(x, _Known) else x.reshape(made.shape) for x, made in pairs]
 
-    def _solved(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
-        """The solution of a linear system; its matrix stands in a program of products."""
-        lengths = params["const_lengths"]
-        right, consts = given[sum(lengths) :], given[: lengths.matvec]
+    def _results(
+        self, step: Step, given: list[_Value], values: dict[int, _Value]
+    ) -> Sequence[_Value]:
+        name = step.name
+        if name == "while":
+            return self._looped(step, given, values)
+        if name == "case":
+            return self._chosen(step, given, values)
+        if name == "optimization_barrier":
+            return given
+        if all(isinstance(value, _Known) for value in given):
+            found = on_numbers(step, *map(self._numbers, given))
+            if found is not None:
+                return [_Known(one) for one in found]
+        if name in moves.INDEXED:
+            return [self._indexed(step, given)]
+        nodes = [self.nodes(value) for value in given]
+        if name in moves.MOVES:
+            return [moves.MOVES[name](step, *nodes)]
+        if not _types(step) <= _TYPES:
+            raise NotLowered
+        by = operator(step)
+        if by is not None:
+            return [entrywise(self._graph, by, *nodes)]
+        if "getrf" in name:
+            return self._factors(step, *nodes)
+        if name == "triangular_solve" or "trsm" in name:
+            return [self._solved(step, *nodes)]
+        if name in RULES:
+            return [RULES[name](self._graph, step, *nodes)]
+        raise NotLowered
 
-        def product(x: np.ndarray) -> np.ndarray:
-            return _joined(self.called(params["jaxprs"].matvec, [*consts, *_parts(x, right)]))
+    def _indexed(self, step: Step, given: list[_Value]) -> _Value:
+        """Entries at indices that are known beforehand."""
+        function, count = moves.INDEXED[step.name]
+        if step.name == "scatter":
+            given = [given[0], given[2], given[1]]
+        arrays, places = given[:count], map(self._numbers, given[count:])
+        if step.name == "scatter" and step.operation != "second":
+            if step.operation not in ENTRYWISE:
+                raise NotLowered("it scatters by other operations than sums")
+            combined = partial(entrywise, self._graph, ENTRYWISE[step.operation])
+            return function(step, *map(self.nodes, arrays), *places, combined)
+        if all(isinstance(array, _Known) for array in arrays):
+            return _Known(function(step, *map(self._numbers, arrays), *places))
+        return function(step, *map(self.nodes, arrays), *places)
 
-        return _parts(solve(self._graph, product, _joined(right)), right)
+    # ---- linear systems ----------------------------------------------------------------
+    def _factors(self, step: Step, matrices: np.ndarray) -> list[_Value]:
+        """Nodes that stand for the factors L and U of matrices, without exchanged rows.
 
-    def _written_out(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a loop with a known number of turns."""
-        turns, same, carried = params["length"], params["num_consts"], params["num_carry"]
-        self._turns += turns
-        if self._turns > _MOST_TURNS:
-            raise NotLowered(f"its loops have more than {_MOST_TURNS} turns")
-        consts, values = given[:same], given[same : same + carried]
-        order = range(turns)[:: -1 if params["reverse"] else 1]
-        rows: list[list[np.ndarray]] = [[] for _ in params["jaxpr"].jaxpr.outvars[carried:]]
-        for k in order:
-            sliced = [array[k] for array in given[same + carried :]]
-            found = self.called(params["jaxpr"], [*consts, *values, *sliced])
-            values = found[:carried]
-            for row, value in zip(rows, found[carried:], strict=True):
-                row.append(value)
-        return [*values, *(np.array(row[:: -1 if params["reverse"] else 1]) for row in rows)]
+        Whoever solves with both of them gets the solution; all else is unknown.
+        """
+        factors = self._unknown(repr(step.name), step.made[0], [matrices])
+        for place in np.ndindex(*matrices.shape[:-2]):
+            self._factored[factors[place].tobytes()] = matrices[place]
+        pivots, info = step.made[1:]
+        order = np.broadcast_to(np.arange(1, len(factors.T) + 1, dtype=pivots.dtype), pivots.shape)
+        return [factors, _Known(order), _Known(np.zeros(info.shape, info.dtype))]
 
-    def _looped(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
+    def _solved(self, step: Step, factors: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """The solution with both factors of matrices; nodes that stand for it after the first."""
+        unit, transposed, left = _sides(step)
+        x = self._unknown(repr(step.name), step.made[0], [factors, right])
+        for place in np.ndindex(*factors.shape[:-2]):
+            key, b = factors[place].tobytes(), right[place]
+            matrix, (by, other, first) = self._factored.get(key), self._halves.get(b.tobytes(), _NO)
+            self._halves[x[place].tobytes()] = key, unit, b
+            if matrix is not None and by == key and other != unit:
+                a = matrix if transposed != left else matrix.T
+                x[place] = (
+                    solve(self._graph, a, first) if left else solve(self._graph, a, first.T).T
+                )
+        return x
+
+    # ---- loops and branches ------------------------------------------------------------
+    def _looped(
+        self, step: Step, given: list[_Value], values: dict[int, _Value]
+    ) -> Sequence[_Value]:
+        """The results of a loop, which is written out if its number of turns is known."""
+        (condition, turn), state, turns = step.bodies, given, self._turns
+        while True:
+            (goes_on,) = self.run(condition, state, values)
+            if not isinstance(goes_on, _Known):
+                self._turns = turns
+                if not _types(step) <= _TYPES:
+                    raise NotLowered
+                return self._in_the_program(condition, turn, given, values)
+            if not goes_on.numbers:
+                return state
+            self._turns += 1
+            if self._turns > _MOST_TURNS:
+                raise NotLowered(f"its loops have more than {_MOST_TURNS} turns")
+            state = self.run(turn, state, values)
+
+    def _in_the_program(
+        self, condition: Body, turn: Body, given: list[_Value], values: dict[int, _Value]
+    ) -> Sequence[_Value]:
         """The results of a loop whose number of turns is found in the loop."""
-        graph, outer, inner = Graph(), self._graph, {}
+        outer, inner, known = self._graph, _Follower(self.functions, Graph()), {}
         handed_over: list[int] = []  # constants are written where they are used
-        follower = _Follower(graph)
-        follower._entries, follower._turns = self._entries, self._turns
-        tested, kept = params["cond_nconsts"], params["body_nconsts"]
-        first = given[tested + kept :]
+        inner._entries, inner._turns = self._entries, self._turns
 
-        def inside(array: np.ndarray) -> np.ndarray:
+        def inside(value: _Value) -> _Value:
             """Given values as the loop's programs see them; known ones stay known."""
-            for node in array.ravel().tolist():
-                if node in inner:
+            if isinstance(value, _Known):
+                return value
+            for node in value.flat:
+                if node in known:
                     continue
                 if outer.is_constant(node):
-                    inner[node] = graph.constant(outer.value(node))
+                    known[node] = inner._graph.constant(outer.value(node))
                 else:
-                    inner[node] = graph.input(0, len(handed_over), outer.kind(node))
+                    known[node] = inner._graph.input(0, len(handed_over), outer.kind(node))
                     handed_over.append(node)
-            return np.array([inner[node] for node in array.flat], int).reshape(array.shape)
+            return np.array([known[node] for node in value.flat], int).reshape(value.shape)
 
-        consts = [inside(array) for array in given[: tested + kept]]
-        kinds = [outer.kind(node) for array in first for node in array.flat]
-        if "other" in kinds:
-            raise NotLowered("a loop changes values that are no numbers")
-        nodes = np.array([graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
-        values = _parts(nodes, first)
-        (goes_on,) = follower.called(params["cond_jaxpr"], [*consts[:tested], *values])
-        after = follower.called(params["body_jaxpr"], [*consts[tested:], *values])
-        if goes_on.ndim:  # loops side by side, of which each keeps its values after its end
-            after = [
-                entrywise(graph, "choose", _along(goes_on, new.ndim), new, old)
-                for new, old in zip(after, values, strict=True)
-            ]
-            goes_on = np.array(graph.any(goes_on.ravel().tolist()))
-        self._entries, self._turns = follower._entries, follower._turns
-        loop = Loop(Program(graph, goes_on), Program(graph, _joined(after)))
+        pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
+        changed = [k for k, (before, after) in pairs if before != after]
+        first = [self.nodes(given[k]) for k in changed]
+        kinds = [outer.kind(node) for nodes in first for node in nodes.flat]
+        inputs = np.array([inner._graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
+        entries = dict(zip(changed, _parts(inputs, first), strict=True))
+        state = [entries[k] if k in entries else inside(value) for k, value in enumerate(given)]
+        around = {k: inside(values[k]) for k in condition.used | turn.used if k in values}
+        (goes_on,) = inner.run(condition, state, around)
+        after = inner.run(turn, state, around)
+        self._entries, self._turns = inner._entries, inner._turns
+        test = Program(inner._graph, inner.nodes(goes_on))
+        loop = Loop(test, Program(inner._graph, _joined([inner.nodes(after[k]) for k in changed])))
         left = outer.left_by(loop, (*handed_over, *_joined(first).tolist()), kinds)
-        return _parts(np.array(left), first)
+        ends = dict(zip(changed, _parts(np.array(left, int), first), strict=True))
+        return [ends.get(k, value) for k, value in enumerate(given)]
 
-    def _chosen(self, params: dict[str, Any], given: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of one of several programs, all of which are computed."""
-        (index,), graph, before = given[0].ravel().tolist(), self._graph, len(self._graph.nodes)
-        if graph.is_constant(index):
-            return self.called(params["branches"][graph.value(index)], given[1:])
-        *others, chosen = (self.called(branch, given[1:]) for branch in params["branches"])
+    def _chosen(
+        self, step: Step, given: list[_Value], values: dict[int, _Value]
+    ) -> Sequence[_Value]:
+        """The results of one of several bodies, all of which are computed."""
+        graph, before = self._graph, len(self._graph.nodes)
+        if isinstance(given[0], _Known):
+            place = int(given[0].numbers)
+            return self.run(step.bodies[place if place < len(step.bodies) else -1], [], values)
+        index = int(given[0])
+        *others, chosen = (
+            [self.nodes(value) for value in self.run(body, [], values)] for body in step.bodies
+        )
         if any(isinstance(operator, Loop) for operator, _ in graph.nodes[before:]):
             raise NotLowered("a loop of a branch that is not taken might go on for ever")
         for k, results in reversed([*enumerate(others)]):
-            taken = np.array(graph.apply("eq", index, graph.constant(k)))
+            taken = graph.apply("eq", index, graph.constant(k))
             pairs = zip(results, chosen, strict=True)
             chosen = [entrywise(graph, "choose", taken, yes, no) for yes, no in pairs]
         return chosen
 
-    def _known_beforehand(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray] | None:
-        """The results of an operation on constants, computed by JAX; None if others take part."""
-        if not all(self._graph.is_constant(node) for nodes in given for node in nodes.flat):
-            return None
-        kinds = [var.aval.dtype for var in equation.invars]
-        with jax.ensure_compile_time_eval():
-            values = map(self._values, given, kinds)
-            results = equation.primitive.bind(*values, **equation.params)
-        several = equation.primitive.multiple_results
-        return [self._constants(result) for result in (results if several else [results])]
-
-    def _values(self, nodes: np.ndarray, dtype: Any) -> Any:
-        """The array of JAX for constant nodes."""
-        values = [self._graph.value(node) for node in nodes.flat]
-        if _is_key(dtype):
-            return jax.numpy.stack(values).reshape(nodes.shape)
-        return jax.numpy.asarray(np.array(values, dtype).reshape(nodes.shape))
-
-    def _constants(self, value: Any) -> np.ndarray:
-        if _is_key(getattr(value, "dtype", float)):
-            with jax.ensure_compile_time_eval():
-                array, constant = value.reshape(-1), self._graph.other_constant
-                return np.array([constant(key) for key in array], int).reshape(value.shape)
-        array = np.asarray(value)
-        number = array.dtype.kind in "biuf"
-        constant = self._graph.constant if number else self._graph.other_constant
-        return np.array([constant(v) for v in array.flat], int).reshape(array.shape)
-
-    def _unknown(self, name: str, aval: Any) -> np.ndarray:
-        kind = {"b": "b", "f": "f"}.get(getattr(aval.dtype, "kind", ""), "i")
-        nodes = [self._graph.unknown(name, kind) for _ in range(int(np.prod(aval.shape)))]
-        return np.array(nodes, int).reshape(aval.shape)
+    def _unknown(self, name: str, made: Type, given: Sequence[_Value]) -> np.ndarray:
+        """Nodes of an operation without a rule, which may depend on all that it is given."""
+        kind = {"b": "b", "f": "f"}.get(made.dtype.kind, "i")
+        on = (*{node for value in given if not isinstance(value, _Known) for node in value.flat},)
+        nodes = [self._graph.unknown(name, kind, on) for _ in range(made.size)]
+        return np.array(nodes, int).reshape(made.shape)
 
 
-_FLOW = {
-    "scan": _Follower._written_out,
-    "while": _Follower._looped,
-    "cond": _Follower._chosen,
-}
+def _types(step: Step) -> set[str]:
+    return {str(one.dtype) for one in (*step.taken, *step.made)}
 
 
-def _is_key(dtype: Any) -> bool:
-    """Whether a type is that of keys of random numbers, which are no numbers."""
-    return jax.numpy.issubdtype(dtype, jax.dtypes.extended)
+def _sides(step: Step) -> tuple[bool, bool, bool]:
+    """Whether a triangle's diagonal is 1, it is transposed, and stands to the left of x."""
+    if step.name == "triangular_solve":
+        of = step.attributes
+        transposed = "NO_TRANSPOSE" not in of["transpose_a"]
+        return of["unit_diagonal"] == "true", transposed, of["left_side"] == "true"
+    letters = {name: chr(*number) for name, number in step.fields("mhlo.backend_config").items()}
+    return letters["diag"] == "U", letters["trans_x"] != "N", letters["side"] == "L"
 
 
-def _parts(nodes: np.ndarray, like: list[np.ndarray]) -> list[np.ndarray]:
+def _parts(nodes: np.ndarray, like: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Nodes that stand side by side, as arrays of the shapes of others."""
     pieces = np.split(nodes, np.cumsum([part.size for part in like])[:-1])
     return [piece.reshape(part.shape) for piece, part in zip(pieces, like, strict=True)]
 
 
-def _along(which: np.ndarray, axes: int) -> np.ndarray:
-    """Nodes for the first axes, as an array of more axes."""
-    return which.reshape(*which.shape, *[1] * (axes - which.ndim))
-
-
-def _joined(pieces: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([piece.ravel() for piece in pieces])
+def _joined(pieces: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.zeros(0, int), *(piece.ravel() for piece in pieces)])

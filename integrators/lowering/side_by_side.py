@@ -20,13 +20,6 @@ if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float
 
-#: Operators that NumPy writes in another way than JAX.
-_OWN = {
-    "number": lambda x: x.astype(float),
-    "count": lambda x: x.astype(int),
-    "choose": lambda which, yes, no: jnp.where(which, yes, no),
-}
-
 
 def check(program: Program) -> None:
     """Find out whether `evaluated` has a rule for all that a program needs.
@@ -64,7 +57,7 @@ def evaluated(program: Program, numbers: Sequence[Float[Array, " k"]]) -> np.nda
 
     for node in graph.needed(nodes):
         operator, arguments = graph.nodes[node]
-        function = _OWN.get(operator) or getattr(jnp, OPERATORS[operator].numpy.__name__)
+        function = getattr(jnp, OPERATORS[operator].numpy.__name__)
         known[node] = function(*map(value, arguments))
     shape = numbers[0].shape
     results = np.empty(len(nodes), object)

@@ -25,7 +25,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.operations import CALLS
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.programs import lowered
+from integrators.native.dependencies import parts
+from integrators.native.equations import bound, evaluated
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
@@ -59,12 +62,14 @@ _LINEAR = (
     *("copy", "convert_element_type", "select_n"),
 )
 _BILINEAR = ("mul", "dot_general")
-#: Elementary functions, and the distance of x from where their derivatives grow.
+#: Elementary functions whose derivatives grow somewhere, and the distance of x from there.
 _ELEMENTARY: dict[str, Callable[[Any], Any]] = {
-    **dict.fromkeys(("sinh", "cosh", "tanh", "atan", "logistic"), lambda x: jnp.ones_like(x)),
-    **dict.fromkeys(("log", "log2", "pow"), lambda x: jnp.abs(x)),
+    **dict.fromkeys(("log", "pow"), lambda x: jnp.abs(x)),
     **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
 }
+#: Operators without a jump, a kink or a pole near the real axis.
+_SMOOTH = {"add", "sub", "mul", "div", "neg", "exp", "expm1", "sin", "cos", "sinh", "cosh", "tanh"}
+_SMOOTH |= {"atan", "asinh"}
 #: Changes below this part of the distance are integrated: a secant would cancel digits.
 _CLOSE = 0.02
 
@@ -83,7 +88,7 @@ def discrete_derivative(
         If the function holds an operation that is not known here.
     """
     program, shape = jax.make_jaxpr(function, return_shape=True)(start)
-    (out,) = _walk(program, [_Pair(start, end, direction)])
+    (out,) = evaluated(program, [_Pair(start, end, direction)], _result)
     return out.change if isinstance(out, _Pair) else jnp.zeros(shape.shape)
 
 
@@ -107,42 +112,24 @@ def discrete_gradient(
     return jax.vjp(change, jnp.zeros_like(start))[1](weights)[0]
 
 
-def _walk(closed: Any, given: list) -> list:
-    """Evaluate a program with pairs in the place of the values that depend on the point."""
-    jaxpr = closed.jaxpr
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *given], strict=True))
-
-    def value(atom: Any) -> Any:
-        return atom.val if hasattr(atom, "val") else values[atom]
-
-    for equation in jaxpr.eqns:
-        out = _result(equation, [value(atom) for atom in equation.invars])
-        values.update(zip(equation.outvars, out, strict=True))
-    return [value(atom) for atom in jaxpr.outvars]
-
-
 def _result(equation: Any, given: list) -> list:
-    primitive, params = equation.primitive, equation.params
-
-    def bind(*operands: Any) -> list:
-        out = primitive.bind(*operands, **params)
-        return out if primitive.multiple_results else [out]
-
+    """The results of an equation, with pairs in the place of values that depend on the point."""
     if not any(isinstance(g, _Pair) for g in given):
-        return bind(*given)
-    if primitive.name in CALLS:
-        return _walk(params[CALLS[primitive.name]], given)
-    start = bind(*(g.start if isinstance(g, _Pair) else g for g in given))
-    end = bind(*(g.end if isinstance(g, _Pair) else g for g in given))
-    changes = _changes(primitive.name, params, bind, given, start, end)
+        return bound(equation, given)
+    start = bound(equation, [g.start if isinstance(g, _Pair) else g for g in given])
+    end = bound(equation, [g.end if isinstance(g, _Pair) else g for g in given])
+    changes = _changes(equation, given, start, end)
     return [_Pair(*values) for values in zip(start, end, changes, strict=True)]
 
 
-def _changes(
-    name: str, params: dict, bind: Callable[..., list], given: list, start: list, end: list
-) -> list:
+def _changes(equation: Any, given: list, start: list, end: list) -> list:
     """Changes of the results of an operation by those of its operands."""
+    name, params = equation.primitive.name, equation.params
     x, others = given[0], given[1:]
+
+    def bind(*operands: Any) -> list:
+        return bound(equation, operands)
+
     pairs = [isinstance(g, _Pair) for g in given]
     if name in _LINEAR and all(_is_real(g) for g, pair in zip(given, pairs, strict=True) if pair):
         return bind(*map(_change_of, given))
@@ -157,8 +144,8 @@ def _changes(
         of_inverse = -by.change * inverse[0] * inverse[1]
         of_x = x.change * (inverse[0] + inverse[1]) / 2 if pairs[0] else 0.0
         return [_mean_of(x) * of_inverse + of_x]
-    if name in ("square", "one_minus_square"):
-        return [(2 if name == "square" else -2) * x.mean * x.change]
+    if name == "square":
+        return [2 * x.mean * x.change]
     if name == "integer_pow":
         n = params["y"]
         terms = (x.start**k * x.end ** (abs(n) - 1 - k) for k in range(abs(n)))
@@ -174,9 +161,36 @@ def _changes(
         return [-x.change * jnp.sin(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
     if name == "exp":
         return [x.change * jnp.exp(x.mean) * _sinc((x.end - x.start) / 2, jnp.sinh, -1.0)]
-    if name in _ELEMENTARY and not any(pairs[1:]):
-        return [x.change * _secant(lambda x: bind(x, *others)[0], x, _ELEMENTARY[name])]
+    if sum(pairs) == 1 and len(end) == 1:
+        place = pairs.index(True)
+        if (name in _ELEMENTARY and place == 0) or _is_smooth(equation, given, place):
+
+            def function(x: Any) -> Any:
+                return bind(*given[:place], x, *given[place + 1 :])[0]
+
+            pair = given[place]
+            return [pair.change * _secant(function, pair, _ELEMENTARY.get(name, jnp.ones_like))]
     raise NoDiscreteGradient(f"the operation {name!r}")
+
+
+def _is_smooth(equation: Any, given: list, place: int) -> bool:
+    """Whether an operation without a rule is a smooth function of each entry of an operand."""
+    avals = [atom.aval for atom in equation.invars]
+    shapes = [(aval.shape, aval.dtype) for aval in avals]
+    if equation.outvars[0].aval.shape != avals[place].shape or not _is_real(given[place]):
+        return False
+
+    def function(numbers: Array) -> Array:
+        return bound(equation, parts(numbers, shapes))[0]
+
+    try:
+        graph, nodes = lowered(function, tuple(aval.size for aval in avals))
+        operators = {graph.nodes[node][0] for node in graph.needed(nodes.ravel().tolist())}
+    except NotLowered:
+        return False
+    entries = [graph.input(place, k) for k in range(avals[place].size)]
+    on = graph.origins(nodes.ravel().tolist(), entries)
+    return operators <= _SMOOTH and all(found <= {k} for k, found in enumerate(on))
 
 
 def _secant(function: Callable[[Any], Any], x: _Pair, distance: Callable[[Any], Any]) -> Any:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -20,7 +20,13 @@ from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
 from integrators.lowering.side_by_side import check, evaluated
 from integrators.native import klu, small_matrices
-from integrators.native.dependencies import pattern
+from integrators.native.dependencies import (
+    parts,
+    pattern,
+    replaced,
+    traced_constants,
+    with_constants,
+)
 from integrators.native.fixed_elimination import Plan, planned
 from problems import runtime
 from problems.runtime import jax, jnp
@@ -84,11 +90,11 @@ class DenseSolver(LinearSolver):
         order = _order(program, len(u)) if self.joins else None
 
         def by_pivots(u: Array, *constants: Array) -> Array:
-            residual = partial(_evaluated, program, constants)
+            residual = partial(with_constants, program, constants)
             return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))
 
         def in_order(order: Plan, u: Array, *constants: Array) -> Array:
-            r, products = _linearised(partial(_evaluated, program, constants), u, order.seeds)
+            r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
             return order.solve(products, r)
 
         if order is None:
@@ -134,16 +140,9 @@ def _order(program: ClosedJaxpr, n: int) -> Plan | None:
         return None
     try:
         return planned(pattern(program, n))
-    except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except NotLowered as error:
         runtime.slower(f"Full Newton runs slowly: programs cannot be followed ({error}).")
         return None
-
-
-def _evaluated(program: ClosedJaxpr, constants: Sequence[Array], u: Float[Array, " n"]) -> Array:
-    """The result of a program with other constants."""
-    from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
-
-    return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(u)[0]
 
 
 def _linearised(
@@ -158,7 +157,7 @@ def _linearised(
         return r, list(programs[-1].consts)
 
     r, constants = small_matrices.apart(coefficients, u)
-    product = partial(_evaluated, programs[-1], constants)
+    product = partial(with_constants, programs[-1], constants)
     if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
         return r, list(jax.vmap(product)(jnp.asarray(seeds)))
     return r, [product(jnp.asarray(seed)) for seed in seeds]
@@ -167,27 +166,21 @@ def _linearised(
 def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | None:
     """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
     the residual's program cannot be followed number by number."""
-    from jax.core import Tracer
-
     u, *_ = program.jaxpr.invars
-    differs = [isinstance(x, Tracer) for x in program.consts]
-    traced = [x for x, differ in zip(program.consts, differs, strict=True) if differ]
-    shapes = [(x.shape, x.dtype) for x in (u.aval, *traced)]
+    differs, others = traced_constants(program)
+    shapes = [(u.aval.shape, u.aval.dtype), *others]
     linear: list[ClosedJaxpr] = []
 
     def coefficients(numbers: Array) -> Array:
-        u, *others = _parts(numbers, shapes)
-        given = iter(others)
-        constants = [
-            next(given) if differ else x for x, differ in zip(program.consts, differs, strict=True)
-        ]
-        r, product = jax.linearize(partial(_evaluated, program, constants), u)
+        u, *constants = parts(numbers, shapes)
+        residual = partial(with_constants, program, replaced(program, differs, constants))
+        r, product = jax.linearize(residual, u)
         linear.append(jax.make_jaxpr(product)(u))
         return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
 
     def products(numbers: Array) -> Array:
-        given = _parts(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
-        product = partial(_evaluated, linear[-1], given)
+        constants = parts(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
+        product = partial(with_constants, linear[-1], constants)
         return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
 
     try:
@@ -207,13 +200,6 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
         return order.solve_many(entries, found[:n])
 
     return many
-
-
-def _parts(numbers: Array, shapes: Sequence[tuple[tuple[int, ...], Any]]) -> list[Array]:
-    """Arrays of the shapes and types, of the numbers one after the other."""
-    cuts = np.cumsum([math.prod(shape) for shape, _ in shapes])[:-1]
-    parts = zip(jnp.split(numbers, cuts), shapes, strict=True)
-    return [part.reshape(shape).astype(dtype) for part, (shape, dtype) in parts]
 
 
 @dataclass(frozen=True)

@@ -7,28 +7,20 @@ call no library, so the whole time loop becomes one compiled function (see `prob
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from math import prod
 from operator import add
 from typing import TYPE_CHECKING, Any
 
+from integrators.native.equations import bound, evaluated, is_program
 from problems import runtime
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
-    from jax.extend.core import ClosedJaxpr
     from jaxtyping import Float
 
-#: Parameters of primitives that hold called functions, and bodies of loops and branches.
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-}
-_BODIES = {"while": ("cond_jaxpr", "body_jaxpr"), "cond": ("branches",), "scan": ("jaxpr",)}
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32
 #: Largest size of many matrices side by side.
@@ -147,7 +139,7 @@ def without_products(function: Callable) -> Callable:
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
         try:
-            out = _evaluate(closed, jax.tree.leaves(args))
+            out = evaluated(closed, jax.tree.leaves(args), _as_sums)
         except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
             runtime.slower(
                 f"Small scenes run slowly: their programs cannot be rewritten ({error})."
@@ -158,37 +150,23 @@ def without_products(function: Callable) -> Callable:
     return rewritten
 
 
-def _evaluate(closed: ClosedJaxpr, args: list) -> list:
-    """Evaluate a closed jaxpr; products of small matrices are sums."""
-    from jax.extend.core import Literal
-
-    jaxpr = closed.jaxpr
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *args], strict=True))
-
-    def value(atom: Any) -> Any:
-        return atom.val if isinstance(atom, Literal) else values[atom]
-
-    for equation in jaxpr.eqns:
-        given, name = [value(atom) for atom in equation.invars], equation.primitive.name
-        params = equation.params
-        numbers = params.get("dimension_numbers")
-        if name == "dot_general" and _is_small_product(given[0], given[1], numbers):
-            out = [_as_sum(given[0], given[1], numbers)]
-        elif name in _CALLS:
-            out = _evaluate(params[_CALLS[name]], given)
-        else:
-            if name in _BODIES:
-                params = params | {key: _rewritten(params[key]) for key in _BODIES[name]}
-            out = equation.primitive.bind(*given, **params)
-            out = out if equation.primitive.multiple_results else [out]
-        values.update(zip(equation.outvars, out, strict=True))
-    return [value(atom) for atom in jaxpr.outvars]
+def _as_sums(equation: Any, given: list) -> Sequence[Any]:
+    """The results of an equation; products of small matrices are sums."""
+    if equation.primitive.name == "dot_general":
+        (a, b), numbers = given, equation.params["dimension_numbers"]
+        if _is_small_product(a, b, numbers):
+            return [_as_sum(a, b, numbers)]
+    return bound(equation, given, **{k: _rewritten(x) for k, x in equation.params.items()})
 
 
-def _rewritten(body: Any) -> Any:
-    if isinstance(body, tuple):
-        return tuple(map(_rewritten, body))
-    return jax.make_jaxpr(lambda *args: _evaluate(body, list(args)))(*body.in_avals)
+def _rewritten(parameter: Any) -> Any:
+    """A parameter of an equation, in which bodies of loops and branches are rewritten."""
+    if type(parameter) is tuple:
+        return tuple(map(_rewritten, parameter))
+    if not is_program(parameter) or not hasattr(parameter, "consts"):
+        return parameter
+    body = partial(evaluated, parameter, rule=_as_sums)
+    return jax.make_jaxpr(lambda *given: body(given))(*parameter.in_avals)
 
 
 def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:

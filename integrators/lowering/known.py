@@ -1,0 +1,71 @@
+"""Steps of StableHLO on numbers that are known before the program runs, computed by NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from integrators.lowering.moves import MOVES
+from integrators.lowering.operators import OPERATORS
+from integrators.lowering.rules import operator
+from integrators.programs import Step
+
+
+def _erf_inv(x: np.ndarray) -> np.ndarray:
+    from scipy.special import erfinv
+
+    return erfinv(x)
+
+
+#: Functions of numbers that have no form in C; random numbers need them.
+_OF_NUMBERS: dict[str, Callable[..., np.ndarray]] = {
+    "real": np.real, "imag": np.imag, "erf_inv": _erf_inv, "shift_left": np.left_shift,
+    "shift_right_arithmetic": np.right_shift,
+    "shift_right_logical": lambda x, by: (x.view(f"u{x.itemsize}") >> by.view(f"u{x.itemsize}")),
+}  # fmt: skip
+
+
+def on_numbers(step: Step, *given: np.ndarray) -> list[np.ndarray] | None:
+    """The results of a step on numbers of any type; None if it has no rule here."""
+    if step.name == "sort" and step.operation == "compare" and given[0].ndim == 1:
+        order = np.argsort(given[0], kind="stable")
+        return (
+            [x[order] for x in given] if "LT" in str(step.bodies[0].steps[0].attributes) else None
+        )
+    with np.errstate(all="ignore"):
+        found = _on_numbers(step, *given)
+    return None if found is None else [found.astype(step.made[0].dtype)]
+
+
+def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
+    name, (made, *_) = step.name, step.made
+    if name == "constant":
+        return np.broadcast_to(np.asarray(step.value), made.shape)
+    if name == "iota":
+        return np.indices(made.shape)[step.numbers("iota_dimension")[0]]
+    if name in MOVES:
+        return MOVES[name](step, *given)
+    if name == "convert":
+        return _converted(given[0], made.dtype)
+    if name == "bitcast_convert":
+        return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
+    if name == "fft":
+        transform = getattr(np.fft, step.attributes["fft_type"].split()[-1][:-1].lower() + "n")
+        lengths = step.numbers("fft_length")
+        return transform(given[0], lengths, range(-len(lengths), 0))
+    if name == "divide" and made.dtype.kind in "iu":
+        return (given[0] - np.fmod(*given)) // given[1]
+    by = operator(step)
+    function = _OF_NUMBERS.get(name) if by is None else OPERATORS[by].numpy
+    return None if function is None else function(*given)
+
+
+def _converted(x: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Numbers of another type; XLA turns too large ones into the largest whole number, NaN to 0."""
+    if dtype.kind not in "iu" or x.dtype.kind != "f":
+        return x.astype(dtype)
+    x, limits = np.nan_to_num(x), np.iinfo(dtype)
+    ends = np.where(x < limits.max, limits.min, limits.max)
+    inside = (x > limits.min) & (x < limits.max)
+    return np.where(inside, x.astype(dtype), ends).astype(dtype)

@@ -1,0 +1,154 @@
+"""Steps of StableHLO that compute: one rule each, by the name of the step.
+
+A rule gets the graph, the step and its arrays of nodes, and returns the array of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from integrators.lowering.graph import Graph, NotLowered
+from integrators.programs import Step
+
+#: Operators of steps that compute entry by entry.
+ENTRYWISE = {
+    "subtract": "sub", "multiply": "mul", "divide": "div", "remainder": "rem", "negate": "neg",
+    "maximum": "max", "minimum": "min", "power": "pow", "exponential": "exp", "sine": "sin",
+    "exponential_minus_one": "expm1", "log_plus_one": "log1p", "cosine": "cos",
+    "round_nearest_even": "rint", "select": "choose",
+    **{name: name for name in (
+        "add", "abs", "sign", "sqrt", "cbrt", "atan2", "floor", "ceil", "log", "tan", "asin",
+        "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "and", "or", "xor",
+        "not", "is_finite",
+    )},
+}  # fmt: skip
+#: Results of folding nothing.
+_OF_NOTHING = {"add": 0.0, "mul": 1.0, "max": -np.inf, "min": np.inf, "and": True, "or": False}
+RULES: dict[str, Callable[..., np.ndarray]] = {}
+
+
+def operator(step: Step) -> str | None:
+    """The operator of a step that computes entry by entry, if it is one."""
+    if step.name == "compare" and "TOTALORDER" not in step.attributes.get("compare_type", ""):
+        return step.attributes["comparison_direction"].split()[-1].rstrip(">").lower()
+    return ENTRYWISE.get(step.name)
+
+
+def entrywise(graph: Graph, operator: str, *given: Any) -> np.ndarray:
+    """Apply an operator to arrays of nodes of equal shapes, or scalars."""
+    arrays = np.broadcast_arrays(*given)
+    rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
+    nodes = [graph.apply(operator, *row) for row in rows]
+    return np.array(nodes, int).reshape(arrays[0].shape)
+
+
+def _rule(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+    RULES[function.__name__[1:]] = function
+    return function
+
+
+# ---- entry by entry --------------------------------------------------------------------
+@_rule
+def _square(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
+    return entrywise(graph, "mul", x, x)
+
+
+@_rule
+def _rsqrt(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
+    return entrywise(graph, "div", graph.one, entrywise(graph, "sqrt", x))
+
+
+@_rule
+def _logistic(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
+    decay = entrywise(graph, "exp", entrywise(graph, "neg", x))
+    return entrywise(graph, "div", graph.one, entrywise(graph, "add", graph.one, decay))
+
+
+@_rule
+def _clamp(graph: Graph, step: Step, low: Any, x: np.ndarray, high: Any) -> np.ndarray:
+    return entrywise(graph, "min", entrywise(graph, "max", x, low), high)
+
+
+@_rule
+def _convert(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
+    source, target = step.taken[0].dtype.kind, step.made[0].dtype.kind
+    if source == target:
+        return x
+    if target == "f":
+        return entrywise(graph, "number", x)
+    if (source, target) == ("b", "i"):
+        return entrywise(graph, "count", x)
+    if (source, target) == ("f", "b"):
+        return entrywise(graph, "ne", x, graph.zero)
+    raise NotLowered("whole numbers depend on the state")
+
+
+@_rule
+def _reduce_precision(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
+    if [*step.numbers("exponent_bits"), *step.numbers("mantissa_bits")] != [11, 52]:
+        raise NotLowered("it rounds to fewer digits")
+    return x
+
+
+# ---- several into one ------------------------------------------------------------------
+def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Fold the last axis away by the operation of a step, from the first entry to the last."""
+    by = ENTRYWISE.get(step.operation or "", "")
+    if by not in _OF_NOTHING:
+        raise NotLowered("it folds arrays by other operations than sums")
+    neutral = graph.is_constant(int(first)) and graph.value(int(first)) == _OF_NOTHING[by]
+    start = [] if neutral and rows.shape[-1] else [np.full(rows.shape[:-1], first)]
+    result, *others = *start, *np.moveaxis(rows, -1, 0)
+    for other in others:
+        result = entrywise(graph, by, result, other)
+    return result
+
+
+@_rule
+def _reduce(graph: Graph, step: Step, x: np.ndarray, *others: np.ndarray) -> np.ndarray:
+    if len(others) != 1:
+        raise NotLowered("it folds several arrays at once")
+    axes = step.numbers("dimensions")
+    kept = [k for k in range(x.ndim) if k not in axes]
+    length = int(np.prod([x.shape[k] for k in axes]))
+    rows = np.transpose(x, [*kept, *axes]).reshape(*(x.shape[k] for k in kept), length)
+    return _folded(graph, step, rows, *others)
+
+
+@_rule
+def _reduce_window(graph: Graph, step: Step, x: np.ndarray, first: np.ndarray) -> np.ndarray:
+    plain = "window_strides", "base_dilations", "window_dilations"
+    if any(number != 1 for name in plain for number in step.numbers(name)):
+        raise NotLowered("it folds windows with gaps")
+    sides = np.resize(step.numbers("padding"), (x.ndim, 2))  # one number if all are equal
+    padded = np.pad(x, sides, constant_values=first)
+    sizes = step.numbers("window_dimensions")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, sizes)
+    rows = windows.reshape(*windows.shape[: x.ndim], -1)
+    # From the side that is padded: so equal parts of the windows come first, and stand once.
+    rows = rows[..., ::-1] if sides[:, 1].sum() > sides[:, 0].sum() else rows
+    return _folded(graph, step, rows, first)
+
+
+@_rule
+def _dot_general(graph: Graph, step: Step, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    numbers = step.fields("dot_dimension_numbers")
+
+    def arranged(x: np.ndarray, side: str) -> np.ndarray:
+        """Batch axes as one, free axes as one, contracted axes as one."""
+        batch, contracted = (
+            numbers[f"{side}_{axes}_dimensions"] for axes in ("batching", "contracting")
+        )
+        free = [k for k in range(x.ndim) if k not in (*batch, *contracted)]
+        sizes = [int(np.prod([x.shape[k] for k in axes])) for axes in (batch, free, contracted)]
+        return np.transpose(x, [*batch, *free, *contracted]).reshape(sizes)
+
+    rows, columns = arranged(a, "lhs"), arranged(b, "rhs")
+    result = np.full((len(rows), rows.shape[1], columns.shape[1]), graph.zero)
+    for k in range(rows.shape[2]):
+        product = entrywise(graph, "mul", rows[:, :, None, k], columns[:, None, :, k])
+        result = entrywise(graph, "add", result, product)
+    return result

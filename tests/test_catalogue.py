@@ -1,0 +1,35 @@
+"""Every integrator of the catalogue, with the libraries that are installed here."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from bench.plugins.registry import Registry
+from integrators import Steps, Tolerances
+from problems import runtime
+from problems.scenes.oscillator import Oscillator
+from problems.scenes.pendulum import Pendulum
+
+SCENES = (Pendulum(), Oscillator())
+SECONDS = 0.2
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "name", sorted(entry.name for entry in entry_points(group="stepbench.integrators"))
+)
+def test_it_comes_to_the_right_end_and_no_library_lacks_what_it_uses(caplog, name):
+    runtime.slower.cache_clear()
+    method = Registry().integrator(name)
+    scene = next((s for s in SCENES if method.supports(s) is None), None)
+    if scene is None:
+        pytest.skip(method.supports(SCENES[0]))
+    fine = Steps(1e-3) if method.controls == "step" else Tolerances(1e-5)
+    run = method.prepare(scene, scene.interval[0] + SECONDS, fine).measure()
+    assert (run.status, run.message) == ("ok", "")
+    assert caplog.messages == []
+    exact = scene.exact(run.t[-1:])
+    assert np.linalg.norm(run.q[-1] - exact["q"][0]) < 1e-2 * np.linalg.norm(exact["q"][0])

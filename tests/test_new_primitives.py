@@ -1,0 +1,72 @@
+"""An operation that JAX does not have yet is followed everywhere by its own lowering."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from integrators.lowering import native
+from integrators.lowering.c_source import HEADER, c_function
+from integrators.lowering.programs import lowered
+from integrators.native.dependencies import pattern
+from integrators.native.discrete_gradients import discrete_gradient
+from integrators.native.small_matrices import without_products
+from integrators.operations import ELEMENTARY, operations
+from problems import jax, jnp
+
+
+def primitive(name, function, derivative):
+    """A primitive that no release of JAX has."""
+    from jax.extend.core import Primitive
+    from jax.interpreters import ad, batching, mlir
+
+    new = Primitive(name)
+    new.def_impl(function)
+    new.def_abstract_eval(lambda x: x)
+    mlir.register_lowering(new, mlir.lower_fun(function, multiple_results=False))
+    ad.defjvp(new, lambda rate, x: rate * derivative(x))
+    batching.defvectorized(new)
+    return new.bind
+
+
+bell = primitive("bell", lambda x: jnp.exp(-x * x), lambda x: -2 * x * jnp.exp(-x * x))
+
+
+def function(u):
+    return jnp.stack([bell(u)[0] * u[1], bell(u[1] + u[0]), bell(u[2])])
+
+
+def test_it_is_lowered_to_c():
+    program = lowered(function, (3,))
+    library = native.load(HEADER + c_function("function", program, 1))
+    u, out = np.array([0.3, -0.7, 1.1]), np.empty(3)
+    library.function(ctypes.c_void_p(u.ctypes.data), ctypes.c_void_p(out.ctypes.data))
+    assert out == pytest.approx(np.asarray(function(u)), rel=1e-15)
+
+
+def test_it_is_counted():
+    assert operations(bell, 1.0).arithmetic == 1 + ELEMENTARY
+    assert operations(lambda x: bell(x) + bell(x), 1.0).arithmetic == 1 + ELEMENTARY + 1
+
+
+def test_its_dependence_is_found():
+    entries = pattern(jax.make_jaxpr(function)(jnp.ones(3)), 3)
+    assert entries.tolist() == [[True, True, False], [True, True, False], [False, False, True]]
+
+
+def test_it_has_a_discrete_gradient():
+    q0, q1 = jnp.array([0.3, -0.7]), jnp.array([0.5, 0.2])
+    gradient = discrete_gradient(lambda q: bell(q).sum(), q0, q1, jnp.ones(()))
+    change = float(bell(q1).sum() - bell(q0).sum())
+    assert float(gradient @ (q1 - q0)) == pytest.approx(change, rel=1e-14)
+
+
+def test_a_program_that_has_it_is_rewritten():
+    def product(a):
+        return bell(a) @ a
+
+    a = jnp.eye(3) + 0.1
+    assert "dot_general" not in str(jax.make_jaxpr(without_products(product))(a))
+    assert without_products(product)(a) == pytest.approx(np.asarray(product(a)), rel=1e-15)
