@@ -28,9 +28,6 @@ _ROUND_OFF = 2e-16
 #: It takes at most so many updates; the Jacobian is made anew where each is above this part of the
 #: one before.
 _MOST_UPDATES, _CONTRACTION = 20, 0.4
-#: Systems of more equations are iterated by fixed points alone, at steps that let these contract:
-#: their tangents would take longer.
-_MOST_BY_TANGENTS = 200
 #: Where half the step is no better, and the error is below this, rounding is all that is left.
 _ROUNDING = 1e-11
 #: So many steps after one that was too long, steps grow fast again.
@@ -135,7 +132,7 @@ class _Stages:
         """Return the changes from u to the stages and to the end, and the last update relative to
         ``size``."""
         found = self._iterated(t, h, u, guess, size)
-        if found[2] > _ROUNDING and len(u) <= _MOST_BY_TANGENTS:
+        if found[2] > _ROUNDING:
             self.jacobian = self._differences(t + h / 2, u + guess[STAGES // 2], size)
             self._inverted = 0.0, None
             found = self._iterated(t, h, u, guess, size)
