@@ -44,6 +44,7 @@ def test_the_contrast_of_known_colours():
     assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
 
 
+@settings(max_examples=30)
 @given(st.one_of(st.sampled_from(METHODS), st.text(max_size=20)))
 def test_marks_are_seen_on_light_and_dark_pages(label):
     style = style_of(label)

@@ -65,12 +65,13 @@ def change_of_form(method: Integrator, scene: MechatronicSystem, h: float) -> fl
         t = jnp.asarray(scene.interval[0])
         return jnp.concatenate([scene.constraint(q, t), constraint_velocity(scene, q, v, t)])
 
-    start = jnp.concatenate([jnp.asarray(q), jnp.asarray(v)])
+    start = np.concatenate([q, v])
     tangents = np.eye(2 * n)
     if scene.has("constraint"):
-        rows = jax.jacfwd(consistent)(start)
+        rows = jax.jit(jax.jacfwd(consistent))(start)
         tangents = np.linalg.svd(rows)[2][len(rows) :].T
-    before = jax.jacfwd(lambda s: momenta(*jnp.split(s, 2)))(start) @ tangents
+    slopes = jax.jit(jax.jacfwd(lambda s: momenta(*jnp.split(s, 2))))(start)
+    before = np.asarray(slopes) @ tangents
 
     @jax.jit  # one direction at a time: those of Newton's method lie side by side already
     def moved(direction):
