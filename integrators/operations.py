@@ -11,8 +11,9 @@ routine computes them: dense LU 2/3 n^3, both substitutions 2 n^2 for each right
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -174,145 +175,91 @@ def operations(function: Callable, *arguments: Any, only_equations: bool = False
     """
     functions = program(function, *arguments)
     counter = _Counter(functions, only_equations)
-    given = [counter.new() for _ in functions["main"].parameters]
-    return counter.total(counter.called("main", given))[0]
+    given = [counter.new([]) for _ in functions["main"].parameters]
+    return counter.total(counter.called("main", given))
 
 
-class _Value(NamedTuple):
-    """A result of a counted step; its value, if it is one whole number that is known."""
+@dataclass
+class _Counted:
+    """What the operations of a step are, and numbers of the steps that it needs.
 
-    step: int
-    place: int
+    ``known`` is its result if that is one whole number that is known; ``constant`` tells whether
+    it depends on no argument. Of ``branches`` it needs the results of the dearest one.
+    """
+
+    given: list[int]
+    operations: Callable[[], Operations] = lambda: NOTHING
+    constant: bool = False
     known: int | None = None
+    branches: list[list[int]] | None = None
 
 
-class _Counted(NamedTuple):
-    """A step: whether it is known before the program runs, and a function of the places of those
-    results that are needed, which gives its operations and the values that it needs."""
-
-    constant: bool
-    needs: Callable[[set[int]], tuple[Operations, Iterable[_Value]]]
-
-
-class _Counter(Follower[_Value]):
+class _Counter(Follower[int]):
     """Lists a program's steps, in which equal operations on equal values stand once."""
 
     def __init__(self, functions: Program, only_equations: bool) -> None:
         super().__init__(functions)
-        self.only_equations = only_equations
+        self._only_equations = only_equations
         self._steps: list[_Counted] = []
-        self._seen: dict[Any, list[_Value]] = {}
+        self._seen: dict[Any, int] = {}
+        #: Turns of the loops that are being followed; None if their number is not known.
+        self._turns: tuple[int | str | None, ...] = ()
 
-    def new(self, constant: bool = False) -> _Value:
-        """A new value, and whether it is known before the program runs."""
-        self._steps.append(_Counted(constant, lambda _: (NOTHING, ())))
-        return _Value(len(self._steps) - 1, 0)
+    def new(self, given: list[int], *about: Any, **more: Any) -> int:
+        """The number of a new step."""
+        self._steps.append(_Counted(given, *about, **more))
+        return len(self._steps) - 1
 
-    def constant(self, value: _Value) -> bool:
-        """Whether a value is known before the program runs."""
-        return self._steps[value.step].constant
+    def total(self, results: Iterable[int]) -> Operations:
+        """The operations that results need."""
+        tally, reached, waiting = NOTHING, set[int](), [*results]
+        while waiting:
+            number = waiting.pop()
+            if number not in reached:
+                reached.add(number)
+                step = self._steps[number]
+                tally = tally.plus(step.operations())
+                waiting += step.given
+                if step.branches:
+                    waiting += max(step.branches, key=lambda results: sum(self.total(results)))
+        return tally
 
-    def total(self, results: Iterable[_Value]) -> tuple[Operations, set[_Value]]:
-        """The operations that results need, and all values that they need."""
-        tally, needed, waiting = NOTHING, set[_Value](), [*results]
-        places = defaultdict[int, set[int]](set)
-        for k in reversed(range(len(self._steps) + 1)):
-            for value in waiting:
-                needed.add(value)
-                places[value.step].add(value.place)
-            waiting = []
-            if k in places:
-                operations, waiting = self._steps[k].needs(places[k])
-                tally = tally.plus(operations)
-        return tally, needed
-
-    def step(
-        self, step: Step, given: list[_Value], values: dict[int, _Value], scope: str
-    ) -> list[_Value]:
-        if step.name in ("while", "case"):
-            flow = self._loop if step.name == "while" else self._branch
-            return self._added(step, False, flow(step, given, values, scope))
+    def step(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
+        if step.name == "while":
+            return self._loop(step, given, values, scope)
+        if step.name == "case":
+            branches = [self.run(body, [], values, scope) for body in step.bodies]
+            return [self.new(given, branches=branches)] * len(step.made)
         bodies = [[one.name for one in body.steps] for body in step.bodies]
         number = None if step.value is None else step.value.tobytes()
         types = [(one.shape, str(one.dtype)) for one in step.made]
-        key = step.name, tuple(given), number, str((step.attributes, bodies, types))
+        key = step.name, *given, number, str((step.attributes, bodies, types)), self._turns
         if key not in self._seen:
-            constant = all(map(self.constant, given))
-            counted = constant or not (EQUATIONS in scope or not self.only_equations)
-            known = _known(step, [value.known for value in given])
+            constant = all(self._steps[value].constant for value in given)
+            known = _known(step, [self._steps[value].known for value in given])
+            counts = EQUATIONS in scope or not self._only_equations
+            operations = partial(_repeated, step, counts, self._turns)
+            about = (operations, False, known) if not constant else (lambda: NOTHING, True, known)
+            self._seen[key] = self.new(given, *about)
+        return [self._seen[key]] * len(step.made)
 
-            def needs(_: set[int]) -> tuple[Operations, list[_Value]]:
-                return NOTHING if constant else _operations(step, counted), given
-
-            self._seen[key] = self._added(step, constant, needs, known)
-        return self._seen[key]
-
-    def _added(
-        self, step: Step, constant: bool, needs: Any, known: int | None = None
-    ) -> list[_Value]:
-        self._steps.append(_Counted(constant, needs))
-        return [_Value(len(self._steps) - 1, k, known) for k in range(len(step.made))]
-
-    def _loop(
-        self, step: Step, given: list[_Value], values: dict[int, _Value], scope: str
-    ) -> Callable[[set[int]], tuple[Operations, list[_Value]]]:
-        (condition, turn), turns = step.bodies, _turns(self.functions, step, given, values)
-        inner = _Counter(self.functions, self.only_equations)
-        pairs = zip(turn.parameters, turn.returned, given, strict=True)
-        start = [inner.new(a == b and self.constant(value)) for a, b, value in pairs]
-        around = self._around(inner, step, values)
-        (goes_on,) = inner.run(condition, start, around, scope)
-        after = inner.run(turn, start, around, scope)
-
-        def needs(places: set[int]) -> tuple[Operations, list[_Value]]:
-            used, more = set[_Value](), places
-            while True:
-                places = more
-                operations, used = inner.total([goes_on, *(after[k] for k in places)])
-                more = places | {k for k, value in enumerate(start) if value in used}
-                if more == places:
-                    break
-            if INDEX1 in scope:
-                operations = Operations(0.0, 0.0, operations.arithmetic, operations.algebra)
-            elif turns is None and any(operations):
-                raise NotCounted("it has a loop whose number of turns is not known beforehand")
-            else:
-                operations = operations.times(turns or 0)
-            return operations, [*(given[k] for k in places), *_outside(around, used, values)]
-
-        return needs
-
-    def _branch(
-        self, step: Step, given: list[_Value], values: dict[int, _Value], scope: str
-    ) -> Callable[[set[int]], tuple[Operations, list[_Value]]]:
-        """Of branches the dearest one counts."""
-        branches = []
-        for body in step.bodies:
-            inner = _Counter(self.functions, self.only_equations)
-            around = self._around(inner, step, values)
-            branches.append((inner, around, inner.run(body, [], around, scope)))
-
-        def needs(places: set[int]) -> tuple[Operations, list[_Value]]:
-            costs, needed = [], [*given]
-            for inner, around, after in branches:
-                operations, used = inner.total([after[k] for k in places])
-                costs.append(operations)
-                needed += _outside(around, used, values)
-            return max(costs, key=sum), needed
-
-        return needs
-
-    def _around(self, inner: _Counter, step: Step, values: dict[int, _Value]) -> dict[int, _Value]:
-        """The values around the bodies of a step, as these see them."""
-        used = set[int]().union(*(body.used for body in step.bodies)) & values.keys()
-        return {k: inner.new(self.constant(values[k])) for k in used}
-
-
-def _outside(
-    around: dict[int, _Value], used: set[_Value], values: dict[int, _Value]
-) -> list[_Value]:
-    """The values around a body that it uses."""
-    return [values[k] for k, value in around.items() if value in used]
+    def _loop(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
+        (condition, turn), outside = step.bodies, self._turns
+        changed = [a != b for a, b in zip(turn.parameters, turn.returned, strict=True)]
+        start = [self.new([x]) if one else x for x, one in zip(given, changed, strict=True)]
+        known = {k: self._steps[value].known for k, value in values.items()}
+        first = [self._steps[value].known for value in given]
+        turns = INDEX1 if INDEX1 in scope else _turns(self.functions, step, first, known)
+        self._turns = *outside, turns
+        (goes_on,) = self.run(condition, start, values, scope)
+        after = self.run(turn, start, values, scope)
+        self._turns = outside
+        results = []
+        for before, x, one in zip(start, after, changed, strict=True):
+            if one:
+                self._steps[before].given.append(x)  # by another turn
+            results.append(self.new([before, x, goes_on]) if one else before)
+        return results
 
 
 class _Numbers(Follower[int | None]):
@@ -335,26 +282,35 @@ def _known(step: Step, given: list[int | None]) -> int | None:
 
 
 def _turns(
-    functions: Program, step: Step, given: list[_Value], values: dict[int, _Value]
+    functions: Program, step: Step, given: list[int | None], values: dict[int, int | None]
 ) -> int | None:
     """The number of turns of a loop, found by those of its steps that its end needs."""
-    condition, turn = step.bodies
+    (condition, turn), more = step.bodies, list[int]()
     places = [k for k, number in enumerate(condition.parameters) if number in condition.used]
-    while True:
-        part = turn.only(places)
-        more = [k for k, x in enumerate(turn.parameters) if k in places or x in part.used]
-        if more == places:
-            break
-        places = more
+    while more != places:
+        more, part = places, turn.only(places)
+        places = [k for k, x in enumerate(turn.parameters) if k in more or x in part.used]
     test = Body([condition.parameters[k] for k in places], condition.steps, condition.returned)
-    state, numbers = [given[k].known for k in places], _Numbers(functions)
-    around = {k: values[k].known for k in condition.used | part.used if k in values}
+    state, numbers, part = [given[k] for k in places], _Numbers(functions), turn.only(places)
     for turns in range(_MOST_TURNS):
-        (goes_on,) = numbers.run(test, state, around)
+        (goes_on,) = numbers.run(test, state, values)
         if not goes_on:
             return None if goes_on is None else turns
-        state = numbers.run(part, state, around)
+        state = numbers.run(part, state, values)
     return None
+
+
+def _repeated(step: Step, counts: bool, loops: tuple[int | str | None, ...]) -> Operations:
+    """Operations of a step in loops; if it does not count, of its linear algebra alone."""
+    operations = _operations(step, not counts)
+    for turns in reversed(loops):
+        if turns is None and any(operations):
+            raise NotCounted("it has a loop whose number of turns is not known beforehand")
+        if isinstance(turns, str):
+            operations = Operations(0.0, 0.0, operations.arithmetic, operations.algebra)
+        else:
+            operations = operations.times(turns or 0)
+    return operations
 
 
 def _operations(step: Step, algebra_only: bool) -> Operations:

@@ -134,10 +134,9 @@ def program(function: Callable, *arguments: Any) -> Program:
     arguments
         Arrays, or `jax.ShapeDtypeStruct`; only shapes and types matter.
     """
-    traced = jax.jit(function, keep_unused=True).lower(*arguments)
-    reader = _Reader()
-    found = {}
-    for one in traced.compiler_ir("stablehlo").body.operations:
+    module: Any = jax.jit(function, keep_unused=True).lower(*arguments).compiler_ir("stablehlo")
+    reader, found = _Reader(), {}
+    for one in module.body.operations:
         operation = one.operation
         if operation.name == "func.func":
             found[operation.attributes["sym_name"].value] = reader.body(operation.regions[0])
@@ -167,7 +166,7 @@ class _Reader:
         attributes, value = {}, None
         if name == "constant":
             value = np.array(operation.attributes["value"])
-        else:
+        else:  # of releases of MLIR one gives attributes there, another one their names
             names = [getattr(one, "name", one) for one in operation.attributes]
             attributes = {one: str(operation.attributes[one]) for one in names}
         if name == "custom_call":

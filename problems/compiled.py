@@ -38,9 +38,9 @@ class Compiled(NamedTuple):
         `formulations.with_rates` at one time
     ``ode(p, t, s)``
         `formulations.ode_rate` of s = [q, v, x]
-    ``rate(values, t, s)``
-        the same with all parameters in one array, in the order of p: a call costs a microsecond for
-        every array that it is given
+    ``rates(values, t, s)``
+        the same at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all parameters in one
+        array, in the order of p: a call costs a microsecond for every array that it is given
     ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
     ``levels(p, q, v, a, t)``
@@ -56,7 +56,7 @@ class Compiled(NamedTuple):
 
     start: Callable[..., Start]
     ode: Callable[..., Float[Array, " n"]]
-    rate: Callable[..., Float[Array, " n"]]
+    rates: Callable[..., Float[Array, "k n"]]
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     energy: Callable[..., Float[np.ndarray, " k"]]
@@ -76,6 +76,9 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     def at(p: Mapping[str, Array]) -> MechatronicSystem:
         return template.with_parameters(p)
 
+    def rate(values: Array, t: Array, s: Array) -> Array:
+        return ode_rate(at(dict(zip(names, values, strict=True))), t, s)
+
     def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, Array, Array]:
         s = at(p)
         return (
@@ -93,9 +96,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     return Compiled(
         start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
         ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
-        rate=alone(
-            "rate", lambda values, t, s: ode_rate(at(dict(zip(names, values, strict=True))), t, s)
-        ),
+        rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
         complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=over_rows("levels", levels),
         energy=over_rows("energy", lambda p, q, v: at(p).energy(q, v)),

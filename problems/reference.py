@@ -1,38 +1,65 @@
 """Reference solutions: a closed form where the scene has one, else a tight integration.
 
-The integration is scipy's DOP853 (Hairer, Norsett & Wanner, explicit, order 8) on the ODE form at
-a tolerance near round-off; no integrator of the bench uses it. Its error is estimated by a second
-integration at a different tolerance and with half the largest step. Where a small component is not
-known well enough, both are made again with tolerances relative to its size.
+The integration is Gauss' method of order 24 (`problems.collocation`) on the ODE form at a tolerance
+near round-off; no integrator of the bench is of this family, or of such an order. Its error is
+estimated by another integration: by the Radau IIA method of order 23, with other steps. A reference
+that is kept for later runs, with its error, is made by one process at a time.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from problems import answers
+from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
-from problems.runtime import jnp
 from problems.system import GROUPS, MechatronicSystem
+from problems.whole_files import keep, kept
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-    from scipy.integrate import OdeSolution
 
-_RTOL = 3e-14
-#: The two integrations may differ by this, relative to the size of each component: some are small,
-#: as the elongation of a rod, 1e-5 m, beside the angle of its crank, 15 rad. One that stays below
-#: the second part of its group's size counts as that part.
-_AGREEMENT, _SMALL_PART = 1e-9, 1e-6
+_TOLERANCE = 3e-14
+#: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
+#: between two of the twelve nodes.
+_LONGEST = 4, 3
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
 #: a dense solve.
 _MOST_UNKNOWNS = 300
+#: Time in s for which a process waits for another one that makes the same reference.
+PATIENCE = 100.0
+
+
+_file_of: Callable[[MechatronicSystem, float], Path | None] | None = None
+_told: Callable[[str, MechatronicSystem], object] = lambda doing, scene: None  # noqa: E731
+
+
+def keep_references(
+    file_of: Callable[[MechatronicSystem, float], Path | None] | None,
+    told: Callable[[str, MechatronicSystem], None],
+) -> None:
+    """Set how this process keeps references for later ones, and reads theirs, from now on.
+
+    Parameters
+    ----------
+    file_of
+        Returns the file of a scene up to a time in s, whose name tells all that decides the
+        numbers, or None. Without this function nothing is kept.
+    told
+        Told "making" and the scene before an integration, "waiting for" before a wait for another
+        process that makes the same one.
+    """
+    global _file_of, _told
+    _file_of, _told = file_of, told
 
 
 class ReferenceFailed(RuntimeError):
@@ -59,7 +86,7 @@ class Reference:
         """Method of its computation, in words for a report."""
         if self.scene.has("exact"):
             return "closed form"
-        return f"DOP853 (scipy), rtol {_RTOL:g}, on the explicit ODE"
+        return f"Gauss collocation of order 24, tolerance {_TOLERANCE:g}, on the explicit ODE"
 
     @property
     def missing(self) -> str:
@@ -90,101 +117,132 @@ class Reference:
         t = np.asarray(t, dtype=float)
         if self.scene.has("exact"):
             return self._closed_form(t)
-        return self._evaluate(self._pair[0], t)
+        return self._evaluate(self._known.motion, t)
 
-    @cached_property
+    @property
     def error(self) -> dict[str, Float[np.ndarray, " n"]]:
-        """Estimated absolute error of each component by group: the largest at `times`, in its unit.
+        """Estimated absolute error of each component by group: the largest over time, in its unit.
 
         For a closed form it is the change under one unit of rounding of the time and of every
-        value, for an integration the difference between the two integrations.
+        value, for an integration the difference between the two integrations. It is taken at 500
+        or more equally spaced times, and at the ends of the integration's own steps.
         """
-        t, ours = self.times, self._values
-        if self.scene.has("exact"):
-            other = self._closed_form(np.nextafter(t, np.inf))
-        else:
-            other = self._evaluate(self._pair[1], t)
-        eps = np.finfo(float).eps
-        return {
-            g: np.max(np.abs(ours[g] - other[g]) + eps * np.abs(ours[g]), axis=0) for g in GROUPS
-        }
+        return self._known.error
 
-    @cached_property
-    def times(self) -> Float[np.ndarray, " k"]:
-        """Equally spaced times in s, 500 or more, and the ends of the integration's own steps."""
-        t0 = self.scene.interval[0]
-        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
-        even = np.linspace(t0, self.t_end, int(count))
-        return even if self.scene.has("exact") else np.union1d(even, self._pair[0].ts)
-
-    @cached_property
-    def _values(self) -> dict[str, Float[np.ndarray, "k n"]]:
-        return self(self.times)
-
-    @cached_property
+    @property
     def largest(self) -> dict[str, tuple[Float[np.ndarray, " n"], float]]:
         """By group, the largest absolute value of each component, and the largest Euclidean norm.
 
-        They are taken at `times`, in the units of the scene.
+        They are taken at the same times, in the units of the scene.
         """
-        return {
-            g: (np.abs(rows).max(axis=0), float(np.linalg.norm(rows, axis=1).max()))
-            for g, rows in ((g, self._values[g]) for g in GROUPS)
-        }
+        return {g: (self._known.sizes[g], float(self._known.norms[g])) for g in GROUPS}
+
+    @cached_property
+    def _known(self) -> _Known:
+        if self.scene.has("exact"):
+            t = self._even_times()
+            return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
+        path = _file_of(self.scene, self.t_end) if _file_of else None
+        return self._integrated() if path is None else _read(path) or self._made_by_one(path)
+
+    def _made_by_one(self, path: Path) -> _Known:
+        """Make and keep it, unless another process has done so meanwhile."""
+        from filelock import FileLock, Timeout  # slow to import
+
+        lock = FileLock(path.with_name(f".{path.name}.lock"))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                _told("waiting for", self.scene)
+                lock.acquire(timeout=PATIENCE)
+        except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
+            return self._integrated()
+        try:
+            if (found := _read(path)) is None:
+                found = self._integrated()
+                with suppress(OSError):  # a full disk
+                    keep(path, _written(found))
+            return found
+        finally:
+            lock.release()
+
+    def _integrated(self) -> _Known:
+        """The integration, compared with the other one."""
+        _told("making", self.scene)
+        ours = self._integrate(0)
+        t = np.union1d(self._even_times(), ours.ends)
+        other = self._evaluate(self._integrate(1), t)
+        return _known(self._evaluate(ours, t), other)._replace(motion=ours)
+
+    def _even_times(self) -> Float[np.ndarray, " k"]:
+        t0 = self.scene.interval[0]
+        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
+        return np.linspace(t0, self.t_end, int(count))
 
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
         sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}
         values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam")}
         return values | answers.closed_form(self.scene.exact(t), len(t), sizes)
 
-    def _evaluate(
-        self, dense: Callable[[np.ndarray], np.ndarray], t: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        s = dense(t).T
+    def _evaluate(self, motion: Motion, t: np.ndarray) -> dict[str, np.ndarray]:
         nq = self.scene.sizes.nq
-        q, v, x = s[:, :nq], s[:, nq : 2 * nq], s[:, 2 * nq :]
+        q, v, x = np.split(motion(t), [nq, 2 * nq], axis=1)
         z, xdot = compiled(self.scene).complete(self.scene.parameters(), q, v, x, t)
         values = {g: np.asarray(getattr(z, g)) for g in GROUPS}
         return values | {"xdot": np.asarray(xdot)}
 
-    @cached_property
-    def _pair(self) -> tuple[OdeSolution, OdeSolution]:
-        """The integration, and the one that tells its error."""
-        tight, check = self._integrate(_RTOL, 1.0), self._integrate(4 * _RTOL, 0.5)
-        ours, nq = tight(tight.ts), self.scene.sizes.nq
-        sizes, apart = (np.abs(rows).max(axis=1) for rows in (ours, ours - check(tight.ts)))
-        for group in (slice(nq), slice(nq, 2 * nq), slice(2 * nq, None)):
-            largest = sizes[group].max(initial=0.0) or 1.0
-            sizes[group] = np.maximum(sizes[group], _SMALL_PART * largest)
-        # Controllers may forget their errors, and need not be known as well as the motion.
-        if np.all(apart[: 2 * nq] <= _AGREEMENT * sizes[: 2 * nq]):
-            return tight, check
-        return self._integrate(_RTOL, 1.0, sizes), self._integrate(4 * _RTOL, 0.5, sizes)
-
-    def _integrate(
-        self, rtol: float, cap: float, sizes: Float[np.ndarray, " n"] | None = None
-    ) -> OdeSolution:
-        from scipy.integrate import solve_ivp
-
+    def _integrate(self, which: int) -> Motion:
         if self.missing:
             raise ReferenceFailed(self.missing)
+        scene, nq = self.scene, self.scene.sizes.nq
+        start = consistent_start(scene).z
+        rates, p = compiled(scene).rates, np.array(list(scene.parameters().values()))
+        try:
+            return integrate(
+                lambda t, s: np.asarray(rates(p, t, s)),
+                np.concatenate([start.q, start.v, start.x]),
+                (scene.interval[0], self.t_end),
+                groups=(slice(nq), slice(nq, 2 * nq), slice(2 * nq, None)),
+                method=(gauss, radau)[which](),
+                tolerance=_TOLERANCE * (1 + which),
+                longest=_LONGEST[which] * scene.nominal_step,
+            )
+        except TooSmallStep as error:
+            raise ReferenceFailed(f"No reference for {scene.spec}: {error}.") from None
 
-        t0 = self.scene.interval[0]
-        start = consistent_start(self.scene).z
-        s0 = np.concatenate([start.q, start.v, start.x])
-        rate, p = compiled(self.scene).rate, jnp.asarray(list(self.scene.parameters().values()))
-        # Between steps the solution is of one order less than at them. Steps that are shorter than
-        # the tolerance asks for make it as accurate.
-        solution = solve_ivp(
-            lambda t, s: np.asarray(rate(p, t, s)),
-            (t0, self.t_end),
-            s0,
-            method="DOP853",
-            rtol=rtol,
-            atol=rtol * (max(1.0, np.abs(s0).max()) if sizes is None else sizes),
-            max_step=cap * self.scene.nominal_step,
-            dense_output=True,
-        )
-        if not solution.success:
-            raise ReferenceFailed(f"No reference for {self.scene.spec}: {solution.message}")
-        return solution.sol
+
+class _Known(NamedTuple):
+    """An integration, its errors, sizes of components and norms by group, as it is kept."""
+
+    motion: Motion
+    error: dict[str, Float[np.ndarray, " n"]]
+    sizes: dict[str, Float[np.ndarray, " n"]]
+    norms: dict[str, np.ndarray]
+
+
+def _known(ours: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> _Known:
+    eps = np.finfo(float).eps
+    return _Known(
+        Motion(np.zeros(0), np.zeros((0, 0, 0))),
+        {g: np.max(abs(ours[g] - other[g]) + eps * abs(ours[g]), axis=0) for g in GROUPS},
+        {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
+        {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},
+    )
+
+
+def _written(known: _Known) -> bytes:
+    named = {f"{part} {g}": getattr(known, part)[g] for part in _Known._fields[1:] for g in GROUPS}
+    np.savez(content := io.BytesIO(), **known.motion._asdict(), **named)
+    return content.getvalue()
+
+
+def _read(path: Path) -> _Known | None:
+    """The integration that a file keeps, if there is one."""
+    if (content := kept(path)) is None:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        motion = Motion(file["ends"], file["series"])
+        parts = ({g: file[f"{part} {g}"] for g in GROUPS} for part in _Known._fields[1:])
+        return _Known(motion, *parts)

@@ -122,7 +122,7 @@ def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""
     from bench.guard import process
     from bench.guard.process import Refused
-    from bench.running import worker
+    from bench.running import inventory, worker
     from bench.running.runner import Runner
     from problems.plain_text import said
     from problems.spec import SpecError
@@ -133,9 +133,9 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
-    def run_here(self, groups, on_start=lambda task: None):
+    def run_here(self, groups, working=lambda text: None):
         for task in (task for group in groups for task in group):
-            on_start(task)
+            working(task.label)
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
                 yield task, task.job(state, *task.arguments)
@@ -147,5 +147,6 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)
-    # In this process tests patch functions: what is traced here must not be kept.
+    # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(worker, "use_exports", lambda: None)
+    monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)

@@ -165,7 +165,7 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
 
 def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_path, monkeypatch):
     shutil.copytree(folder / "out", tmp_path / "out")
-    registry, runner = Inventory(), Mock(run=lambda groups, on_start: [])
+    registry, runner = Inventory(), Mock(run=lambda groups, working: [])
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
     with Store(tmp_path / "out", create=True) as store:
         analysis.complete(suite, store, registry, runner, Silent())

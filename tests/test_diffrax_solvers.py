@@ -228,6 +228,8 @@ def test_at_constant_steps_the_stages_are_counted_to_the_last():
     assert euler.residuals == 20 + 2 * 20
     assert (explicit.steps, explicit.residuals) == (20, 13 * 20 + 1)
     assert explicit.jacobians == explicit.newton == explicit.solves == 0
+    # However many passes the rows of a long run take.
+    assert at_constant_steps(Dopri8(), Probe(), 2 / 3000).work.residuals == 13 * 3000 + 1
 
 
 @pytest.mark.long

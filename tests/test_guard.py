@@ -17,7 +17,7 @@ import pytest
 
 from bench.guard import limits
 from bench.guard import process as process_module
-from bench.guard.limits import PREPARING, RUNNING, Limits, Meter
+from bench.guard.limits import PREPARING, RUNNING, WAITING, Limits, Meter
 from bench.guard.process import GuardedProcess, NoAnswer, Refused
 from bench.guard.wire import BrokenMessage, Inbox, decode, encode, message
 from problems import usage
@@ -83,7 +83,10 @@ def test_a_refusal_keeps_its_sentence(guarded):
 
 
 def test_a_phase_has_a_budget_of_its_own(guarded, monkeypatch):
-    assert guarded().ask(jobs.computes_a_reference, 1.5) == 1
+    process, told = guarded(), []
+    process.told = lambda *phase: told.append(phase)
+    assert process.ask(jobs.computes_a_reference, 1.5) == 1
+    assert ("reference", "making the reference of x") in told
     monkeypatch.setattr(limits, "LEAST_SECONDS", 0.2)
     monkeypatch.setattr(limits, "_MORE", 0.1)
     fate = guarded().ask(jobs.computes_a_reference, 60.0)
@@ -215,6 +218,13 @@ def test_a_budget_is_processor_time_and_no_load_or_halt_uses_it_up(monkeypatch, 
     clock = Clock(monkeypatch)
     found = clock.run(running(Limits(budget_s=3.0)), 280, **use)
     assert (found and found.status) == status
+
+
+def test_a_job_may_wait_for_what_another_process_makes_but_not_for_ever(monkeypatch):
+    clock, meter = Clock(monkeypatch), running(Limits(budget_s=3.0))
+    meter.begin(WAITING)
+    assert clock.run(meter, 1100) is None
+    assert clock.run(meter, 200) is not None
 
 
 def test_who_takes_too_much_memory_is_not_told_to_take_larger_steps(monkeypatch):

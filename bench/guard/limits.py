@@ -13,6 +13,8 @@ from problems.usage import LONGEST_LOOK, Usage, idle_seconds, usage
 #: Phases of a job; each has a budget of its own.
 LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
 RUNNING, MEASURING = "running", "measuring"
+#: The phase in which another process makes what is needed; it may be idle for `LEAST_SECONDS`.
+WAITING = "waiting"
 #: Processor time in s for loading plugins, and at least for each phase but that and a run.
 LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 #: Each phase but loading and running may take so many budgets of a run.
@@ -152,10 +154,11 @@ class Meter:
         if used.computed_s > allowed:
             reason = f"it took more than {allowed:g} s of processor time, its budget"
             return Excess("budget_exceeded", reason, advice)
-        if used.idle_s > self._limits.idle_seconds:
-            reason = f"it did nothing for {self._limits.idle_seconds:g} s: it sleeps or waits"
+        idle = LEAST_SECONDS if self.phase == WAITING else self._limits.idle_seconds
+        if used.idle_s > idle:
+            reason = f"it did nothing for {idle:g} s: it sleeps or waits"
             return Excess("budget_exceeded", reason, advice)
-        stopped = _STOPPED * self._limits.idle_seconds
+        stopped = _STOPPED * idle
         if used.stopped_s > stopped:
             return Excess("interrupted", f"a signal had halted it for {stopped:g} s")
         if used.lasted_s > _LATE * allowed + _LEAST_LATE:

@@ -87,6 +87,11 @@ class GuardedProcess:
         For ``prepare``.
     limits
         The most that one job may take.
+
+    Attributes
+    ----------
+    told
+        Called with the phase to which the job goes on, and words on it.
     """
 
     def __init__(
@@ -128,6 +133,7 @@ class GuardedProcess:
         self._meter, self._words = Meter(self._limits), "this program"
         self._job: Callable[..., Any] | None = None
         self._printed = bytearray()
+        self.told: Callable[[str, str], None] = lambda phase, words: None
         self.alive = True
         self._send((prepare, arguments))
 
@@ -146,6 +152,7 @@ class GuardedProcess:
                 if message.kind == wire.PHASE:
                     phase, self._words = wire.decode(message.content, tuple[str, str])
                     self._meter.begin(phase, self.pid if self._meter.is_due else None)
+                    self.told(phase, self._words)
                 else:
                     return self._answer(message)
         except wire.BrokenMessage as error:

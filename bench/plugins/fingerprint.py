@@ -24,10 +24,11 @@ from typing import NamedTuple
 
 import msgspec
 
-from bench.plugins.registry import FILE_PREFIX
+from bench.plugins.registry import FILE_PREFIX, Registry
 from bench.results.environment import library_versions
 from integrators.lowering.native import compiler_version
 from problems.runtime import CACHE
+from problems.system import MechatronicSystem
 from problems.whole_files import keep, kept
 
 #: Variables of the environment that change what JAX computes.
@@ -59,6 +60,17 @@ def fingerprint(made: type | Callable) -> str:
     compiler = _compiler() if _COMPILES in modules else ""
     digest.update(repr((sorted(library_versions().items()), flags, compiler)).encode())
     return digest.hexdigest()[:12]
+
+
+def reference_file(registry: Registry, scene: MechatronicSystem, t_end: float) -> Path | None:
+    """Return the file that keeps the reference of a scene up to t_end in s; its name is a digest of
+    all that decides it. None for a scene that is not in the registry."""
+    plugin = registry.problems.get(scene.name)
+    if plugin is None or plugin.cls is not type(scene):
+        return None
+    about = fingerprint(type(scene)), scene.spec, sorted(scene.parameters().items()), t_end
+    digest = hashlib.sha256(repr(about).encode()).hexdigest()[:32]
+    return CACHE / "references" / f"{scene.name}-{digest}"
 
 
 def forget() -> None:

@@ -87,7 +87,7 @@ class ClusterRunner(Runner):
         return max(1, min(_MOST_TOGETHER, count // groups))
 
     def run(
-        self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
+        self, groups: Iterable[list[Task]], working: Callable[[str], None] = lambda text: None
     ) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as the groups are finished."""
         from distributed import as_completed
@@ -95,7 +95,7 @@ class ClusterRunner(Runner):
         sent, due = {}, {id(group): group for group in groups if group}
         try:
             for group in due.values():
-                on_start(group[0])
+                working(group[0].label)
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
                 sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group

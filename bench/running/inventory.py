@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from bench.guard.limits import LOADING, Limits
+from bench.guard.limits import LOADING, REFERENCE, WAITING, Limits
 from bench.guard.process import GuardedProcess, NoAnswer, Refused, wait_for_any
 from bench.guard.serve import Notify
 from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
+from bench.plugins.fingerprint import reference_file
 from bench.plugins.reasons import PluginError
 from bench.plugins.registry import (
     KINDS,
@@ -31,7 +32,9 @@ from bench.plugins.registry import (
 )
 from bench.results.records import INTERRUPTED
 from problems import spec
+from problems.reference import keep_references
 from problems.spec import SpecError
+from problems.system import MechatronicSystem
 
 #: Budget of a question about a plugin: processor time in s, and memory in GiB.
 _LIMITS = Limits(budget_s=10.0, memory_gib=4.0)
@@ -280,5 +283,17 @@ def _add(known: dict[str, PluginFacts], more: Iterable[PluginFacts]) -> None:
 
 
 def load_registry(notify: Notify, sources: Sources) -> Registry:
-    """Load plugins in a guarded process, which its parent follows file by file."""
-    return Registry(sorted(sources.files), sources.packages, lambda source: notify(LOADING, source))
+    """Load plugins in a guarded process, which its parent follows file by file.
+
+    A process without any reads references that others have made, and keeps its own. What a plugin
+    reads is not known, and may change.
+    """
+    loading = partial(notify, LOADING)
+    registry = Registry(sorted(sources.files), sources.packages, loading)
+
+    def told(doing: str, scene: MechatronicSystem) -> None:
+        phase = REFERENCE if doing == "making" else WAITING
+        notify(phase, f"{doing} the reference of {scene.spec}")
+
+    keep_references(None if sources else partial(reference_file, registry), told)
+    return registry

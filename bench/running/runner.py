@@ -6,9 +6,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from bench.guard.limits import REFERENCE, Limits
+from bench.guard.limits import REFERENCE, WAITING, Limits
 from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
 from bench.plugins.facts import Sources
 from bench.results.records import TIMING_SECONDS
@@ -61,6 +62,10 @@ def time_task(cell: Cell, sources: Sources) -> Task:
 def scene_task(problem: str, t_end: float, sources: Sources) -> Task:
     """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
     return Task(Worker.scene, (problem, t_end), f"reference of {problem}", problem, sources)
+
+
+def _tell(working: Callable[[str], None], label: str, phase: str, words: str) -> None:
+    working(words if phase in (REFERENCE, WAITING) else label)
 
 
 class _WorkerProcess(GuardedProcess):
@@ -124,12 +129,15 @@ class Runner:
             self._spawn(group[0].sources)
 
     def run(
-        self, groups: Iterable[list[Task]], on_start: Callable[[Task], None] = lambda _: None
+        self, groups: Iterable[list[Task]], working: Callable[[str], None] = lambda text: None
     ) -> Iterator[tuple[Task, Any]]:
-        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
+        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together.
+
+        ``working`` is told the label of a task in work, and the reference that it needs meanwhile.
+        """
         queue = deque(deque(group) for group in groups if group)
         while (queue or self._busy()) and self._wanted():
-            self._feed(queue, on_start)
+            self._feed(queue, working)
             wait_for_any(worker for worker in self.workers if worker.task)
             for worker in list(self.workers):
                 task = worker.task
@@ -185,7 +193,7 @@ class Runner:
         fit = (w for w in self.workers if w.sources == task.sources)
         return next(fit, None) or self._spawn(task.sources)
 
-    def _feed(self, queue: deque[deque[Task]], on_start: Callable[[Task], None]) -> None:
+    def _feed(self, queue: deque[deque[Task]], working: Callable[[str], None]) -> None:
         for worker in self.workers:
             if not worker.busy and self._busy() < self._jobs:
                 worker.group = self._next(queue, worker)
@@ -195,14 +203,15 @@ class Runner:
         for worker in self.workers:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
-                on_start(task)
+                working(task.label)
+                worker.told = partial(_tell, working, task.label)
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
                 worker.start(task.job, *task.arguments, **named)
 
     def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
-        """The first group of a scene that the worker has had, else of one that no other has: each
-        worker makes its own references, which can take longer than the runs."""
+        """The first group of a scene that the worker has had, else of one that no other has: else
+        it would compile the scene's functions again, and may wait for its reference."""
         others = set().union(*(w.scenes for w in self.workers if w is not worker))
         fit = [k for k, group in enumerate(queue) if group[0].sources == worker.sources]
         if not fit:

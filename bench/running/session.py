@@ -144,7 +144,7 @@ def measure_suite(
         # Scenes are counted if there is nothing else to do: people ask for cells.
         counted = Worker.measure if cells else Worker.scene
         progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
-        for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
+        for task, answer in runner.run(groups, progress.working):
             if task.job is Worker.scene:
                 if fault := _fault_of_scene(task, answer):
                     progress.note(f"No picture of {task.arguments[0]}: {fault}")
@@ -185,6 +185,7 @@ def solve_cells(
     budget_s: float,
     memory_gib: float = 4.0,
     printed: Callable[[str, str], None] = lambda label, text: None,
+    working: Callable[[str], None] = lambda text: None,
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
@@ -198,7 +199,7 @@ def solve_cells(
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
     with Runner(1, Limits(budget_s, memory_gib), _each_line_once(printed)) as runner:
-        for task, answer in runner.run([tasks]):
+        for task, answer in runner.run([tasks], working):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)
             elif not isinstance(answer, NoAnswer):
@@ -221,7 +222,7 @@ def describe_scenes(
     groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
     progress.phase("references", len(groups))
     with Runner(2, Limits(budget_s, memory_gib), teller(progress)) as runner:
-        for task, answer in runner.run(groups, lambda task: progress.working(task.label)):
+        for task, answer in runner.run(groups, progress.working):
             if fault := _fault_of_scene(task, answer):
                 progress.note(f"No picture of {task.arguments[0]}: {fault}")
             else:

@@ -40,7 +40,7 @@ def complete(
     groups: dict[Sources, list[Task]] = {}
     for task in due:
         groups.setdefault(task.sources, []).append(task)
-    for task, answer in runner.run(groups.values(), lambda task: progress.working(task.label)):
+    for task, answer in runner.run(groups.values(), progress.working):
         name, omega_h = task.arguments
         if isinstance(answer, NoAnswer):
             if answer.status == INTERRUPTED:

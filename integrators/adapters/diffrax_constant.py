@@ -158,8 +158,8 @@ class ConstantRun(PreparedRun):
         return self._timed.execute()
 
     def measure(self) -> Trajectory:
-        self.execute()  # the warm-up
-        run, counts = run_counted(self._prepared(counted=True).measure)
+        run = self._timed.measure()  # the warm-up, too
+        _, counts = run_counted(self._prepared(counted=True).execute)  # once: rows take more passes
         work = work_of(self._scheme, counts, run.work.steps or 0, 0)
         completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
         return dataclasses.replace(completed, status=run.status, message=run.message, work=work)

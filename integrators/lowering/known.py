@@ -47,7 +47,7 @@ def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
     if name in MOVES:
         return MOVES[name](step, *given)
     if name == "convert":
-        return _converted(*given, made.dtype)
+        return _converted(given[0], made.dtype)
     if name == "bitcast_convert":
         return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
     if name == "fft":

@@ -230,31 +230,22 @@ class _Follower(Follower[_Value]):
                     handed_over.append(node)
             return np.array([known[node] for node in value.flat], int).reshape(value.shape)
 
+        pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
+        changed = [k for k, (before, after) in pairs if before != after]
+        first = [self.nodes(given[k]) for k in changed]
+        kinds = [outer.kind(node) for nodes in first for node in nodes.flat]
+        inputs = np.array([inner._graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
+        entries = dict(zip(changed, _parts(inputs, first), strict=True))
+        state = [entries[k] if k in entries else inside(value) for k, value in enumerate(given)]
         around = {k: inside(values[k]) for k in condition.used | turn.used if k in values}
-        state, changed, first, kinds = list(map(inside, given)), [], [], []
-        for k, (before, after) in enumerate(zip(turn.parameters, turn.returned, strict=True)):
-            if before != after:
-                nodes = self.nodes(given[k])
-                changed.append(k)
-                first.append(nodes)
-                of = [outer.kind(node) for node in nodes.flat]
-                state[k] = np.array(
-                    [inner._graph.input(1, len(kinds) + j, kind) for j, kind in enumerate(of)], int
-                ).reshape(nodes.shape)
-                kinds += of
         (goes_on,) = inner.run(condition, state, around)
         after = inner.run(turn, state, around)
         self._entries, self._turns = inner._entries, inner._turns
-        loop = Loop(
-            Program(inner._graph, inner.nodes(goes_on)),
-            Program(inner._graph, _joined([inner.nodes(after[k]) for k in changed])),
-        )
-        left = np.array(outer.left_by(loop, (*handed_over, *_joined(first).tolist()), kinds), int)
-        results = list(given)
-        cuts = np.cumsum([nodes.size for nodes in first])
-        for k, nodes, part in zip(changed, first, np.split(left, cuts[:-1]), strict=True):
-            results[k] = part.reshape(nodes.shape)
-        return results
+        test = Program(inner._graph, inner.nodes(goes_on))
+        loop = Loop(test, Program(inner._graph, _joined([inner.nodes(after[k]) for k in changed])))
+        left = outer.left_by(loop, (*handed_over, *_joined(first).tolist()), kinds)
+        ends = dict(zip(changed, _parts(np.array(left, int), first), strict=True))
+        return [ends.get(k, value) for k, value in enumerate(given)]
 
     def _chosen(
         self, step: Step, given: list[_Value], values: dict[int, _Value]
@@ -296,6 +287,12 @@ def _sides(step: Step) -> tuple[bool, bool, bool]:
         return of["unit_diagonal"] == "true", transposed, of["left_side"] == "true"
     letters = {name: chr(*number) for name, number in step.fields("mhlo.backend_config").items()}
     return letters["diag"] == "U", letters["trans_x"] != "N", letters["side"] == "L"
+
+
+def _parts(nodes: np.ndarray, like: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Nodes that stand side by side, as arrays of the shapes of others."""
+    pieces = np.split(nodes, np.cumsum([part.size for part in like])[:-1])
+    return [piece.reshape(part.shape) for piece, part in zip(pieces, like, strict=True)]
 
 
 def _joined(pieces: Sequence[np.ndarray]) -> np.ndarray:

@@ -152,9 +152,10 @@ def without_products(function: Callable) -> Callable:
 
 def _as_sums(equation: Any, given: list) -> Sequence[Any]:
     """The results of an equation; products of small matrices are sums."""
-    numbers = equation.params.get("dimension_numbers")
-    if equation.primitive.name == "dot_general" and _is_small_product(*given, numbers):
-        return [_as_sum(*given, numbers)]
+    if equation.primitive.name == "dot_general":
+        (a, b), numbers = given, equation.params["dimension_numbers"]
+        if _is_small_product(a, b, numbers):
+            return [_as_sum(a, b, numbers)]
     return bound(equation, given, **{k: _rewritten(x) for k, x in equation.params.items()})
 
 
@@ -162,7 +163,7 @@ def _rewritten(parameter: Any) -> Any:
     """A parameter of an equation, in which bodies of loops and branches are rewritten."""
     if type(parameter) is tuple:
         return tuple(map(_rewritten, parameter))
-    if not is_program(parameter):
+    if not is_program(parameter) or not hasattr(parameter, "consts"):
         return parameter
     body = partial(evaluated, parameter, rule=_as_sums)
     return jax.make_jaxpr(lambda *given: body(given))(*parameter.in_avals)
