@@ -8,7 +8,7 @@ export PYTHONPYCACHEPREFIX :=
 
 TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test types tests test-long attack bench clean
+.PHONY: run test types test-long attack bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -23,15 +23,12 @@ TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 run: .venv/installed  ## run the quick suite and write its report
 	$(BIN)/stepbench run quick
 
-test: .venv/tested  ## check style and types, and pass the tests; five minutes
+test: .venv/tested  ## check style, and pass the tests; five minutes
 	$(BIN)/ruff check .
-	$(MAKE) --no-print-directory -j2 types tests
-
-types:
-	$(BIN)/pyright
-
-tests:
 	$(TESTS)
+
+types: .venv/tested  ## check types; half a minute
+	$(BIN)/pyright
 
 test-long: .venv/tested  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long

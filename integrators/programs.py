@@ -157,9 +157,9 @@ class _Reader:
         (block,) = region.blocks
         parameters = self._of(block.arguments)
         *operations, last = block.operations
-        return Body(
-            parameters, [self._step(one.operation) for one in operations], self._of(last.operands)
-        )
+        steps = [self._step(one.operation) for one in operations]
+        # A call of Python may have no result.
+        return Body(parameters, [step for step in steps if step.made], self._of(last.operands))
 
     def _step(self, operation: Any) -> Step:
         name = operation.name.rpartition(".")[2]

@@ -21,8 +21,9 @@ LAYERS = [
     {"problems.engines"},
     {"integrators.multistep", "integrators.kept_rows"},
     {"integrators.contract"},
-    {"integrators.operations"},
+    {"integrators.programs"},
     {"integrators.lowering"},
+    {"integrators.operations"},
     {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need

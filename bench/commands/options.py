@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,15 @@ def end_time(scene: SceneFacts, t_end: float | None) -> float:
 def say_printed(label: str, text: str) -> None:
     """Show on the standard error what a run printed."""
     click.echo(f"{label} printed: {text}", err=True)
+
+
+def waiting() -> AbstractContextManager[Callable[[str], None]]:
+    """Give a function that is told of the work in hand, which a terminal shows meanwhile."""
+    if not sys.stderr.isatty():
+        return nullcontext(lambda text: None)
+    from bench.commands import terminal
+
+    return terminal.waiting()
 
 
 def guarded(

@@ -90,9 +90,10 @@ def solve(
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    ((record, rows),), names = solve_cells(
-        [cell], registry, samples=7, budget_s=budget, printed=options.say_printed
-    )
+    with options.waiting() as working:
+        ((record, rows),), names = solve_cells(
+            [cell], registry, 7, budget, printed=options.say_printed, working=working
+        )
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:
@@ -171,9 +172,10 @@ def order(
     cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.running.session import solve_cells
 
-    results, _ = solve_cells(
-        cells, registry, samples=0, budget_s=budget, printed=options.say_printed
-    )
+    with options.waiting() as working:
+        results, _ = solve_cells(
+            cells, registry, 0, budget, printed=options.say_printed, working=working
+        )
     records = [record for record, _ in results]
     orders = summary.orders(records)
     failed = [record for record in records if record.status != "ok"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -66,6 +67,13 @@ def new_table(title: str = "") -> Table:
         pad_edge=False,
         padding=(0, 2, 0, 0),
     )
+
+
+@contextmanager
+def waiting() -> Iterator[Callable[[str], None]]:
+    """Show on a terminal the work that is waited for; gives a function that is told of it."""
+    with _PlainConsole(sys.stderr).status("") as line:
+        yield lambda text: line.update(escape(text))
 
 
 class _Bar(Progress):

@@ -14,12 +14,11 @@ from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from problems import answers
-from problems.compiled import compiled
 from problems.exported_programs import exported
 from problems.formulations import ode_rate
 from problems.redundant_start import missing_rank
 from problems.reference import Reference
-from problems.runtime import jax
+from problems.runtime import jax, jnp
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene, and at which a page plays it.
@@ -129,9 +128,8 @@ def first_energy(scene: MechatronicSystem) -> float:
     FalseAnswer
         If it is no finite number.
     """
-    q, v, _ = map(np.asarray, scene.initial_state())
-    of_rows = compiled(scene).energy(scene.parameters(), q[None], v[None])
-    return answers.number(of_rows[0], "energy()")
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    return answers.number(scene.energy(q, v), "energy()")
 
 
 def _components(scene: MechatronicSystem) -> dict[str, list[str]]:

@@ -135,7 +135,7 @@ def runs(tmp_path_factory):
     def of(group: str) -> Run:
         if group not in made:
             names = [n for n, p in ALL.items() if p.group == group] if group else hostile.QUICK
-            samples, jobs = (2, 8) if group else (0, 2)
+            samples, jobs = (2, 8) if group else (0, 1)
             made[group] = run(tmp_path_factory.mktemp("run"), names, samples, jobs)
         return made[group]
 
