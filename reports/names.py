@@ -188,23 +188,19 @@ def _parts(label: str) -> tuple[str, Options, str]:
         name, options = split_spec(spec)
     except SpecError:
         return label, {}, ""
-    said = {k: v for k, v in options.items() if (name, k, v) not in _USUAL}
+    said = {k: v.removesuffix(".0") for k, v in options.items() if (name, k, v) not in _USUAL}
     return name, said, steps
 
 
 def _written(name: str, options: Mapping[str, str], steps: str) -> str:
     known = BUILT_IN[name].name if name in BUILT_IN else name
-    head = " ".join([known, *(_number(options[key]) for key in _BARE if key in options)])
+    head = " ".join([known, *(options[key] for key in _BARE if key in options)])
     rest = [
-        _VALUES.get((key, value)) or f"{_GREEK.get(key, key.replace('_', ' '))} {_number(value)}"
+        _VALUES.get((key, value)) or f"{_GREEK.get(key, key.replace('_', ' '))} {value}"
         for key, value in options.items()
         if key not in _BARE
     ]
     return " · ".join([head, *rest, *([f"steps {steps}"] if steps else [])])
-
-
-def _number(value: str) -> str:
-    return value.removesuffix(".0")
 
 
 def _needless(members: Sequence[Options]) -> set[str]:

@@ -46,16 +46,10 @@ class Fit(msgspec.Struct, frozen=True):
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0) -> Fit:
-    """Fit the order of ``errors`` over ``steps``.
+    """Fit the order of ``errors`` over ``steps``, in any order.
 
-    Parameters
-    ----------
-    steps
-        Step sizes, in any order.
-    errors
-        Errors at these steps; None or a value that is not finite is a missing point.
-    floor
-        The reference's own error in the units of ``errors``.
+    An error that is None or not finite is a missing point; ``floor`` is the reference's own error
+    in the units of ``errors``.
     """
     worst: dict[float, float] = {}
     for h, e in zip(steps, errors, strict=True):

@@ -179,6 +179,7 @@ def solve_cells(
     budget_s: float,
     memory_gib: float = 4.0,
     printed: Callable[[str, str], None] = lambda label, text: None,
+    working: Callable[[str], None] = lambda text: None,
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
@@ -189,7 +190,7 @@ def solve_cells(
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
     with Runner(1, Limits(budget_s, memory_gib), _each_line_once(printed)) as runner:
-        for task, answer in runner.run([tasks]):
+        for task, answer in runner.run([tasks], working):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)
             elif not isinstance(answer, NoAnswer):

@@ -53,11 +53,6 @@ class Site:
         return place.removeprefix(FOLDER) if here.startswith(FOLDER) else place
 
 
-def root(here: str) -> str:
-    """The way from a page to the run folder."""
-    return "../" * here.count("/")
-
-
 def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: bool = False) -> Site:
     """The contents of a report; ``anchors`` are pairs of an anchor and the file in which it is.
 

@@ -225,9 +225,5 @@ def _cost_by_size(
 
 def _same(one: SceneRecord | None, other: SceneRecord | None) -> bool:
     """Whether two scenes differ in nothing but their interval."""
-    return bool(
-        one
-        and other
-        and (one.problem, one.parameters, one.description)
-        == (other.problem, other.parameters, other.description)
-    )
+    told = [(s.problem, s.parameters, s.description) for s in (one, other) if s]
+    return len(told) == 2 and told[0] == told[1]

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping
+from html import escape as escape_html
 from importlib import resources
 from types import MappingProxyType
 from typing import Any
@@ -216,8 +217,7 @@ def escape_markdown(text: object) -> str:
 
 
 def _escaped(flat: str) -> str:
-    flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", flat)
+    return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", escape_html(flat, quote=False))
 
 
 def code(text: object) -> str:

@@ -108,10 +108,8 @@ def _missed(name: str, label: str, series: Sequence[Series], question: Question)
 
 
 def _failed(name: str, label: str, series: Sequence[Series]) -> Sentence:
-    return [
-        scene_ref(name),
-        *(f" ({s.statuses.replace('_', ' ')})" for s in series if s.label == label),
-    ]
+    ends = (s.statuses.replace("_", " ") for s in series if s.label == label)
+    return [scene_ref(name), *(f" ({end})" for end in ends)]
 
 
 def _ends(label: str, scenes: Mapping[str, Sequence[Series]]) -> list[Sentence]:
