@@ -12,9 +12,17 @@ from reports.series import Series, cost_of, error_of, ok_runs, trusted_error
 def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record]:
     """The runs that are not dominated, from cheap to dear.
 
-    A run of the scene is dominated if another costs no more and errs no more, and one of both less.
-    Compared are a cost of `bench.results.quantities.COST_NAMES` and the relative error of a group
-    in the norm `NORM`; errors that the reference is too coarse to judge count as equal.
+    A run is dominated if another costs no more and errs no more, and one of both less. Errors
+    that the reference is too coarse to judge count as equal.
+
+    Parameters
+    ----------
+    series
+        The integrators of one scene.
+    group
+        Group of variables; its relative error in the norm `NORM` is compared.
+    cost
+        A cost of `bench.results.quantities.COST_NAMES`.
     """
     runs = ok_runs(series)
     least = trusted_error(runs, group, NORM)

@@ -12,10 +12,18 @@ from reports.series import Series, label_of, series_of
 
 
 class Selection:
-    """The runs of one scene of a run folder that reached the end, as series.
+    """The runs of one scene that reached the end, as series.
 
-    ``scene`` may be None if the folder has one; ``t_end`` (s) is needed if it has the scene over
-    several intervals. Integrators are names, full specs or labels; all if empty.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    scene
+        The scene; may be None if the folder has one.
+    integrators
+        Names, full specs or labels of the integrators; all if empty.
+    t_end
+        The end of the interval in s, if the folder has the scene over several.
 
     Raises
     ------

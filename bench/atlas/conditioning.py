@@ -22,8 +22,15 @@ def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
     vanish with h are left out. After Bottasso, Dopico & Trainelli (2008), On the optimal scaling
     of index three DAEs in multibody dynamics.
 
-    The scene has constraints, h is in s. By the scaling, divided by 1/(beta h^2) are: "none" of the
-    rows and columns, the constraint "rows", or "both" these and the columns of the multipliers.
+    Parameters
+    ----------
+    scene
+        A scene with constraints.
+    h
+        Step size in s.
+    scaling
+        Divided by 1/(beta h^2) are: "none" of the rows and columns, the constraint "rows", or
+        "both" these and the columns of the multipliers.
 
     Raises
     ------

@@ -61,11 +61,23 @@ def run_experiments(
     progress: Progress,
     memory_gib: float = 4.0,
 ) -> Iterator[ExperimentResult]:
-    """Run experiments in so many ``jobs``, worker processes, and yield the result of each.
+    """Run experiments and yield the result of each.
 
-    Integrators that are ``added`` go through every part beside its own. Nothing is predicted for
-    them; the result says whether they are spared. A run may take ``budget_s`` (s) and
-    ``memory_gib`` (GiB).
+    Parameters
+    ----------
+    experiments
+        As `bench.atlas.experiments.read_experiments` returns them.
+    added
+        Integrators that go through every part beside its own. Nothing is predicted for them; the
+        result says whether they are spared.
+    registry
+        Makes scenes and integrators; its plugin files are loaded in every worker.
+    jobs
+        Worker processes.
+    budget_s, memory_gib
+        Limits of one run.
+    progress
+        Shows the experiment in work.
 
     Raises
     ------

@@ -31,7 +31,12 @@ def view(name: str) -> Callable[..., Any]:
 def write_reports(folder: Path, single_file: bool = False) -> None:
     """Write all reports (entry points `stepbench.reports`) of the results in a folder.
 
-    As a ``single_file`` the HTML report is one file instead of a page and a folder.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    single_file
+        Whether the HTML report is one file instead of a page and a folder.
 
     Raises
     ------
@@ -61,7 +66,12 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
 class GrowingPage:
     """The HTML report of results that still come: drawn by a process beside, now and then.
 
-    ``say`` tells the person who waits, once, where the page is or why there is none.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    say
+        Tells the person who waits, once, where the page is or why there is none.
     """
 
     def __init__(self, folder: Path, say: Callable[[str], None]) -> None:

@@ -44,10 +44,13 @@ def check_counts(method: Integrator, scene: MechatronicSystem) -> bool:
 
 
 def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
-    """Take `TRIAL_STEPS` nominal steps; return two counts.
+    """Take `TRIAL_STEPS` nominal steps.
 
-    They are residuals and Jacobians that the method declares, and evaluations and linearisations of
-    the scene's force that were counted in the compiled program.
+    Returns
+    -------
+    tuple of int
+        Residuals and Jacobians that the method declares; evaluations and linearisations of the
+        scene's force that were counted in the compiled program.
     """
     program, numbers = method.program(scene, sparse=False)
     # A linearisation that gives the residual, too, would hide an evaluation that is not counted.

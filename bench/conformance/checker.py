@@ -88,7 +88,12 @@ def is_file(text: str) -> bool:
 class Checker:
     """Runs checks in a process of its own; use as a context manager.
 
-    The process makes a registry of its own from the same files; a check may take ``budget_s`` s.
+    Parameters
+    ----------
+    registry
+        Where the plugins are found; the process makes its own from the same files.
+    budget_s
+        Seconds that one check may take.
     """
 
     def __init__(self, registry: Inventory, budget_s: float) -> None:

@@ -38,8 +38,12 @@ def shortly(error: BaseException) -> str:
 def round_trip(make: Callable[[str], Any], subject: Any) -> str:
     """Check that every option is read back as it is written.
 
-    The options of the subject, a scene or an integrator, take their default, choices and limits in
-    turn; ``make`` makes an object from its printed name.
+    Parameters
+    ----------
+    make
+        Makes an object from its printed name.
+    subject
+        A scene or an integrator; its options take their default, choices and limits in turn.
 
     Raises
     ------

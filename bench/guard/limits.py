@@ -40,11 +40,19 @@ _LOADS_AT_ONCE = "take what waits or computes out of its top level"
 
 @dataclass(frozen=True)
 class Limits:
-    """The most that one job may take: processor time of a run in s, and resident memory in GiB.
+    """The most that one job may take.
 
-    Tracing and compiling, the reference of a scene, and the measurement of errors may each take
-    five times as long, but at least `LEAST_SECONDS`. A run that keeps several ``processors`` busy
-    may take so many times the budget. ``advice`` is a clause that tells how to stay within it.
+    Parameters
+    ----------
+    budget_s
+        Processor time of a run in s. Tracing and compiling, the reference of a scene, and the
+        measurement of errors may each take five times as long, but at least `LEAST_SECONDS`.
+    memory_gib
+        Resident memory.
+    processors
+        Processors that a run keeps busy: so many times the budget is allowed.
+    advice
+        A clause that tells the user how to stay within the budget.
     """
 
     budget_s: float = math.inf

@@ -51,10 +51,16 @@ _START = (
 
 
 class NoAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """The fate of a job that failed, and a sentence with the reason.
+    """The fate of a job that failed.
 
-    ``status`` is "crashed", "budget_exceeded", or "interrupted" if the job is not to blame,
-    ``phase`` that of `bench.guard.limits` in which it ended, with ``words`` on it.
+    Attributes
+    ----------
+    status
+        "crashed", "budget_exceeded", or "interrupted" if the job is not to blame.
+    message
+        A sentence with the reason.
+    phase
+        The phase in which it ended, one of `bench.guard.limits`, with words on it.
     """
 
     status: str
@@ -71,9 +77,21 @@ class GuardedProcess:
     """A process that answers jobs, one at a time.
 
     A job is a function of a module, whose return annotation tells the type of its answer. It is
-    called with the state of the process, which ``prepare`` makes once from a `Notify` and
-    ``arguments``, and with its own arguments; it must not return None, and may take ``limits``.
-    ``told`` is called with the phase to which the job goes on, and words on it.
+    called with the state of the process and arguments, and must not return None.
+
+    Parameters
+    ----------
+    prepare
+        Makes the state, once, from a `Notify` and ``arguments``.
+    arguments
+        For ``prepare``.
+    limits
+        The most that one job may take.
+
+    Attributes
+    ----------
+    told
+        Called with the phase to which the job goes on, and words on it.
     """
 
     def __init__(

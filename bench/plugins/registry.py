@@ -92,9 +92,16 @@ class Plugin:
 class Registry:
     """All scenes and integrators by name.
 
-    ``paths`` are Python files, or folders of them, that define more of them, ``packages`` installed
-    ones of others whose entry points are loaded, too (all if None). ``loading`` is told the file or
-    package that is loaded next; those in ``without`` are not, for the reason there.
+    Parameters
+    ----------
+    paths
+        Python files, or folders of them, that define scenes or integrators.
+    packages
+        Installed packages of others whose entry points are loaded, too; all if None.
+    loading
+        Told the file or the package that is loaded next.
+    without
+        Files and packages that are not loaded, with the reason.
 
     Raises
     ------

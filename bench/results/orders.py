@@ -46,10 +46,16 @@ class Fit(msgspec.Struct, frozen=True):
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0) -> Fit:
-    """Fit the order of ``errors`` over ``steps``, in any order.
+    """Fit the order of ``errors`` over ``steps``.
 
-    An error that is None or not finite is a missing point; ``floor`` is the reference's own error
-    in the units of ``errors``.
+    Parameters
+    ----------
+    steps
+        Step sizes, in any order.
+    errors
+        Errors at these steps; None or a value that is not finite is a missing point.
+    floor
+        The reference's own error in the units of ``errors``.
     """
     worst: dict[float, float] = {}
     for h, e in zip(steps, errors, strict=True):
@@ -82,7 +88,14 @@ def fit_orders(
 ) -> dict[str, Fit]:
     """Fit the order of every group of the same runs.
 
-    By group there are errors at these steps (in s, any order), in one norm, and the reference's.
+    Parameters
+    ----------
+    steps
+        Step sizes in s, in any order.
+    errors
+        Errors at these steps by group, in one norm.
+    floors
+        The reference's own error by group.
     """
     fits = {group: fit_order(steps, own, floors[group]) for group, own in errors.items()}
     if any(_gains(steps, own, floors[group]) for group, own in errors.items()):

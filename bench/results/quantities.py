@@ -75,8 +75,13 @@ TRUST = 100.0
 def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
     """Read an error as a person writes it, such as "a:max" or "|a|:end".
 
-    It is one of the ``groups`` that have errors, a colon and a norm, which is `NORM` if not given.
-    A group between bars means its 2-norm, without them its worst component.
+    Parameters
+    ----------
+    text
+        A group, a colon and a norm; without a norm, the norm is `NORM`. A group between bars means
+        its 2-norm, without them its worst component.
+    groups
+        The groups that have errors.
 
     Raises
     ------

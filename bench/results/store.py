@@ -56,11 +56,18 @@ class SetAside(NamedTuple):
 
 
 class Store:
-    """Open the store in a run folder.
+    """Open the store in a folder.
 
-    With ``create`` it is opened for writing, folder and store are made if they are not there, and
-    with ``fresh``, too, it begins empty, whatever is there now, be it damaged or of another schema.
-    Else the store is only read: neither tables nor settings of the file are touched.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    create
+        Open for writing, and make the folder and the store if they are not there. Without it
+        the store is only read: neither tables nor settings of the file are touched.
+    fresh
+        With ``create``: begin with an empty store, whatever is there now, be it damaged or of
+        another schema.
 
     Raises
     ------

@@ -29,8 +29,15 @@ class ClusterRunner(Runner):
     """A runner whose tasks of ``run`` are done by a cluster; times are taken on this machine.
 
     A group goes to one worker of the cluster, which guards its budgets by a process of its own. A
-    worker that dies costs its group nothing but time: the scheduler, at an address such as
-    tcp://host:8786, gives it to another one. Workers must find plugin files under the same names.
+    worker that dies costs its group nothing but time: the scheduler gives it to another one.
+
+    Parameters
+    ----------
+    address
+        Of the scheduler, such as tcp://host:8786. Its workers must find plugin files under the
+        same names.
+    limits, printed
+        As in Runner.
 
     Raises
     ------

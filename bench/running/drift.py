@@ -30,7 +30,16 @@ _PHASE_ITERATIONS = 2
 def drift_job(
     worker: Worker, problem: str, integrator: str, h: float | None, steps: int
 ) -> LongRun:
-    """Run an integrator over so many steps of h (s; None: the nominal one), measure what drifts.
+    """Run an integrator over many steps and measure what drifts.
+
+    Parameters
+    ----------
+    problem, integrator
+        Names with options.
+    h
+        Step in s; the scene's nominal one if None.
+    steps
+        Number of steps.
 
     Raises
     ------

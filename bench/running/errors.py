@@ -115,7 +115,14 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
 
     The error of a component is norm(value - reference) / scale, in every norm over time (see
     `norms`) with the same scale (see `scales`), so that "max" is never smaller than "end",
-    "settled" or "rms". The run has the status "ok"; the reference's values are taken as exact.
+    "settled" or "rms".
+
+    Parameters
+    ----------
+    trajectory
+        The run, with the status "ok".
+    reference
+        The values that are taken as exact, with their own estimated error.
     """
     t, exact, table = trajectory.t, reference(trajectory.t), ErrorTable({}, {}, {}, {})
     for group in GROUPS:

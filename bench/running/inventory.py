@@ -55,8 +55,12 @@ class Prospect(NamedTuple):
 class Inventory:
     """All scenes and integrators by name, as facts.
 
-    ``paths`` are Python files, or folders of them, that define more of them; ``printed`` is told
-    what plugins print while they are loaded.
+    Parameters
+    ----------
+    paths
+        Python files, or folders of them, that define scenes or integrators.
+    printed
+        Told what plugins print while they are loaded.
 
     Raises
     ------

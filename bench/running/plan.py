@@ -97,10 +97,20 @@ class Cell:
 
 @dataclass(frozen=True)
 class Suite:
-    """A plan, the part that is stored, and its cells by key in the order of the studies.
+    """A plan with its cells.
 
-    A cell may take ``memory_gib`` (GiB). ``atlas`` are experiments of the failure atlas that belong
-    to the suite (True: all), ``lost`` sentences on plugins without cells, as they gave no facts.
+    Parameters
+    ----------
+    plan
+        The part that is stored.
+    cells
+        The cells by key, in the order of the studies.
+    memory_gib
+        The most memory that a cell may take.
+    atlas
+        Experiments of the failure atlas that belong to it (True: all, False: none).
+    lost
+        Sentences on plugins that have no cells, as they gave no facts.
     """
 
     plan: Plan

@@ -24,12 +24,22 @@ _MOST_IDLE = 8
 
 @dataclass(frozen=True)
 class Task:
-    """A job for a worker process, named by a ``label`` to the person who waits.
+    """A job for a worker process.
 
-    The job is a function of a module, called with the `Worker` of the process and ``arguments``,
-    which can be sent to another process. If it needs the reference of a ``scene``, it takes a
-    keyword ``lacking``, the reason why there is none. ``sources`` are plugins from outside that it
-    needs: workers load nothing else, so that no plugin can change the numbers of others.
+    Parameters
+    ----------
+    job
+        A function of a module, called with the `Worker` of the process and ``arguments``.
+    arguments
+        Values that can be sent to another process.
+    label
+        Names the task to the person who waits.
+    scene
+        The scene whose reference it needs, if any. Then the job takes a keyword ``lacking``, the
+        reason why there is no reference.
+    sources
+        Plugins from outside that it needs. Workers load nothing else, so that no plugin can
+        change the numbers of others.
     """
 
     job: Callable[..., Any]
@@ -74,10 +84,18 @@ class _WorkerProcess(GuardedProcess):
 
 
 class Runner:
-    """Runs tasks in at most ``jobs`` worker processes at a time; use as a context manager.
+    """Runs tasks in worker processes; use as a context manager.
 
-    Timing is always done by one alone. A task may take ``limits``; ``printed`` is told its label
-    and what it printed. ``run`` ends when ``wanted`` says that nobody waits for the answers still.
+    Parameters
+    ----------
+    jobs
+        Most processes in work at a time. Timing is always done by one alone.
+    limits
+        The most that one task may take.
+    printed
+        Told what a task printed: its label, and the text.
+    wanted
+        Whether anybody waits for the answers still; else ``run`` ends.
     """
 
     def __init__(

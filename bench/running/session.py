@@ -108,7 +108,11 @@ def measure_suite(
     """Measure every cell and describe every scene that the store lacks.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
-    Return how many cells were measured.
+
+    Returns
+    -------
+    int
+        How many cells were measured.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.save_plan(suite.plan)
@@ -183,7 +187,10 @@ def solve_cells(
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
-    Return the results, and the names of the components of each group of the scene, if known.
+    Returns
+    -------
+    tuple
+        The results, and the names of the components of each group of the scene, if they are known.
     """
     results, names = {}, {}
     sources = cells[0].sources(registry)

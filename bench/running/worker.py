@@ -60,8 +60,15 @@ class CellResult(NamedTuple):
 class Worker:
     """The state of a worker process: its plugins, and all that is made once and used again.
 
-    A process is ``watched`` if code from outside may change what it computes: then that is checked
-    around each run, else at the first one. ``notify`` is told when a job goes on to another phase.
+    Parameters
+    ----------
+    registry
+        The scenes and integrators.
+    notify
+        Told when a job goes on to another phase.
+    watched
+        Whether code from outside may change what this process computes: then that is checked
+        around each run, else at the first one.
     """
 
     def __init__(

@@ -78,8 +78,19 @@ def worst(
     leaves the unit circle, in a range of omega H that may be a thousandth wide. Such ranges lie
     where the largest eigenvalue comes next to the real axis; the search refines them there.
 
-    The pattern has fractions of the macro step, which sum to 1; the method takes constant steps.
-    Without a test system it is the undamped oscillator. Return the radius and omega H.
+    Parameters
+    ----------
+    method
+        An integrator with constant steps.
+    pattern
+        Fractions of the macro step, which sum to 1.
+    system
+        The test system; the undamped oscillator if not given.
+
+    Returns
+    -------
+    tuple of float
+        The radius and omega H.
 
     Raises
     ------

@@ -96,10 +96,18 @@ def spectrum(
     pattern: Sequence[float] = (1.0,),
     omega_h: Sequence[float] = (),
 ) -> Spectrum:
-    """Analyse a method at constant steps, or a pattern of fractions of the macro step, of sum 1.
+    """Analyse a method.
 
-    Without a test system it is the undamped oscillator; values of ``omega_h`` are analysed beside
-    `OMEGA_H`.
+    Parameters
+    ----------
+    method
+        An integrator with constant steps.
+    system
+        The test system; the undamped oscillator if not given.
+    pattern
+        Fractions of the macro step, which sum to 1.
+    omega_h
+        Values of omega h to be analysed beside `OMEGA_H`.
 
     Raises
     ------
@@ -165,7 +173,15 @@ def principal(
     """Return the principal eigenvalue with positive imaginary part, NaN if there is none.
 
     It is the complex one next to the exact solution's where omega h < 1, beyond that the largest.
-    Each row of eigenvalues belongs to an omega h; ``zeta`` is the oscillator's damping ratio.
+
+    Parameters
+    ----------
+    roots
+        Eigenvalues.
+    omega_h
+        Of each row of roots.
+    zeta
+        Damping ratio of the oscillator.
     """
     exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * omega_h)
     found = np.full(len(roots), complex(np.nan, np.nan))

@@ -82,11 +82,18 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
 
 
 class Batch:
-    """Runs of one kind of scene by one kind of integrator up to t_end in s, as tables of numbers.
+    """Runs of one kind of scene by one kind of integrator, as tables of numbers.
 
-    Float parameters, numeric options and steps or tolerances may differ between the runs. Kept are
-    the last rows alone, or, with ``every_row``, the start, the first rows and some 200 more.
-    ``lanes``, a power of two, run side by side; by default the machine and the memory decide.
+    Parameters
+    ----------
+    runs
+        Float parameters, numeric options and steps or tolerances may differ between them.
+    t_end
+        End of all runs in s.
+    every_row
+        Keep the start, the first rows and some 200 more instead of the last row alone.
+    lanes
+        Runs side by side, a power of two. By default the machine and the memory decide.
 
     Raises
     ------

@@ -33,10 +33,18 @@ _OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 16384
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """The runs of a sweep as far as they are all alike: scene, settings and integrator, as text.
+    """The runs of a sweep as far as they are all alike.
 
-    ``given`` has the values of --step, --pattern, --rtol and --atol, None where not given;
-    ``t_end`` is in s (None: the scene's own). After ``budget`` s no further runs are begun.
+    Parameters
+    ----------
+    problem, settings, integrator
+        Scene, parameters of it, and integrator, as text.
+    given
+        The values of --step, --pattern, --rtol and --atol, None where not given.
+    t_end
+        End time in s; the scene's own if None.
+    budget
+        Seconds after which no further runs are begun.
     """
 
     problem: str
@@ -126,8 +134,16 @@ class EnsembleRequest:
 class EnsemblePlan:
     """An ensemble's request, checked and worked out.
 
-    Printed names are without the quantities that vary, ``ranges`` by name; ``t_end`` is in s. The
-    members are divided into ``shards`` parts, whoever runs them.
+    Attributes
+    ----------
+    problem, integrator
+        Printed names, without the quantities that vary.
+    t_end
+        End time in s.
+    ranges
+        What varies, by name.
+    shards
+        Number of parts into which the members are divided, whoever runs them.
     """
 
     problem: str

@@ -83,8 +83,12 @@ class NamelessParts(Parts):
 class KeptParts(Parts):
     """Parts in a folder, where another call of the same command finds them.
 
-    The folder is made if it is not there; one command writes into it at a time. ``about`` is all
-    that decides the members, as values of JSON.
+    Parameters
+    ----------
+    folder
+        Is made if it is not there. One command writes into it at a time.
+    about
+        What decides the members, as values of JSON.
 
     Raises
     ------
@@ -143,7 +147,14 @@ class KeptParts(Parts):
 class Results:
     """Contents of the parts 0 to ``count - 1`` of an ensemble, a few columns in memory at a time.
 
-    The first of ``parts`` that has a part gives it; ``varied`` are the names of what varies.
+    Parameters
+    ----------
+    parts
+        Where they are; the first that has a part gives it.
+    count
+        Their number.
+    varied
+        Names of what varies.
 
     Attributes
     ----------

@@ -36,7 +36,14 @@ _SAME_DRAW = 1e-9
 class ShardRun:
     """The shards of an ensemble that one command runs.
 
-    The ``runner`` plans the ensemble in a process of this machine.
+    Parameters
+    ----------
+    runner
+        Plans the ensemble in a process of this machine.
+    request, sources
+        What is run.
+    progress
+        Told how many shards are done.
 
     Attributes
     ----------
@@ -88,7 +95,16 @@ class ShardRun:
         A shard that is ended from outside is run again. One that ends its process itself, or uses
         up its budget, costs its own members alone, unless none succeeds.
 
-        A worker has so many ``threads``, and gets so many shards ``together``.
+        Parameters
+        ----------
+        runner
+            Runs the shards.
+        parts
+            Where the results are kept.
+        threads
+            Threads of each worker.
+        together
+            Number of shards that a worker gets at a time.
 
         Raises
         ------

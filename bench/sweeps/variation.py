@@ -168,10 +168,14 @@ def runs_with(
     resolution: Steps | Tolerances,
     values: Mapping[Quantity, Sequence[float] | np.ndarray],
 ) -> list[BatchRun]:
-    """Return one run for each place in the values, of which each quantity has equally many.
+    """Return one run for each place in the values.
 
-    All else is that of scene, method and resolution; where rtol varies and atol is rtol/100, it
-    stays so.
+    Parameters
+    ----------
+    scene, method, resolution
+        Everything that does not vary. Where rtol varies and atol is rtol/100, it stays so.
+    values
+        Values of each quantity, equally many.
 
     Raises
     ------

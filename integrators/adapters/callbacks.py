@@ -23,7 +23,12 @@ NOT_FINITE = "the equations gave a value that is not finite"
 class EarlyEnd(Exception):
     """The end of a run ahead of its time; raised in a callback, it ends the run there.
 
-    It has a status of `integrators.contract.STATUSES`, and a clause for the run's message.
+    Parameters
+    ----------
+    status
+        One of `integrators.contract.STATUSES`.
+    reason
+        A clause for the run's message.
     """
 
     def __init__(self, status: str, reason: str) -> None:
@@ -58,12 +63,21 @@ class PackedFunction:
     it returns, as programs run in the calling thread (see `problems.runtime`). Where JAX was in use
     before us and they do not, wait for the result before the next call. Results are new arrays.
 
+    Parameters
+    ----------
+    function
+        Traceable function of arrays.
+    lengths
+        Lengths of its arguments, which are vectors; None for a scalar.
+
     Attributes
     ----------
-    function, lengths
-        The traceable function, and the lengths of its arguments, vectors; None for a scalar.
+    function
+        The function itself.
     program
         The compiled function of one array, in which all arguments stand side by side.
+    lengths
+        Lengths of its arguments.
     places, size
         Places of the arguments in the array, and its length.
     """
@@ -128,8 +142,14 @@ class CountedEquations:
 
     The times of the calls tell iterations and attempts. The first call of every Newton iteration
     is at the earliest time of its attempt. An attempt that is repeated with a smaller step begins
-    earlier than those before it. Value and Jacobian are functions of (t, ...); after ``max_calls``
-    of the first the run ends as budget_exceeded.
+    earlier than those before it.
+
+    Parameters
+    ----------
+    value, jacobian
+        Functions of (t, ...).
+    max_calls
+        After so many calls of ``value`` the run ends as budget_exceeded.
     """
 
     def __init__(

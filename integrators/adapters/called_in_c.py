@@ -136,8 +136,14 @@ def functions_in_c(
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """A solver's functions in C; those of JAX, and a sentence, where there are none or they differ.
 
-    They are compared at the ``start``, t and the vectors there. ``functions`` are those of JAX,
-    with the parameters p; ``about``, a clause on solver and scene, begins the sentence.
+    Parameters
+    ----------
+    about
+        The solver and the scene, as a clause that begins the sentence.
+    functions
+        Those of JAX, with the parameters p.
+    start
+        t and the vectors at the start of the run.
     """
     try:
         value, jacobian = (bound_in_c(one, p) for one in packed)

@@ -190,7 +190,14 @@ def check(
     p: np.ndarray,
     start: tuple,
 ) -> None:
-    """Compare functions in C with residual and Jacobian of JAX, bound to p, at t and vectors.
+    """Compare the functions in C with those of JAX.
+
+    Parameters
+    ----------
+    functions
+        Residual and Jacobian of JAX, bound to the parameters p.
+    start
+        t and the vectors.
 
     Raises
     ------

@@ -47,9 +47,14 @@ class Solution(NamedTuple):
 class NativeSolver(ABC):
     """A solver of SUNDIALS at the start of a run; its memory is freed by `close`.
 
-    ``p`` are the equations' parameters, ``start`` t0 and the vectors there. Options are ``rtol``,
-    ``atol`` for each unknown, and ``max_order``. After ``max_calls`` of the residual the run ends
-    as budget_exceeded.
+    Parameters
+    ----------
+    compiled, p, start
+        The equations, values of their parameters, t0 and the vectors there.
+    options
+        ``rtol``, ``atol`` for each unknown, and ``max_order``.
+    max_calls
+        After so many residual calls the run ends as budget_exceeded.
 
     Raises
     ------
@@ -224,10 +229,16 @@ def _made(name: str, address: int | None) -> int:
 
 
 class NativeIDA(NativeSolver):
-    """IDA at the start of a run, with what `NativeSolver` is given.
+    """IDA at the start of a run.
 
-    ``differential`` is 1 for unknowns whose derivatives are in the equations, else 0; with
-    ``suppress_algebraic`` the error test leaves the others out.
+    Parameters
+    ----------
+    given
+        Those of `NativeSolver`.
+    differential
+        1 for unknowns whose derivatives are in the equations, else 0.
+    suppress_algebraic
+        Whether the error test leaves the others out.
     """
 
     _name, _calls = "IDA", "ResEvals"

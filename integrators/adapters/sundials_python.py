@@ -110,7 +110,13 @@ def python_solver(
     options: dict[str, Any],
     max_calls: int,
 ) -> Iterator[PythonSolver]:
-    """A ``new`` IDA or CVODE at the start: a used one keeps counters and history."""
+    """A new solver at the start: a used one keeps counters and history.
+
+    Parameters
+    ----------
+    new
+        `new_ida` or `new_cvode`.
+    """
     callbacks = Callbacks(*functions, max_calls)
     # SUNDIALS writes its warnings to standard output; the status says the same.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):

@@ -28,9 +28,18 @@ def trajectory_from_states(
     v: Float[np.ndarray, "k nq"],
     x: Float[np.ndarray, "k nx"],
 ) -> Trajectory:
-    """Solve the equations of motion for a, lam, y and xdot at k states at times t in s (index 1).
+    """Solve the equations of motion for a, lam, y and xdot at k states (index 1).
 
-    The trajectory has status "ok" and no counts; its entries are NaN where there is no solution.
+    Parameters
+    ----------
+    scene
+        Scene with its parameters.
+    t, q, v, x
+        Times in s and the states there.
+
+    Returns
+    -------
+    A trajectory with status "ok" and no counts; its entries are NaN where there is no solution.
     """
     z, xdot = _solve(scene, t, q, v, x)
     a, lam, y = (np.asarray(part) for part in (z.a, z.lam, z.y))

@@ -37,9 +37,14 @@ class Ending(IntEnum):
         return Ending.SINGULAR if self in _FAILED_STEPS and missing_rank(scene, q, t) else self
 
     def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
-        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t (s).
+        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.
 
-        The interval ends at t_end (s); ``max_steps`` are the most of a run that chooses its steps.
+        Parameters
+        ----------
+        t, t_end
+            Time at which the run ended, and end of the interval, in s.
+        max_steps
+            Most steps of a run that chooses its steps.
         """
         status, text = _OUTCOMES[self]
         return status, text.format(t=t, t_end=t_end, max_steps=max_steps)

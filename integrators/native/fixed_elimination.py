@@ -49,9 +49,16 @@ class Pivot(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Elimination of the matrices of one pattern, a pivot in each step.
+    """Elimination of the matrices of one pattern.
 
-    Columns of one colour share no row, so that one product with a matrix has them all.
+    Parameters
+    ----------
+    entries
+        The pattern, ``(n, n)``.
+    colours
+        Columns of one colour share no row, so that one product with a matrix has them all.
+    pivots
+        The steps of the elimination.
     """
 
     entries: Bool[np.ndarray, "n n"]

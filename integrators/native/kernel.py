@@ -21,9 +21,15 @@ if TYPE_CHECKING:
 class Kernel:
     """A compiled time loop; its many small arguments travel as one array.
 
-    Each array that goes into a compiled program or comes back costs as much as a step. The loop is
-    a traceable function of (parameters, numbers, start, time, *wanted); ``wanted`` selects the rows
-    to keep. ``about`` is all that decides it, so that its trace can be kept; None if it cannot.
+    Each array that goes into a compiled program or comes back costs as much as a step.
+
+    Parameters
+    ----------
+    loop
+        Traceable function of (parameters, numbers, start, time, *wanted); ``wanted`` selects the
+        rows to keep.
+    about
+        All that decides the loop, so that its trace can be kept; None if it cannot.
     """
 
     def __init__(self, loop: Callable, about: tuple | None = None) -> None:

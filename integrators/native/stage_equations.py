@@ -80,10 +80,14 @@ class StageEquations(NamedTuple):
     def solve(
         self, work: StepWork, guess: Array, old: Array, enough: Scalar = math.inf
     ) -> tuple[Variables, Array]:
-        """Solve for the variables and xdot; see `StepWork.solve`.
+        """Solve for the variables and xdot.
 
-        ``guess`` and ``old`` are [a, lam, xdot, y] at which the iteration begins, and those at the
-        start of the step.
+        Parameters
+        ----------
+        guess, old
+            [a, lam, xdot, y] at which the iteration begins, and those at the start of the step.
+        enough
+            See `StepWork.solve`.
         """
         guess, old = self._with_mu(guess), self._with_mu(old)
         a, _, _, *control = jnp.split(old, self.cuts)

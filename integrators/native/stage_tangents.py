@@ -35,9 +35,14 @@ _COMPLEX = 4
 class StageTangents(LinearSolver):
     """Tangents of s coupled stages, kept as an inverse for each slope.
 
-    Unknowns are ordered component by component, residuals stage by stage. ``a`` is the method's
-    matrix A; ``tangents`` gives, from unknowns of all stages, the function of a slope that gives a
-    single stage's tangent.
+    Unknowns are ordered component by component, residuals stage by stage.
+
+    Parameters
+    ----------
+    a
+        The method's matrix A.
+    tangents
+        From unknowns of all stages, the function that gives a single stage's tangent by its slope.
     """
 
     def __init__(self, a: np.ndarray, tangents: Tangents) -> None:

@@ -67,7 +67,12 @@ class StepControl:
     ) -> Scalar:
         """Largest error relative to the allowed error; 1 is just accepted.
 
-        ``old`` and ``new`` are the step's ends, ``peaks`` the largest norms of a and lam so far.
+        Parameters
+        ----------
+        old, new
+            Values at both ends of the step.
+        peaks
+            Largest norms of a and lam so far.
         """
         norm = jnp.linalg.norm
 
@@ -91,10 +96,18 @@ class StepControl:
         limits: tuple[Scalar, Scalar],
         solved: Bool[Array, ""],
     ) -> Scalar:
-        """Ratio of the next step to a tried one, of this order.
+        """Ratio of the next step to a tried one.
 
-        Errors are relative: its own, and that of the last accepted step ``before``. ``limits`` hold
-        after an accepted step; it is ``solved`` if its equations are, and all values are finite.
+        Parameters
+        ----------
+        error, before
+            Relative size of its error, and of the last accepted step's.
+        order
+            Order of the tried step.
+        limits
+            Smallest and largest ratio after an accepted step.
+        solved
+            True if its equations are solved and all values finite.
         """
         power = 1 / (order + 1)
         ratio = _SAFETY * error ** (-0.7 * power) * before ** (0.4 * power)

@@ -50,10 +50,20 @@ class _Carried(NamedTuple):
 class StepProgram:
     """A method on scenes of one kind as functions of (scene, numbers, state), for a time loop.
 
-    Methods with equal step functions have equal programs and share one compilation. Modified Newton
-    ``keeps_tangents`` over steps. ``patterns`` are those of sparse tangents, one for each system of
-    equations in a step; those without one have the solver ``dense``. A method that is ``explicit``
-    has no options of Newton's method, and may not ask for it.
+    Methods with equal step functions have equal programs and share one compilation.
+
+    Parameters
+    ----------
+    functions
+        The method.
+    keeps_tangents
+        Modified Newton: tangents are kept over steps.
+    patterns
+        Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
+    explicit
+        The method has no options of Newton's method, and may not ask for it.
+    dense
+        Solver of the equations that have no pattern.
     """
 
     functions: StepFunctions

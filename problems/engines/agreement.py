@@ -25,7 +25,17 @@ class ModelDiffers(Exception):
 def why_not(
     engine: str, scene: MechatronicSystem, stated: Collection[type[MechatronicSystem]]
 ) -> str | None:
-    """Return why an engine with models of the scenes ``stated`` cannot take one, or None."""
+    """Return why an engine cannot take a scene, in a sentence, or None.
+
+    Parameters
+    ----------
+    engine
+        Name of the engine, for the message.
+    scene
+        The scene in question.
+    stated
+        The scenes that have a model in the engine.
+    """
     if type(scene) not in stated:
         known = ", ".join(sorted(one.name for one in stated))
         return f"{engine} takes scenes that have a model there: {known}."
@@ -37,9 +47,16 @@ def why_not(
 def check_start(
     engine: str, scene: MechatronicSystem, start: Variables, **theirs: Float[np.ndarray, " n"]
 ) -> None:
-    """Compare an engine's values at the start with the scene's own, ``start``.
+    """Compare what an engine computes at the start with the scene's own equations.
 
-    ``theirs`` are by group: q, v, a and, if the engine has them, lam.
+    Parameters
+    ----------
+    engine
+        Name of the engine, for the message.
+    scene, start
+        The scene and its consistent values at the start.
+    theirs
+        The engine's values there by group: q, v, a and, if it has them, lam.
 
     Raises
     ------

@@ -164,7 +164,15 @@ MODELS: dict[type[MechatronicSystem], Callable[..., ExudynModel]] = {
 def exudyn_model(
     scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nq"]
 ) -> ExudynModel:
-    """State a scene of `MODELS` in exudyn, from coordinates and velocities at the start."""
+    """State a scene of `MODELS` in exudyn.
+
+    Parameters
+    ----------
+    scene
+        Scene with its parameters.
+    q, v
+        Coordinates and velocities at the start.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return MODELS[type(scene)](scene, np.asarray(q), np.asarray(v))

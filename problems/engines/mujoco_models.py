@@ -191,7 +191,14 @@ MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
 def mujoco_model(
     scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nq"]
 ) -> MujocoModel:
-    """State a scene of `MODELS` in MuJoCo, from coordinates and velocities at the start.
+    """State a scene of `MODELS` in MuJoCo.
+
+    Parameters
+    ----------
+    scene
+        Scene with its parameters.
+    q, v
+        Coordinates and velocities at the start.
 
     Raises
     ------
@@ -205,7 +212,12 @@ def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:
     """Accelerations of MuJoCo's model with its equalities rigid, from its own M, J and forces.
 
     It solves M a + J^T f = forces, J a = -J' v. J' v is a central difference of MuJoCo's J along
-    the motion, extrapolated to an increment of zero. ``data``, an ``MjData``, has the state.
+    the motion, extrapolated to an increment of zero.
+
+    Parameters
+    ----------
+    model, data
+        ``MjModel`` and ``MjData`` with the state.
     """
     mujoco = engine()
     mujoco.mj_forward(model, data)

@@ -51,7 +51,10 @@ class Picture:
 def draw(charts: Mapping[str, Spec], folder: Path) -> dict[str, Picture]:
     """Write every chart into the folder as name.svg; SVG files of an earlier time are deleted.
 
-    Return the charts that cannot be drawn, with the reason; they have no file.
+    Returns
+    -------
+    dict
+        The charts that cannot be drawn, with the reason; they have no file.
     """
     for old in folder.glob("*.svg"):
         old.unlink()
@@ -68,7 +71,14 @@ def draw(charts: Mapping[str, Spec], folder: Path) -> dict[str, Picture]:
 def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) -> dict[str, Picture]:
     """Draw charts by name, several at a time when there are many.
 
-    ``form`` is "svg", "png" or "pdf"; ``options`` are vl-convert's for it: ``scale``, ``ppi``.
+    Parameters
+    ----------
+    charts
+        The charts by name.
+    form
+        "svg", "png" or "pdf".
+    **options
+        Those of vl-convert for this form: ``scale``, ``ppi``.
     """
     texts = {name: chart_json(chart) for name, chart in charts.items()}
     if not texts:

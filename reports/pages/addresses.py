@@ -54,9 +54,16 @@ class Site:
 
 
 def site_of(report: Report, anchors: Iterable[tuple[str, str]] = (), single: bool = False) -> Site:
-    """The contents of a report; ``anchors`` are pairs of an anchor and the file in which it is.
+    """The contents of a report.
 
-    Where a ``single`` file holds all pages, a page is a part with an anchor.
+    Parameters
+    ----------
+    report
+        Its content.
+    anchors
+        Pairs of an anchor and the file in which it is.
+    single
+        Whether one file holds all pages; a page is then a part with an anchor.
     """
 
     def page(file: str) -> str:

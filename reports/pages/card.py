@@ -38,8 +38,16 @@ def write_card(
 ) -> Path:
     """Write the card of a run folder; the suffix of ``path`` says SVG or PNG.
 
-    ``group``, ``target`` and ``cost`` are the question, ``scenes`` is "all", or a tag, for the
-    scenes that have it.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    path
+        The file.
+    group, target, cost
+        The question.
+    scenes
+        A tag, for the scenes that have it; or "all".
 
     Raises
     ------
@@ -62,9 +70,16 @@ def write_card(
 
 
 def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
-    """The card of these runs as SVG.
+    """The card as SVG.
 
-    ``found`` is the answer on the scenes asked for, ``scenes`` these in a word: all, stiff.
+    Parameters
+    ----------
+    stored
+        The runs.
+    found
+        The answer on the scenes that are asked for.
+    scenes
+        These scenes in a word: all, stiff.
     """
     words = words_of(stored.series, stored.tags)
     said = sentences(found, words)[:_MOST_SENTENCES]

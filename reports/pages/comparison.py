@@ -25,7 +25,12 @@ def write_comparison(
 ) -> list[Path]:
     """Write comparison.html and comparison.md into a folder.
 
-    ``regressions`` are sentences, one for each change that is worse than allowed.
+    Parameters
+    ----------
+    comparison
+        The result of ``bench.results.compare.compare``.
+    regressions
+        A sentence for each change that is worse than allowed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     charts = ratio_charts(comparison)

@@ -26,9 +26,19 @@ FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
-    """Write report.html and report/ into a run folder, from its store alone; return the first page.
+    """Write report.html and report/ into a run folder, from its store alone.
 
-    As a ``single_file`` report.html holds all pages, and there is no folder.
+    Parameters
+    ----------
+    folder
+        The run folder.
+    single_file
+        Whether report.html holds all pages, and there is no folder.
+
+    Returns
+    -------
+    pathlib.Path
+        The first page.
 
     Raises
     ------

@@ -25,7 +25,15 @@ FIGURES = "report_figures"
 def write_markdown_report(folder: Path) -> Path:
     """Write report.md, report/scene-NAME.md and their pictures, from a run folder's store alone.
 
-    Return the path of report.md, the index.
+    Parameters
+    ----------
+    folder
+        The run folder.
+
+    Returns
+    -------
+    pathlib.Path
+        The index.
 
     Raises
     ------

@@ -7,10 +7,18 @@ from typing import Any
 
 
 def packed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Data of `reports.pages.site_data` as the scripts of a page read them.
+    """Data of a page as its scripts read them.
 
-    ``refs`` are the references of all sentences, which have their places instead. The states on a
-    scene are a list in the order of the methods, None for those not tried.
+    Parameters
+    ----------
+    data
+        What `reports.pages.site_data` gives.
+
+    Returns
+    -------
+    dict of str to Any
+        The same; ``refs`` are the references of all sentences, which have their places instead.
+        The states on a scene are a list in the order of the methods, None for those not tried.
     """
     places: dict[tuple[tuple[str, str], ...], int] = {}
 

@@ -82,7 +82,14 @@ class Report:
 
 
 def read_report(folder: Path, interactive: bool) -> Report:
-    """Read the store in a folder and make the content of its report, charts interactive or still.
+    """Read the store in a folder and make the content of its report.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    interactive
+        Whether charts are interactive instead of still.
 
     Raises
     ------

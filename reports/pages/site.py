@@ -96,9 +96,16 @@ def named(report: Report) -> dict[str, tuple[str, str]]:
 
 
 def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
-    """Write all pages but the first, and what they share, into ``report/`` of the run folder.
+    """Write all pages but the first, and what they share, into the folder ``report/``.
 
-    ``data`` are those of the scripts, for all scenes.
+    Parameters
+    ----------
+    report
+        The content.
+    folder
+        The run folder.
+    data
+        What the scripts are given, for all scenes.
     """
     site, made = report_site(report)
     target = Path(folder) / FOLDER

@@ -62,8 +62,12 @@ class Filter:
 def filters(tags: Mapping[str, Sequence[str]]) -> list[Filter]:
     """All scenes, then those of each tag that parts them; the largest sets first.
 
-    ``tags`` are those of each scene. Tags that few scenes or all have are no choice, and tags of
-    the same scenes are one.
+    Tags that few scenes or all have are no choice, and tags of the same scenes are one.
+
+    Parameters
+    ----------
+    tags
+        The tags of each scene.
     """
     having: dict[str, list[str]] = {}
     for scene, own in tags.items():

@@ -24,7 +24,15 @@ _OPEN["residuals"] = "the residual evaluations are not counted"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
-    """The answer: who is cheapest on how many scenes, who reaches it on most, and nobody where."""
+    """The answer: who is cheapest on how many scenes, who reaches it on most, and nobody where.
+
+    Parameters
+    ----------
+    found
+        The answer on the scenes that are asked for.
+    words
+        Names and tags of the report.
+    """
     if not found.scenes:
         return [*_unjudged(found)] or [["No scene has runs with an error in this quantity."]]
     voting = {name: s for name, s in found.scenes.items() if s.verdict.votes and s.verdict.first}

@@ -27,8 +27,14 @@ def multiples_table(
 ) -> Table:
     """The least cost on each scene, and the multiples of it that each method takes.
 
-    ``found`` are the answers for one group and cost and several accuracies, ``runs`` those of the
-    scenes of the table.
+    Parameters
+    ----------
+    found
+        The answers for one group and cost and several accuracies, on the scenes of the table.
+    runs
+        The runs on these scenes.
+    words
+        Names of the report.
     """
     question, scenes = found[0].question, [*runs]
     first: Counter[str] = Counter()
