@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import os
 
 import numpy as np
 import pytest
 from helpers import long
 
-from bench.plugins import fingerprint
 from bench.plugins.registry import Registry
 from integrators.adapters import dae, sundials_equations
 from integrators.adapters.ida import ida_equations
@@ -17,7 +15,7 @@ from integrators.lowering import c_source, graph, native, operators
 from integrators.lowering.c_source import HEADER, c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
-from problems import jnp, other_programs
+from problems import jnp
 from problems.formulations import dae_layout
 from problems.runtime import jax
 
@@ -351,95 +349,3 @@ def test_operations_that_no_result_needs_do_no_harm():
         return jnp.where(False, u[order], u + 1)
 
     assert in_c(function, 3)(np.arange(3.0)).tolist() == [1.0, 2.0, 3.0]
-
-
-# ---- the compiler ----------------------------------------------------------------------
-@pytest.fixture
-def empty_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "_CACHE", tmp_path / "native")
-    native.load.cache_clear()
-    return tmp_path / "native"
-
-
-SOURCE = "double twice(double x) { return 2 * x; }\n"
-
-
-def twice():
-    function = native.load(SOURCE).twice
-    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
-    return function(1.5)
-
-
-def test_a_library_is_compiled_once_and_kept(empty_cache, monkeypatch):
-    assert twice() == 3.0
-    (kept,) = empty_cache.iterdir()
-    native.load.cache_clear()
-    monkeypatch.setattr(native, "_compile", None)
-    assert twice() == 3.0
-    assert list(empty_cache.iterdir()) == [kept]
-
-
-def test_a_kept_file_that_is_no_library_is_made_anew(empty_cache):
-    twice()
-    (file,) = empty_cache.iterdir()
-    good = file.read_bytes()
-    middle = len(good) // 2
-    flipped = good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :]
-    for wrong in (b"no library", good[:middle], flipped):
-        file.unlink()  # written over, a library in use would end the process
-        file.write_bytes(wrong)
-        native.load.cache_clear()
-        assert twice() == 3.0
-        assert file.read_bytes() == good
-
-
-def test_what_a_killed_compilation_has_left_is_removed_when_it_is_old(empty_cache):
-    for name in ("tmp-old", "tmp-new"):
-        (empty_cache / name).mkdir(parents=True)
-        (empty_cache / name / "functions.c").write_text(SOURCE)
-    os.utime(empty_cache / "tmp-old", (0, 0))
-    assert twice() == 3.0
-    assert [folder.name for folder in empty_cache.glob("tmp*")] == ["tmp-new"]
-
-
-def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):
-    with pytest.raises(NotLowered, match="cc failed"):
-        native.load("double f(double x) { return y; }\n")
-    empty_cache.rmdir()
-    empty_cache.write_text("a file in the way")
-    with pytest.raises(NotLowered, match="fails"):
-        native.load(SOURCE)
-    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
-    with pytest.raises(NotLowered, match="no C compiler"):
-        native.load(SOURCE)
-
-
-@pytest.fixture
-def hanging(tmp_path, monkeypatch):
-    """A compiler that hangs, which writes into the file "asked" each time."""
-    monkeypatch.setattr(other_programs, "_BETWEEN", 0.05)
-    monkeypatch.setattr(other_programs, "_IDLE", 0.2)
-    monkeypatch.setattr(native, "_hung", [])
-    (tmp_path / "cc").write_text(
-        f'#!/bin/sh\necho >> {tmp_path}/asked\n[ "$1" = "$ANSWERED" ] && echo cc 1 || sleep 1000\n'
-    )
-    (tmp_path / "cc").chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    native.compiler_version.cache_clear()
-    yield tmp_path / "asked"
-    native.compiler_version.cache_clear()
-
-
-@pytest.mark.parametrize("answered", ["", "--version"])
-def test_a_compiler_that_hangs_is_asked_no_more(empty_cache, monkeypatch, hanging, answered):
-    monkeypatch.setenv("ANSWERED", answered)
-    for source in (SOURCE, f"{SOURCE}\n"):
-        with pytest.raises(NotLowered, match=r"cc did nothing for 0\.2 s"):
-            native.load(source)
-    assert len(hanging.read_text()) == 1 + bool(answered)
-    assert not list(empty_cache.glob("*"))  # no half compilation is left
-
-
-def test_a_fingerprint_does_not_wait_for_a_compiler_that_hangs(hanging):
-    assert fingerprint._compiler() == ""
-    assert hanging.exists()
