@@ -6,6 +6,7 @@ one worker process, so that times of different machines are never compared.
 
 from __future__ import annotations
 
+import time
 from asyncio import CancelledError
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -23,6 +24,8 @@ CONNECT_SECONDS = 10
 #: Most short tasks in a group, which costs a process of its own, and fewest groups for each thread
 #: of the workers, so that they end together.
 _MOST_TOGETHER, _FEWEST_GROUPS = 16, 4
+#: Time in s between two looks for answers.
+_BETWEEN = 0.05
 
 
 class ClusterRunner(Runner):
@@ -96,10 +99,16 @@ class ClusterRunner(Runner):
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
                 sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group
-            for future in as_completed(list(sent), loop=self._client.loop):
-                # Nobody else may keep it: the cluster holds an answer as long as its future lives.
-                group = due.pop(id(sent.pop(future)))
-                yield from self._collect(future, group)
+            completed = as_completed(list(sent), loop=self._client.loop)
+            while due:
+                # A wait without end would not see that the client has given its scheduler up.
+                for future in completed.next_batch(block=False):
+                    # Nobody else may keep it: the cluster holds an answer as long as it lives.
+                    group = due.pop(id(sent.pop(future)))
+                    yield from self._collect(future, group)
+                if self._client.status == "closed":
+                    raise ConnectionError("the scheduler does not answer any more")
+                time.sleep(_BETWEEN)
         except (Exception, CancelledError) as error:  # the scheduler is gone
             for group in due.values():
                 yield from _lost(group, error)
