@@ -69,7 +69,9 @@ def test_a_point_is_a_single_run(problem, integrator, over, error):
         run = method.prepare(scene, t_end, resolution).measure()
         errors, *_ = relative_errors(run, Reference(scene, t_end))
         wanted = errors[group][norm]
-        assert found.error[j, i] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+        # Of more than 200 steps a map has fewer rows, over which a mean differs a little.
+        near = 1e-3 if norm == "rms" else 1e-6
+        assert found.error[j, i] == pytest.approx(wanted, rel=near, abs=1e-9)
         assert OUTCOMES[found.outcome[j, i]] == ("ok" if wanted <= 0.1 else "inaccurate")
     assert len(set(found.error.ravel())) > 6
 
