@@ -181,7 +181,7 @@ def operations(function: Callable, *arguments: Any, only_equations: bool = False
 
 @dataclass
 class _Counted:
-    """What the operations of a step are, and numbers of the steps that it needs.
+    """Operations of a step, and numbers of the steps that it needs.
 
     ``known`` is its result if that is one whole number that is known; ``constant`` tells whether
     it depends on no argument. Of ``branches`` it needs the results of the dearest one.
