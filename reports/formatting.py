@@ -7,8 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-#: The sign for "no value".
-NO_VALUE = "–"  # noqa: RUF001
+from bench.results.table import NO_VALUE as NO_VALUE
 
 
 def number(value: float | None) -> str:

@@ -89,7 +89,7 @@ def test_tables_for_people_show_the_same(stepbench):
     assert "constraint residual" in shown.output
     ordered = stepbench("order", "spring_mass", "hht", "--t-end", 2)
     assert ordered.exit_code == 0, ordered.output
-    assert "order, settled" in ordered.output
+    assert "Fitted orders" in ordered.output
 
 
 @pytest.mark.parametrize(

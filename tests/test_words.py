@@ -128,7 +128,7 @@ def test_the_list_has_a_line_for_each(stepbench, narrow):
     for name in (*registry.problems, *registry.integrators, *suite_titles()):
         assert sum(line.split()[:1] == [name] for line in lines) == 1, name
     assert (
-        len(lines) == sum(map(len, (registry.problems, registry.integrators, suite_titles()))) + 7
+        len(lines) == sum(map(len, (registry.problems, registry.integrators, suite_titles()))) + 4
     )
     only = stepbench("list", "scenes").stdout
     assert "pendulum" in only

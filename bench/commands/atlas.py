@@ -65,7 +65,7 @@ def atlas(
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(results), indent=2))
     else:
-        show(atlas_tables(results))
+        show(*atlas_tables(results))
         click.echo(f"Page: {view('atlas')(results, out)}")
     differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
     if differ:

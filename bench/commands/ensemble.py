@@ -117,7 +117,7 @@ def solve_ensemble(
         from bench.commands.terminal import show
         from bench.commands.terminal_tables import ensemble_table
 
-        show(ensemble_table(run, results))
+        show(*ensemble_table(run, results))
     if out:
         write_members(out, results.parts())
         click.echo(f"{request.count} members in {out}", err=as_json)

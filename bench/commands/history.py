@@ -9,10 +9,9 @@ import click
 
 from bench.commands import options
 from bench.commands.paths import PathName
+from bench.results.table import Table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bench.results.history import History
 
 #: Most lines of the table on the screen.
@@ -64,20 +63,10 @@ def history(folders: tuple[Path, ...], form: str | None) -> None:
 
 def _table(found: History) -> Table:
     """The lines in which something changed, a column per folder."""
-    from rich.text import Text
-
-    from bench.commands.terminal import new_table
-
-    table = new_table(f"What changed of {len(found.cells)} runs")
-    table.add_column("run", overflow="fold")
-    table.add_column("quantity", style="cyan", no_wrap=True)
-    for store in found.stores:
-        table.add_column(Text(store.folder), justify="right", overflow="fold")
-    last = None
+    rows = []
     for run, line in found.changed[:_MOST]:
         values = (f"{v:.4g}" if isinstance(v, float) else str(v or "-") for v in line.values)
         pairs = zip(values, line.changed, strict=True)
-        cells = [Text("\n".join(filter(None, pair))) for pair in pairs]
-        table.add_row(Text("" if run == last else str(run)), line.quantity, *cells)
-        last = run
-    return table
+        rows.append([str(run), line.quantity, *("\n".join(filter(None, pair)) for pair in pairs)])
+    head = ["run", "quantity", *(store.folder for store in found.stores)]
+    return Table(f"What changed of {len(found.cells)} runs", head, rows)

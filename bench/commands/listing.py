@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import click
 import msgspec
 
 from bench.commands import completion, options
+from bench.plugins.facts import PluginFacts
+from bench.results.table import Table
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, suggest
@@ -16,7 +19,9 @@ from problems.spec import SpecError, suggest
 #: What there is, by the word for one of it.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
 #: Words that stand for all of a kind.
-KINDS = {"problems": "problems", "scenes": "problems", **{k: k for k in ("integrators", "suites")}}
+_ALL_OF = {kind: [kind] for kind in WORDS} | {"scenes": ["problems"], "all": [*WORDS]}
+#: Names are padded to the longest one, but not to more characters.
+_LONGEST_NAME = 40
 
 
 @click.command("list")
@@ -38,35 +43,29 @@ def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> No
       stepbench list --json
     """
     registry = options.inventory(plugins)
-    kinds, named = _chosen(names, registry)
+    every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
+    whole, named = _chosen(names or ("all",), every)
     if as_json:
-        rows = {kind: _rows(kind, registry) for kind in WORDS if kind in kinds or named.get(kind)}
-        for kind, only in named.items():
-            if kind not in kinds:
-                rows[kind] = [row for row in rows[kind] if row["name"] in only]
+        told = {kind: every[kind] if kind in whole else named[kind] for kind in WORDS}
+        rows = {kind: [_row(kind, n, registry) for n in own] for kind, own in told.items() if own}
         click.echo(json.dumps(rows, indent=2))
         return
-    from bench.commands import listing_tables
     from bench.commands.terminal import show
 
-    for kind in kinds:
-        if kind == "suites":
-            show(listing_tables.short_table(kind, suite_titles().items()))
-        else:
-            show(listing_tables.plugin_table(kind, getattr(registry, kind).values()))
-    if kinds:
-        show(listing_tables.hint())
+    for kind in whole:
+        plugins_of = getattr(registry, kind, {}).values()
+        lines = {p.name: _reason(p) or p.summary for p in plugins_of} or suite_titles()
+        _show_lines("scenes" if kind == "problems" else kind, lines)
+    if whole:
+        show("Options and documentation of one: stepbench list NAME")
     for kind, own in named.items():
         for name in own:
-            if kind == "suites":
-                show(listing_tables.suite_details(name, read_profile(name)[1]))
-            else:
-                show(listing_tables.details(WORDS[kind], getattr(registry, kind)[name]))
+            show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
 
 
 def _chosen(
-    names: tuple[str, ...], registry: Inventory
-) -> tuple[list[str], dict[str, dict[str, None]]]:
+    names: Iterable[str], every: Mapping[str, Collection[str]]
+) -> tuple[list[str], dict[str, list[str]]]:
     """The kinds that are listed whole, and single names by kind.
 
     Raises
@@ -74,33 +73,74 @@ def _chosen(
     SpecError
         If a name is not known.
     """
-    known = {"problems": registry.problems, "integrators": registry.integrators}
-    every: dict[str, Any] = {**known, "suites": built_in_profiles()}
-    kinds: list[str] = [] if names else list(WORDS)
-    named: dict[str, dict[str, None]] = {}
+    names = dict.fromkeys(names)
+    words = [*_ALL_OF, *(name for known in every.values() for name in known)]
     for text in names:
-        if text == "all":
-            kinds = list(WORDS)
-            continue
-        if text in KINDS:
-            kinds.append(KINDS[text])
-            continue
-        found = [kind for kind, there in every.items() if text in there]
-        if not found:
-            everything = [*KINDS, *(name for there in every.values() for name in there)]
-            raise SpecError(f"There is no {text!r} to list; {suggest(text, everything)}.")
-        for kind in found:
-            named.setdefault(kind, {})[text] = None
-    return list(dict.fromkeys(kinds)), named
+        if text not in words:
+            raise SpecError(f"There is no {text!r} to list; {suggest(text, words)}.")
+    whole = dict.fromkeys(kind for text in names for kind in _ALL_OF.get(text, ()))
+    return [*whole], {
+        kind: [text for text in names if text in known] for kind, known in every.items()
+    }
 
 
-def _rows(kind: str, registry: Inventory) -> list[dict[str, Any]]:
+def _row(kind: str, name: str, registry: Inventory) -> dict[str, Any]:
+    """A scene, an integrator or a suite for JSON."""
     if kind == "suites":
-        read = (read_profile(name) for name in built_in_profiles())
-        usable = {"available": True, "reason": ""}  # in every row of the list
-        return [{"name": name} | usable | msgspec.to_builtins(suite) for name, suite in read]
+        suite = msgspec.to_builtins(read_profile(name)[1])
+        return {"name": name, "available": True, "reason": ""} | suite
+    plugin = getattr(registry, kind)[name]
     told = ("name", "summary", "description", "origin", "reason", "options")
-    return [
-        {name: getattr(plugin, name) for name in told} | {"available": not plugin.reason}
-        for plugin in getattr(registry, kind).values()
-    ]
+    return {key: getattr(plugin, key) for key in told} | {"available": not plugin.reason}
+
+
+def _show_lines(title: str, lines: Mapping[str, str]) -> None:
+    """Print a line for each name, cut where the terminal's line ends."""
+    from rich.text import Text
+
+    from bench.commands.terminal import say
+
+    say(Text(title, style="bold"))
+    longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
+    for name, text in lines.items():
+        say(Text.assemble((f"{name:{longest}}", "cyan"), f"  {text}"), cut=True)
+
+
+def _plugin(kind: str, plugin: PluginFacts) -> list[Table | str]:
+    """All about a scene or an integrator: description, and options with limits and meaning."""
+    first = f"{WORDS[kind]} {plugin.name} ({plugin.origin})"
+    parts: list[Table | str] = [first, _reason(plugin) or plugin.summary]
+    parts += [f"\n{text}" for text in plugin.description]
+    if plugin.options:
+        rows = []
+        for option in plugin.options:
+            unit = option.get("unit", "-")
+            meaning = str(option["doc"]) + (f" in {unit}" if unit not in ("", "-") else "")
+            rows.append([option["name"], _text(option["default"]), _allowed(option), meaning])
+        head = ["parameter" if kind == "problems" else "option", "default", "allowed", "meaning"]
+        parts += ["", Table("", head, rows)]
+    return [*parts, ""]
+
+
+def _reason(plugin: PluginFacts) -> str:
+    return f"unavailable: {plugin.reason}" if plugin.reason else ""
+
+
+def _text(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _allowed(option: Mapping[str, Any]) -> str:
+    """The choices of an option and the range of its numbers."""
+    ends = (("from", option.get("low")), ("to", option.get("high")))
+    reach = " ".join(f"{word} {_text(end)}" for word, end in ends if end is not None)
+    return ", ".join([*map(str, option.get("choices", ())), *([reach] if reach else [])])
+
+
+def _suite(name: str) -> list[Table | str]:
+    """The studies of a suite: scenes and integrators."""
+    suite = read_profile(name)[1]
+    rows = [[s.title, "\n".join(s.problems), "\n".join(s.integrators)] for s in suite.study]
+    limits = f"{suite.samples} timings per run, at most {suite.budget_s:g} s of processor time each"
+    table = Table("", ["study", "scenes", "integrators"], rows)
+    return [f"suite {name}", suite.title, limits, "", table]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 from msgspec.structs import replace
@@ -55,6 +54,8 @@ def orders_table(
     if integrators:
         profile = _only(profile, registry, problems, integrators)
     suite = make_suite(name, profile, registry, problems, integrators)
+    from bench.commands.terminal import show
+
     outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
     tables = view("order_tables")(out)
     if not tables:
@@ -62,8 +63,7 @@ def orders_table(
     if markdown:
         click.echo(view("order_tables_in_markdown")(out))
         return
-    for table in tables:
-        _show(table)
+    show(*tables)
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
@@ -93,17 +93,3 @@ def _only(
             rest -= {registry.integrator(text).spec for text in own}
             files += [replace(file, problems=[problem], integrators=own)] if own else []
     return replace(profile, study=files)
-
-
-def _show(table: Any) -> None:
-    from bench.commands.terminal import new_table, say, show
-
-    shown = new_table(table.caption)
-    for k, name in enumerate(table.head):
-        shown.add_column(name, justify="right" if k > 1 else "left", overflow="fold")
-    before = ""
-    for name, *cells in table.rows:
-        shown.add_row("" if name == before else name, *cells)
-        before = name
-    show(shown)
-    say(table.note)

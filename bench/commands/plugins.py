@@ -9,15 +9,22 @@ import re
 import sys
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from bench.commands import completion, options
 from bench.commands.listing import WORDS
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.plugins.registry import KINDS
 from bench.running.inventory import Inventory
 from problems.spec import SpecError, snake_case
 
+if TYPE_CHECKING:
+    from rich.text import Text
+
+#: Sign and colour of each verdict of a check.
+_SIGNS = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
 _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
 
 
@@ -46,8 +53,7 @@ def check(
       stepbench check --all --json
     """
     from bench.commands.terminal import say
-    from bench.commands.terminal_tables import check_line
-    from bench.conformance.checker import FAILED, Checker, chosen, is_file
+    from bench.conformance.checker import Checker, chosen, is_file
 
     registry = options.inventory([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)
@@ -60,7 +66,7 @@ def check(
             for result in checker.check(kind, text):
                 results.append(result)
                 if not as_json:
-                    say(check_line(result))
+                    say(_line(result))
             wrong = sum(result.verdict == FAILED for result in results)
             count, failed = count + len(results), failed + wrong
             about = {"name": text, "kind": WORDS[kind], "passed": not wrong}
@@ -71,6 +77,15 @@ def check(
         raise click.ClickException(f"{failed} of {count} checks failed.")
     if not as_json:
         click.echo(f"All {count} checks passed or do not apply.")
+
+
+def _line(result: CheckResult) -> Text:
+    """A check in a line: a tick, a cross or a dash, its name and its result."""
+    from rich.text import Text
+
+    sign, style = _SIGNS[result.verdict]
+    why = "does not apply: " if result.verdict == NOT_APPLICABLE else ""
+    return Text.assemble((f"  {sign} {result.check}: ", style), why, result.text)
 
 
 @click.command()

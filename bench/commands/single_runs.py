@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,7 +13,9 @@ from bench.commands import completion, options
 from bench.commands import ensemble as ensembles
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
-from bench.results.records import UNSUPPORTED
+from bench.results.quantities import NORMS
+from bench.results.records import UNSUPPORTED, Record, Rows, median
+from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.plan import DEFAULT_HALVINGS, Cell
 from bench.running.plan import resolution as resolution_of
 from integrators.contract import Steps
@@ -98,11 +101,52 @@ def solve(
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:
         from bench.commands.terminal import show
-        from bench.commands.terminal_tables import solution_table
 
-        show(solution_table(record, rows, names))
+        show(_end_values(record, rows, names), *_facts(record))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
+
+
+def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
+    """The values at the end with their errors; ``names`` are those of components by group."""
+    cells = []
+    for group, values in rows.values.items():
+        errors = record.components.get(group, {})
+        for i, (name, value) in enumerate(zip(names[group], values[-1], strict=True)):
+            own = (formatted(errors[norm][i] if norm in errors else None, ".2e") for norm in NORMS)
+            cells.append([group, name, f"{value:.10g}", *own])
+    end = f"at t={rows.t[-1]:.6g} s" if rows.t else "at the end"
+    title = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
+    return Table(title, ["group", "component", end, *NORMS], cells)
+
+
+def _facts(record: Record) -> list[str]:
+    """Lines on the meaning of errors, constraints, work, energy and times of a run."""
+    lines = []
+    if record.components:
+        steps = record.work.get("steps") or 0
+        where = f", at {record.rows} of {steps} steps" if record.rows < steps else ""
+        lines = [f"{', '.join(NORMS)}: errors relative to the component's largest value{where}"]
+    for title, numbers in (
+        ("constraint residual", record.constraint),
+        ("work", record.work),
+        ("floating-point operations", record.operations),
+    ):
+        known = [
+            f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in numbers.items()
+            if value is not None
+        ]
+        if known:
+            lines.append(f"{title}: {', '.join(known)}")
+    if record.energy_drift is not None:
+        lines.append(f"energy drift: {record.energy_drift:.3g}")
+    if record.run_s:
+        lines.append(
+            f"time: {median(record.run_s):.3g} s (median of {len(record.run_s)}), prepared in "
+            f"{formatted(record.compile_s, '.2g')} s"
+        )
+    return lines
 
 
 def order_cells(
@@ -184,9 +228,8 @@ def order(
         click.echo(json.dumps(orders, indent=2))
     elif len(failed) < len(records):
         from bench.commands.terminal import show
-        from bench.commands.terminal_tables import order_table
 
-        show(order_table(records, orders))
+        show(*_order_tables(records, orders))
     if refused:
         reason = records[0].message
         raise click.ClickException(f"{method.spec} does not take {scene.spec}: {reason}")
@@ -194,3 +237,25 @@ def order(
         click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
     if len(failed) == len(records):
         raise click.ClickException("No run succeeded.")
+
+
+def _order_tables(records: Sequence[Record], orders: Mapping[str, Any]) -> tuple[Table, Table]:
+    """Errors at each step in the norm "settled", and the orders fitted in every norm."""
+    name = f"{records[0].integrator} on {records[0].problem}"
+    errors = [
+        [record.resolution.removeprefix("h="), *(formatted(e, ".2e") for e in settled)]
+        for record, *settled in zip(
+            records, *(own["settled"] for own in orders["errors"].values()), strict=True
+        )
+    ]
+    fits = []
+    for group, by_norm in orders["orders"].items():
+        for norm, order in by_norm.items():
+            window = orders["window"][group][norm] or (None, None)
+            found = orders["verdict"][group][norm] if order is None else f"{order:.2f}"
+            points = str(orders["points"][group][norm] or NO_VALUE)
+            fits.append([group, norm, found, points, *(formatted(h, ".3g") for h in window)])
+    return (
+        Table(f"{name}: relative error, norm 'settled'", ["h", *orders["orders"]], errors),
+        Table("Fitted orders", ["group", "norm", "order", "points", "from h", "to h"], fits),
+    )

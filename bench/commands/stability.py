@@ -100,5 +100,5 @@ def _show(results: list[dict[str, Any]], out: Path, as_json: bool) -> None:
     from bench.commands.terminal import show
     from bench.commands.terminal_tables import stability_tables
 
-    show(stability_tables(results))
+    show(*stability_tables(results))
     click.echo(f"Page: {view('stability')(results, out)}")

@@ -1,4 +1,4 @@
-"""Output in the terminal: lines, the style of tables, and the progress of a run."""
+"""Output in the terminal: lines, tables, and the progress of a run."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
-from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich import table as rich_table
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -20,10 +21,10 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
 from bench.commands.standard_streams import behind
+from bench.results.table import Table
 from problems.plain_text import visible
 
 #: Tables are never narrower, in characters, however small COLUMNS is.
@@ -47,26 +48,44 @@ class _PlainConsole(Console):
             yield Segment(text if control else visible(text), style, control)
 
 
-def show(content: Table | Group) -> None:
+def show(*parts: Table | str) -> None:
     """Print tables and lines on standard output."""
-    _PlainConsole(sys.stdout).print(content)
+    for part in parts:
+        if isinstance(part, str):
+            say(part)
+            continue
+        _PlainConsole(sys.stdout).print(_drawn(part))
+        if part.note:
+            say(part.note)
 
 
-def say(line: Text | str) -> None:
-    """Print a line as it is, however long: the terminal wraps it."""
-    _PlainConsole(sys.stdout).print(line, soft_wrap=True, markup=False, highlight=False)
-
-
-def new_table(title: str = "") -> Table:
-    """Make an empty table in the style of all tables of the command line."""
-    return Table(
-        title=escape(title) or None,
+def _drawn(table: Table) -> rich_table.Table:
+    """A table without lines; a name that the row above begins with is left out."""
+    drawn = rich_table.Table(
+        title=Text(table.caption) if table.caption else None,
         title_justify="left",
         title_style="bold",
         box=None,
         pad_edge=False,
         padding=(0, 2, 0, 0),
     )
+    for j, head in enumerate(table.head):
+        style, number = "" if j else "cyan", j in table.numbers
+        justify = "right" if number else "left"
+        drawn.add_column(Text(head), style=style, justify=justify, no_wrap=number, overflow="fold")
+    above = ""
+    for i, (name, *others) in enumerate(table.rows):
+        cells = ["" if name == above else name, *others]
+        styles = ["bold" if (i, j) in table.best else "" for j in range(len(cells))]
+        drawn.add_row(*map(Text, cells, styles))
+        above = name
+    return drawn
+
+
+def say(line: Text | str, cut: bool = False) -> None:
+    """Print a line, however long: the terminal wraps it, unless it is ``cut`` where that ends."""
+    how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
+    _PlainConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.experiments import ExperimentResult
+from bench.results.table import Table
 from problems.whole_files import put
 from reports.charts.atlas import experiment_chart
 from reports.charts.rendering import pictures
@@ -14,7 +15,6 @@ from reports.formatting import file_name
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.templating import html
 from reports.text.atlas_tables import experiments_table, part_table, predicted_counts
-from reports.text.table import Table
 
 FILE = "atlas.html"
 

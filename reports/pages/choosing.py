@@ -10,6 +10,7 @@ from pathlib import Path
 
 from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
 from bench.results.records import Environment, counted
+from bench.results.table import Table
 from reports.pages.templating import code, escape_markdown, markdown
 from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import Answer, answers
@@ -25,7 +26,6 @@ from reports.text.choosing_tables import (
     energy_table,
     multiples_table,
 )
-from reports.text.table import Table
 
 #: The cost in question: it does not depend on the machine.
 _COST = "operations"

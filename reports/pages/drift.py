@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.drift import LongRun, scenes_of
+from bench.results.table import Table
 from problems.whole_files import put
 from reports.charts.drift import drift_chart
 from reports.charts.rendering import pictures
@@ -14,7 +15,6 @@ from reports.names import scene_name
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.templating import html
 from reports.text.drift_table import drift_sentences, drift_table
-from reports.text.table import Table
 
 FILE = "drift.html"
 _CAPTION = (

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from bench.results.experiments import ExperimentResult
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts, SceneRecord
+from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
@@ -20,7 +21,6 @@ from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.nearest_method import atlas_beside, nearest, stability_beside
 from reports.text.run_tables import failures_table, unsupported_table
-from reports.text.table import Table
 
 #: An integrator that is not known to reach the accuracy.
 _STATES = {"far": "not reached", "failed": "no run reached the end"}

@@ -9,6 +9,7 @@ from pathlib import Path
 from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
 from bench.results.records import NOT_TRIED, Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
+from bench.results.table import Table
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
@@ -37,7 +38,6 @@ from reports.text.measurement import (
 from reports.text.order_table import order_tables
 from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
 from reports.text.run_tables import failures_table, timing_table, unsupported_table
-from reports.text.table import Table
 from reports.text.winners import verdicts
 
 

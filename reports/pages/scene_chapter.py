@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bench.results.records import SceneRecord, Study
+from bench.results.table import Table
 from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
 from reports.pages.captioned_charts import CaptionedCharts, captioned
@@ -14,7 +15,6 @@ from reports.series import Series
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import drift_table, runs_table, summary_table
 from reports.text.scene_tables import motion_table, parameters_table, scene_facts
-from reports.text.table import Table
 
 
 @dataclass

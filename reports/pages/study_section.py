@@ -12,6 +12,7 @@ from typing import Any
 from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
 from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
+from bench.results.table import Table
 from reports.charts.bills import bills
 from reports.charts.errors import acceleration_accuracy, convergence, work_precision
 from reports.charts.line_styles import LineStyle, line_styles
@@ -33,7 +34,6 @@ from reports.series import (
 from reports.text.observations import Observation, observations
 from reports.text.run_tables import orders_table, runs_table
 from reports.text.seconds_per_operation import disagreements
-from reports.text.table import Table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
 ALL_RUNS = 6

@@ -15,11 +15,11 @@ import jinja2
 from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
+from bench.results.table import Table, whole
 from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
 from reports.formatting import file_name, symbols
 from reports.text.glossary import terms_in
-from reports.text.table import Table, whole
 
 #: Stands in the head of a page for its content-security policy, until all scripts are known.
 POLICY = "content-security-policy"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult, bounds
+from bench.results.table import Table
 from reports.formatting import number
-from reports.text.table import Table
 
 
 def experiments_table(found: Sequence[ExperimentResult]) -> Table:

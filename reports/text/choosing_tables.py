@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from bench.results.records import NOT_TRIED
+from bench.results.table import Table
 from reports.formatting import NO_VALUE, number
 from reports.names import scene_name
 from reports.questions.answers import Answer
@@ -13,7 +14,6 @@ from reports.questions.question import Question
 from reports.questions.words import Words
 from reports.ranking import LEAST_COST
 from reports.series import Series
-from reports.text.table import Table
 from reports.text.winners import cost_text
 
 #: Between the numbers of several accuracies in one cell.

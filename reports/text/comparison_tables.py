@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.results.comparison import LEAST_CHANGE, Change, ComparedCell, Comparison, factor, shown
-from reports.text.table import Table
+from bench.results.table import Table
 
 _CAPTIONS = {
     "error": "Relative errors that changed",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bench.results.records import Damping, SceneRecord
+from bench.results.table import Table
 from reports.formatting import number
-from reports.text.table import Table
 
 #: A radius above 1 by more than this is growth; a ratio below this is rounding.
 _GROWTH, ROUNDING = 1e-9, 1e-12

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from bench.results.drift import DRIFTS, RULE, Drift, LongRun, titled
+from bench.results.table import Table
 from reports.formatting import number, words
 from reports.names import short_names
-from reports.text.table import Table
 
 #: Verdicts in the order in which a sentence tells them, with its words.
 _VERDICTS = {

@@ -7,9 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORM_NAMES
 from bench.results.records import IntegratorFacts
+from bench.results.table import Table
 from reports.formatting import number, order_text
 from reports.series import Series, error_of, groups_of, step_or_tolerance
-from reports.text.table import Table
 
 #: An order is lost that falls short of the claimed one by this much.
 LOSS = 0.5

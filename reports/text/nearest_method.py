@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 
 from bench.results.experiments import ExperimentResult
 from bench.results.records import Damping
+from bench.results.table import Table
 from reports.formatting import number
 from reports.names import BUILT_IN
 from reports.text.atlas_tables import spared
 from reports.text.damping_table import ROUNDING
-from reports.text.table import Table
 
 
 def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:

@@ -8,10 +8,10 @@ from pathlib import Path
 from bench.results.orders import Fit
 from bench.results.records import Plan, Record
 from bench.results.store import Store
+from bench.results.table import Table
 from reports.formatting import NO_VALUE, order_text
 from reports.names import short_names
 from reports.series import Series, groups_of, ok_runs, series_of
-from reports.text.table import Table
 
 #: The figure of a study that asks for the table.
 FIGURE = "orders"

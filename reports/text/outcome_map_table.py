@@ -7,7 +7,7 @@ from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
-from reports.text.table import Table
+from bench.results.table import Table
 
 #: Words of each outcome; a page numbers the outcomes in this order.
 OUTCOME_NAMES = {

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
 from bench.results.records import IntegratorFacts, Record
+from bench.results.table import Table
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import named, number, order_text, text_range
 from reports.pareto_front import compared_scenes, pareto_front
@@ -39,7 +40,6 @@ from reports.series import (
     with_values,
 )
 from reports.text.lost_orders import LOSS
-from reports.text.table import Table
 from reports.text.winners import Verdict, cost_text
 
 _VALUE = itemgetter(0)

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from bench.results.orders import Fit
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORM_NAMES, NORMS, TRUST
 from bench.results.records import UNSUPPORTED, Record, median
+from bench.results.table import Table
 from reports.formatting import (
     NO_VALUE,
     component_text,
@@ -30,7 +31,6 @@ from reports.series import (
     with_values,
     worst_component,
 )
-from reports.text.table import Table
 
 
 def summary_table(series: Sequence[Series]) -> Table:

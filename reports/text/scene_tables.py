@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bench.results.quantities import GROUPS
 from bench.results.records import SceneRecord
+from bench.results.table import Table
 from reports.formatting import component_title, number
-from reports.text.table import Table
 
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from bench.results.table import Table
 from reports.formatting import NO_VALUE, number
-from reports.text.table import Table
 
 
 def stability_tables(found: Sequence[dict[str, Any]], omega_h: str) -> list[Table]:

@@ -1,4 +1,4 @@
-"""A table of text, which a page writes as HTML or Markdown."""
+"""A table of text: a terminal, an HTML page and a Markdown page each write it in their way."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from reports.formatting import NO_VALUE
-
-#: A number as `reports.formatting.number` writes it, with a mark of doubt or a sign for no number.
-_NUMBER = re.compile(rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|{NO_VALUE}|not counted|not determined|)")
+#: The sign for "no value".
+NO_VALUE = "–"  # noqa: RUF001
+#: A number as pages and commands write it, with a mark of doubt or a sign for no number.
+_NUMBER = re.compile(rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|{NO_VALUE}|-|not counted|not determined|)")
 
 _WHOLE = re.compile(r"[-+]?\d+(?=[.e ])")
 
@@ -19,6 +19,11 @@ def whole(cell: str) -> int:
     """How many characters of a cell stand before the point of its number, all if it has none."""
     found = _WHOLE.match(cell)
     return found.end() if found else len(cell)
+
+
+def formatted(value: float | None, form: str, nothing: str = NO_VALUE) -> str:
+    """A number as the format specification ``form`` writes it; ``nothing`` for None."""
+    return nothing if value is None else format(value, form)
 
 
 @dataclass
