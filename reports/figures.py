@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.results.quantities import COST, COST_NAMES, GROUPS, error_note, group_and_norm
+from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
 from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
@@ -141,10 +141,10 @@ def write_figure(
 # ---- kinds -------------------------------------------------------------------------------
 def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
     runs = ok_runs(chosen.series)
-    known = ["seconds", *(c for c in COST_NAMES if any(cost_of(r, c) is not None for r in runs))]
+    known = [c for c in COSTS if c == "seconds" or any(cost_of(r, c) is not None for r in runs)]
     if cost not in known:
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
-    return _errors(chosen, chosen.series, error, cost, COST_NAMES.get(cost, cost))
+    return _errors(chosen, chosen.series, error, cost, COSTS[cost].title)
 
 
 def _convergence(chosen: Selection, error: str = "q") -> Spec:

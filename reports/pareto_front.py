@@ -22,7 +22,7 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     group
         Group of variables; its relative error in the norm `NORM` is compared.
     cost
-        A cost of `bench.results.quantities.COST_NAMES`.
+        A cost of `bench.results.quantities.COSTS`.
     """
     runs = ok_runs(series)
     least = trusted_error(runs, group, NORM)

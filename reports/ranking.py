@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
-from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.series import (
@@ -25,15 +25,9 @@ from reports.series import (
     trusted_error,
 )
 
-#: Groups, relative errors (in the norm `NORM`) and costs by which integrators are ranked.
+#: Groups and relative errors (in the norm `NORM`) by which integrators are ranked.
 RANKED_GROUPS = ("q", "a", "lam")
 TARGETS = (1e-2, 1e-4, 1e-6)
-RANKED_COSTS = {cost: COST_NAMES[cost] for cost in (COST, "seconds", "residuals")}
-LEAST_COST = {
-    "operations": "fewest operations",
-    "seconds": "least time",
-    "residuals": "fewest residual evaluations",
-}
 #: Group and target of a page before a reader chooses others.
 GROUP, TARGET = "a", 1e-4
 #: An integrator that was tried on a scene and has no cost there.
@@ -42,8 +36,6 @@ STATES = {
     "failed": "no run reached the end",
     "unknown": "reached, at a cost that is not measured",
 }
-#: Bills of operations are told apart from this quotient on: the cost model is no more exact.
-LEAST_OPERATIONS = 1.1
 #: Errors of the same method in two programs differ by rounding, relative to them.
 _ROUNDING = 1e-3
 
@@ -84,7 +76,7 @@ class RankEntry:
 def accuracy_text(group: str, target: float) -> str:
     """An accuracy in words, with quantity and norm."""
     digits = f"{target:.0e}".replace("e-0", "e-")
-    return f"a relative error in the {GROUP_NAMES[group]} of at most {digits} ({NORM_NAMES[NORM]})"
+    return f"a relative error in the {GROUP_NAMES[group]} of at most {digits} ({NORMS[NORM]})"
 
 
 def reaches(record: Record, group: str, target: float) -> bool:
@@ -96,15 +88,13 @@ def reaches(record: Record, group: str, target: float) -> bool:
 def told_apart(one: Record, two: Record, cost: str) -> bool:
     """Whether the costs of two runs differ beyond what is known of them.
 
-    Times by their quotient within rounds (`bench.results.timings`), operations by more than
-    `LEAST_OPERATIONS`, counts exactly.
+    Times by their quotient within rounds (`bench.results.timings`), others by `Cost.tie`.
     """
-    if cost == "seconds":
+    if COSTS[cost].is_time:
         found = quotient(one, two)
         return found is not None and found.differs
     values = [v for r in (one, two) if (v := cost_of(r, cost)) is not None]
-    least = LEAST_OPERATIONS if cost == "operations" else 1.0
-    return len(values) == 2 and max(values) > least * min(values)
+    return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)
 
 
 def contestants(series: Sequence[Series]) -> dict[str, str]:

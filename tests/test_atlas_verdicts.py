@@ -13,7 +13,7 @@ from bench.atlas.measures import number_of, quantity, value_of, within
 from bench.atlas.runs import digest
 from bench.commands.terminal_tables import atlas_tables
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
-from bench.results.quantities import NORM_NAMES
+from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.running.inventory import Inventory
 from reports.text.atlas_tables import experiments_table, part_table
@@ -43,9 +43,9 @@ def test_a_better_number_is_never_hit(number, better):
 
 
 def test_every_norm_has_its_words(monkeypatch):
-    monkeypatch.setitem(NORM_NAMES, "mean", "mean over time")
-    said = [quantity(Settings(measure="error", group="q", norm=norm)) for norm in NORM_NAMES]
-    assert said == [f"relative error of q, {name}" for name in NORM_NAMES.values()]
+    monkeypatch.setitem(NORMS, "mean", "mean over time")
+    said = [quantity(Settings(measure="error", group="q", norm=norm)) for norm in NORMS]
+    assert said == [f"relative error of q, {name}" for name in NORMS.values()]
 
 
 def planted(number, message="", **changes):

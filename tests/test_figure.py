@@ -16,7 +16,7 @@ import altair
 import pytest
 from planted import everything, plant, planted
 
-from bench.results.quantities import COST_NAMES
+from bench.results.quantities import COSTS
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
@@ -66,7 +66,7 @@ def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, g
     assert shown == expected
     points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
     assert points["encoding"]["x"]["field"] == cost
-    assert points["encoding"]["x"]["title"] == COST_NAMES[cost]
+    assert points["encoding"]["x"]["title"] == COSTS[cost].title
     assert figure["encoding"]["y"]["field"] == "error"
 
 

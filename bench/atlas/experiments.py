@@ -179,7 +179,7 @@ def _check(s: Settings, healthy: tuple[float, float], where: str) -> None:
         )
     if s.measure == "error":
         _one_of(s.group, GROUPS, f"{where}: group")
-        _one_of(s.norm or "max", NORMS, f"{where}: norm")
+        _one_of(s.norm or "max", list(NORMS), f"{where}: norm")
     if s.measure == "constraint":
         _one_of(s.name, LEVELS, f"{where}: name")
 

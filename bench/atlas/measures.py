@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.atlas.experiments import Settings
-from bench.results.quantities import NORM, NORM_NAMES, TRUST
+from bench.results.quantities import NORM, NORMS, TRUST
 from bench.results.records import Record, Rows
 
 #: A relative error or drift below this is rounding.
@@ -73,7 +73,7 @@ def number_of(
 def quantity(s: Settings) -> str:
     """Return the measured quantity in words."""
     return {
-        "error": f"relative error of {s.group}, {NORM_NAMES[s.norm or NORM]}",
+        "error": f"relative error of {s.group}, {NORMS[s.norm or NORM]}",
         "energy": "relative drift of the energy",
         "constraint": f"constraint residual, {s.name} level",
         "note": f"largest {s.name}",

@@ -11,6 +11,7 @@ from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
 from bench.results.csv_text import csv_export
+from bench.results.quantities import RANKED_COSTS
 from bench.results.records import flatten
 from bench.results.store import Store
 from problems.spec import SpecError
@@ -227,7 +228,7 @@ def figure(
 @click.option(
     "--target", type=float, help="Largest error allowed, 1e-9 to 1e-1; 1e-4 if not given."
 )
-@click.option("--cost", metavar="operations|seconds|residuals", help="operations if not given.")
+@click.option("--cost", metavar="|".join(RANKED_COSTS), help="operations if not given.")
 @click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
 @options.with_file("File that ends in .svg or .png; card.svg if not given.")
 def card(

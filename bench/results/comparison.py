@@ -7,7 +7,7 @@ from collections import defaultdict
 
 import msgspec
 
-from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.quantities import NORM, NORMS
 from bench.results.timings import LEAST_QUOTIENT
 
 #: Ratios up to these are no change: rounding, exact counts, and the precision of clocks.
@@ -137,7 +137,7 @@ class Comparison(msgspec.Struct, kw_only=True, frozen=True):
                 worse = sum(c.worse for c in changes)
                 counts = {"worse": worse, "better": len(changes) - worse}
                 parts.append(f"{name} {', '.join(f'{n} {how}' for how, n in counts.items() if n)}")
-            norm = f" ({NORM_NAMES[NORM]})" if kind == "error" else ""
+            norm = f" ({NORMS[NORM]})" if kind == "error" else ""
             worst = max((c for own in by_name.values() for c in own), key=lambda c: c.ratio or 0.0)
             named = f"Worst: {worst}." if worst.worse else "Nothing is worse."
             count = sum(self.judged.values())

@@ -6,6 +6,7 @@ Every list of choices, every title and every parser of such names is made from t
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 from problems.spec import SpecError, suggest
 from problems.system import GROUPS as GROUPS
@@ -40,30 +41,93 @@ ERROR_MEANING = (
     "reference, the largest over all steps."
 )
 #: Titles of the norms over time; `bench.running.errors.norms` computes them.
-NORM_NAMES = {
+NORMS = {
     "max": "largest over time",
     "end": "at the end",
     "rms": "root mean square over time",
     "settled": "largest in the last quarter",
 }
-NORMS = tuple(NORM_NAMES)
 #: Norm of every error that is shown or judged unless another is asked for.
 NORM = "max"
 #: Levels at which a run can violate the constraints: Phi and its two time derivatives.
 LEVELS = ("position", "velocity", "acceleration")
-#: Titles of the costs of a run: operations of its bill, the time in s, and counts of
+
+
+class Cost(NamedTuple):
+    """A cost of a run: its name in records, and the words by which pages speak of it.
+
+    Attributes
+    ----------
+    title
+        In charts and menus.
+    noun
+        In sentences; the title if empty.
+    verb
+        Of the plural: several integrators "take" the fewest operations.
+    tie
+        The quotient up to which two costs are equal; times have intervals of their own, too.
+    ranked
+        Whether integrators are ranked by it.
+    """
+
+    name: str
+    title: str
+    noun: str = ""
+    verb: str = "need"
+    tie: float = 1.0
+    ranked: bool = False
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it is measured in s; all others are counts."""
+        return self.name == "seconds"
+
+    @property
+    def words(self) -> str:
+        """The cost in a sentence: "operations", "time"."""
+        return self.noun or self.title
+
+    @property
+    def unit(self) -> str:
+        """The shortest name of its unit."""
+        return "s" if self.is_time else self.words.split()[-1]
+
+    @property
+    def least(self) -> str:
+        """The least of it in words: "fewest operations"."""
+        return f"least {self.words}" if self.is_time else f"fewest {self.words}"
+
+    @property
+    def counted(self) -> str:
+        """The noun behind a value, which a time with its unit does not need."""
+        return "" if self.is_time else f" {self.words}"
+
+    @property
+    def unknown(self) -> str:
+        """The lack of it in words."""
+        return f"the {self.words} {'is not measured' if self.is_time else 'are not counted'}"
+
+
+#: Costs of a run by name: operations of its bill, the time in s, and counts of
 #: `integrators.contract.Work`.
-COST_NAMES = {
-    "operations": "floating-point operations",
-    "seconds": "median seconds per run",
-    "residuals": "residual evaluations",
-    "jacobians": "Jacobian evaluations",
-    "factorisations": "factorisations",
-    "newton": "Newton iterations",
-    "steps": "steps",
-    "solves": "linear solves",
-    "rejected": "rejected steps",
+COSTS = {
+    cost.name: cost
+    for cost in (
+        # The model of operations is no more exact than 10 %. One program takes several per cent
+        # more or less time in another process, because its memory lies elsewhere.
+        Cost("operations", "floating-point operations", "operations", "take", 1.1, ranked=True),
+        Cost("seconds", "median seconds per run", "time", "take", 1.1, ranked=True),
+        Cost("residuals", "residual evaluations", ranked=True),
+        Cost("jacobians", "Jacobian evaluations"),
+        Cost("factorisations", "factorisations"),
+        Cost("newton", "Newton iterations"),
+        Cost("steps", "steps"),
+        Cost("solves", "linear solves"),
+        Cost("rejected", "rejected steps"),
+    )
 }
+#: Names of the costs by which integrators are ranked.
+RANKED_COSTS = tuple(cost.name for cost in COSTS.values() if cost.ranked)
 #: Parts of a run's bill of operations; see `integrators.operations.bill`.
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves")
 #: Cost by which runs are compared unless another is asked for.

@@ -11,15 +11,15 @@ import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from bench.results.quantities import COSTS
 from bench.results.records import TIMING_SECONDS, Record
 
 #: Probability with which an interval holds the median, and the fewest samples that give one.
 LEVEL = 0.95
 FEWEST = 6
-#: Times are told apart from this quotient on: one program takes several per cent more or less
-#: time in another process, because its memory lies elsewhere. With fewer samples than `FEWEST`
-#: there is no interval, and only a large quotient counts.
-LEAST_QUOTIENT, LEAST_OF_FEW = 1.1, 2.0
+#: Times are told apart from this quotient on. With fewer samples than `FEWEST` there is no
+#: interval, and only a large quotient counts.
+LEAST_QUOTIENT, LEAST_OF_FEW = COSTS["seconds"].tie, 2.0
 
 
 class Quotient(NamedTuple):

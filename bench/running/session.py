@@ -10,7 +10,7 @@ from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import SceneFacts
 from bench.results.environment import environment
-from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
@@ -250,7 +250,7 @@ def _described(
 def _in_words(record: Record) -> str:
     """Return the result of a cell as a line."""
     error = record.errors.get("a", {}).get(NORM)
-    text = f"relative error in a {error:.1e} ({NORM_NAMES[NORM]})" if error else record.status
+    text = f"relative error in a {error:.1e} ({NORMS[NORM]})" if error else record.status
     return f"{text}: {record.integrator} on {record.problem}, {record.resolution}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from bench.results.quantities import COST_NAMES, NORM
+from bench.results.quantities import COSTS, NORM
 from reports.charts.line_styles import style_of
 from reports.charts.svg_text import Box, fitted, polyline, tag, text, text_width
 from reports.names import scene_name
@@ -96,7 +96,7 @@ def panels(
             box.x + k % columns * (width + gap), box.y + k // columns * height, wide, height
         )
         parts += _panel(found, name, own, scenes[name], words, place)
-    group, cost = found.question.quantity, COST_NAMES.get(found.question.cost, found.question.cost)
+    group, cost = found.question.quantity, COSTS[found.question.cost].title
     said = fitted(f"error in {group} against {cost}", 14, box.width)
     return [*parts, text(said, box.x, box.y + box.height - 1, 14, fill=_GREY)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bench.results.quantities import COST, COST_NAMES, ERROR_NAMES, NORMS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORMS
 from reports.charts import vega_lite as vl
 from reports.series import (
     Series,
@@ -86,7 +86,7 @@ def error_panel(
     tooltip = vl.run_tooltip(
         vl.quantity("error", title=f"error in {data.name}", format=".3g"),
         vl.quantity("seconds", title="median s", format=".3g"),
-        vl.quantity(COST, title=COST_NAMES[COST], format=".3s"),
+        vl.quantity(COST, title=COSTS[COST].title, format=".3s"),
     )
     layers = error_lines(options, {"x": x}, "h", tooltip, size=55)
     if field == "seconds":

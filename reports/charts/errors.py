@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST_NAMES, GROUP_NAMES, NORM, NORMS
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
     error_data,
@@ -34,7 +34,7 @@ def convergence(
     constant_steps = [s for s in series if s.controls == "step" and s.ok]
     if interactive:
         norm = full_norm(constant_steps, groups, norm)
-    norms = NORMS if interactive else (norm,)
+    norms = tuple(NORMS) if interactive else (norm,)
     notes = {n: {s.label: _orders(s, groups, n) for s in constant_steps} for n in norms}
     options = vl.ChartOptions(styles_of(constant_steps, styles), norm, interactive, notes)
     data, panels = [error_data(constant_steps, group, options) for group in groups], []
@@ -68,7 +68,7 @@ def work_precision(
     series = [s for s in series if s.ok]
     options = vl.ChartOptions(styles_of(series, styles))
     data, panels, columns = [error_data(series, group, options) for group in groups], [], 1
-    for across in [(cost, COST_NAMES[cost]) for cost in ("seconds", "residuals")]:
+    for across in [(cost, COSTS[cost].title) for cost in ("seconds", "residuals")]:
         before = len(panels)
         for table in data:
             panel = error_panel(

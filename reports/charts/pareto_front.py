@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import COST, GROUP_NAMES, NORM
+from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, RANKED_COSTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.pareto_front import compared_scenes, pareto_front
-from reports.ranking import GROUP, RANKED_COSTS, RANKED_GROUPS
+from reports.ranking import GROUP, RANKED_GROUPS
 from reports.series import Series, cost_of, error_of, ok_runs, trusted_error
 
 
@@ -26,13 +26,14 @@ def pareto_chart(
     data = vl.Dataset("pareto_front", rows)
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
     group, cost = ("group", "cost") if interactive else (f"'{GROUP}'", f"'{COST}'")
+    titles = {name: COSTS[name].title for name in RANKED_COSTS}
     tooltip = vl.run_tooltip(
         vl.quantity("error", title="error", format=".3g"),
-        *(vl.quantity(name, title=title, format=".3g") for name, title in RANKED_COSTS.items()),
+        *(vl.quantity(name, title=title, format=".3g") for name, title in titles.items()),
     )
     # Every panel has its own range: the digits 1, 2, 5 have labels where they fit.
     x_axis, y_axis = (vl.log_axis((1, 50), text) for text in ("~g" if interactive else "~s", ".0e"))
-    title = None if interactive else RANKED_COSTS[COST]
+    title = None if interactive else titles[COST]
     x = vl.log_quantity("across", title=title, axis=x_axis)
     y = vl.log_quantity("error", title="relative error", axis=y_axis)
     steps: vl.Spec = {
@@ -58,7 +59,7 @@ def pareto_chart(
     first, names = GROUP if GROUP in groups else groups[0], {g: GROUP_NAMES[g] for g in groups}
     menus = [
         vl.menu("group", first, names, "error in "),
-        vl.menu("cost", COST, RANKED_COSTS, " at the cost of "),
+        vl.menu("cost", COST, titles, " at the cost of "),
     ]
     return {
         "datasets": vl.datasets([data]),

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.results.csv_text import csv_text
-from bench.results.quantities import NORM, NORM_NAMES, NORMS
+from bench.results.quantities import NORM, NORMS
 from bench.results.stored_values import clean_json
 from problems.plain_text import clean
 from reports.charts.line_styles import LineStyle
@@ -46,15 +46,15 @@ class ChartOptions:
     @property
     def norms(self) -> tuple[str, ...]:
         """The norms that the chart holds."""
-        return NORMS if self.interactive else (self.norm,)
+        return tuple(NORMS) if self.interactive else (self.norm,)
 
     @property
     def norm_buttons(self) -> list[Spec]:
         """Buttons above the chart that choose the norm of all its panels."""
         if not self.interactive:
             return []
-        labels = [NORM_NAMES[n] for n in NORMS]
-        buttons = {"input": "radio", "options": list(NORMS), "labels": labels, "name": "Error "}
+        names = {"options": list(NORMS), "labels": list(NORMS.values())}
+        buttons = {"input": "radio", **names, "name": "Error "}
         return [{"name": "norm", "value": self.norm, "bind": buttons}]
 
     def colors(self, **legend: Any) -> Spec:

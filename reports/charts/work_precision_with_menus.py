@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import COST, COST_NAMES, ERROR_NAMES, NORM, NORM_NAMES, NORMS, whole
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS, whole
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import error_lines, floor_layer, floor_row
 from reports.charts.line_styles import LineStyle, styles_of
@@ -14,7 +14,7 @@ from reports.series import Series, cost_of, error_of, ok_runs, reference_error, 
 
 #: Costs of the menu, by the column that holds them.
 _COSTS = {
-    **{c: name for c, name in COST_NAMES.items() if c not in ("solves", "rejected")},
+    **{c: cost.title for c, cost in COSTS.items() if c not in ("solves", "rejected")},
     "h": "step size h in s",
     "rtol": "relative tolerance",
 }
@@ -57,7 +57,7 @@ def work_precision_with_menus(
     first = "a" if "a" in groups else groups[0]
     params = [
         vl.menu("group", first, {name: ERROR_NAMES[name] for name in errors_of}, "error in "),
-        vl.menu("norm", NORM, NORM_NAMES, " taken "),
+        vl.menu("norm", NORM, NORMS, " taken "),
         vl.menu(
             "cost", COST if COST in costs else costs[0], {c: _COSTS[c] for c in costs}, " against "
         ),

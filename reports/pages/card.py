@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bench.results.quantities import GROUPS
+from bench.results.quantities import COSTS, GROUPS, RANKED_COSTS
 from problems.spec import SpecError, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
@@ -16,7 +16,6 @@ from reports.questions.phrases import Sentence, plain
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters
 from reports.questions.sentences import sentences
 from reports.questions.words import accuracy, words_of
-from reports.ranking import LEAST_COST, RANKED_COSTS
 from reports.scenes import StoredRuns, stored_runs
 
 WIDTH, HEIGHT = 1200, 630
@@ -88,7 +87,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
         raise SpecError(f"There is nothing to show on a card: {' '.join(told)}")
     wide = WIDTH - 2 * _MARGIN
     asked = (
-        f"{plain(accuracy(found.question))} · {LEAST_COST[found.question.cost]} · {scenes} scenes"
+        f"{plain(accuracy(found.question))} · {COSTS[found.question.cost].least} · {scenes} scenes"
     )
     sizes = (s for s in range(40, 26, -2) if text_width(stored.title, s, bold=True) <= wide)
     size = next(sizes, 26)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.results.quantities import GROUP_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import GROUP_NAMES, NORM, NORMS
 from bench.results.records import Environment, counted
 from bench.results.table import Table
 from reports.pages.templating import code, escape_markdown, markdown
@@ -121,7 +121,7 @@ def choosing_in_markdown(folder: Path) -> str:
         stored=stored,
         environments=measured_with(stored.environments),
         sections=sections(stored),
-        norm=NORM_NAMES[NORM],
+        norm=NORMS[NORM],
         silent=_wrapped(SILENT_NOTE),
         note=_wrapped(MULTIPLES_NOTE),
         anchor=heading_anchor,

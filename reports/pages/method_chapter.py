@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bench.results.experiments import ExperimentResult
-from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import COST, COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts, SceneRecord
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
@@ -163,8 +163,8 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
             }
         )
     note = (
-        f"Accuracy: {accuracy_text(GROUP, TARGET)}; {COST}: {COST_NAMES[COST]} of its cheapest run "
-        f"there. Errors: the smallest of its runs, relative, {NORM_NAMES[NORM]}."
+        f"Accuracy: {accuracy_text(GROUP, TARGET)}; {COST}: {COSTS[COST].title} of its "
+        f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
     )
     return Table.from_dicts("Its runs, scene by scene", rows, note=note)
 
@@ -179,5 +179,5 @@ def _orders_table(series: Mapping[str, Series], claimed: Mapping[str, int]) -> T
     for scene, s in fixed.items():
         fits = [s.fit(g, NORM) for g in groups]
         rows.append([scene, *(NO_VALUE if f.order is None else order_text(f.order) for f in fits)])
-    note = f"Fitted to the errors, {NORM_NAMES[NORM]}, of the finest steps."
+    note = f"Fitted to the errors, {NORMS[NORM]}, of the finest steps."
     return Table("Orders measured, scene by scene", ["scene", *groups], rows, note=note)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.quantities import COST, COST_NAMES, GROUP_NAMES, NORM, NORM_NAMES, TRUST
+from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, NORMS, TRUST
 from bench.results.records import NOT_TRIED, Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from bench.results.table import Table
@@ -183,8 +183,8 @@ def _overview(
     """
     if len({s.label for s in entries}) < 2:
         return []
-    front = "(choose above)" if interactive else f"({GROUP_NAMES[GROUP]}; {COST_NAMES[COST]})"
-    which = f"({accuracy_text(GROUP, TARGET)}; {COST_NAMES[COST]})"
+    front = "(choose above)" if interactive else f"({GROUP_NAMES[GROUP]}; {COSTS[COST].title})"
+    which = f"({accuracy_text(GROUP, TARGET)}; {COSTS[COST].title})"
     still = [
         (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
@@ -203,7 +203,7 @@ def _overview(
     made = [
         *([] if interactive else still),
         (
-            f"Relative error, {NORM_NAMES[NORM]} (up), against cost (to the right) {front}. The "
+            f"Relative error, {NORMS[NORM]} (up), against cost (to the right) {front}. The "
             "broad line joins the runs that no other run of the scene beats in both (Pareto "
             f"front); errors below {TRUST:g} times the reference's own count as equal.",
             {"overview-front": pareto_chart(scenes, styles, interactive)},

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from bench.results.quantities import COST
 from bench.results.records import Record
 from problems.whole_files import put
 from reports.names import scene_name
@@ -21,7 +22,7 @@ from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.site_data import for_scene
 from reports.pages.templating import html
-from reports.ranking import COST, GROUP, TARGET, reaches
+from reports.ranking import GROUP, TARGET, reaches
 from reports.series import cost_of
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, GROUPS, NORM, NORM_NAMES, TRUST
+from bench.results.quantities import COSTS, GROUP_NAMES, GROUPS, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import Record, SceneRecord
 from reports.charts.line_styles import LineStyle
 from reports.names import family_name, scene_name
@@ -14,7 +14,6 @@ from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
 from reports.pages.site_answers import answers_of
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
-from reports.ranking import RANKED_COSTS
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
 from reports.text.winners import tie_text
 
@@ -24,10 +23,6 @@ _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _LETTERS = 4
 _NONE = "-" * _LETTERS
-#: Units of the costs of a question.
-_UNITS = {"operations": "operations", "seconds": "s", "residuals": "evaluations"}
-#: Costs in the bar: "at the least time".
-_COST_WORDS = {"operations": "operations", "seconds": "time"}
 #: Most lines and points per line of a scene's little picture.
 _LINES, _POINTS = 40, 60
 
@@ -63,12 +58,12 @@ def site_data(report: Report) -> dict[str, Any]:
         "title": report.title,
         "runs": len(report.run_ids),
         "failed": report.failed,
-        "norm": NORM_NAMES[NORM],
+        "norm": NORMS[NORM],
         "trust": TRUST,
         "group_names": {g: GROUP_NAMES[g] for g in groups},
-        "cost_names": RANKED_COSTS,
-        "cost_words": {c: _COST_WORDS.get(c, name) for c, name in RANKED_COSTS.items()},
-        "units": _UNITS,
+        "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
+        "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
+        "units": {c: COSTS[c].unit for c in RANKED_COSTS},
         "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
         "first": {

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from bench.results.quantities import ERROR_MEANING, NORM, NORM_NAMES
+from bench.results.quantities import ERROR_MEANING, NORM, NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from bench.results.table import Table
@@ -191,7 +191,7 @@ class StudySections:
     def _norms_text(self, norms: Sequence[str]) -> str:
         if self.interactive:
             return "(choose the norm above the chart)"
-        return words(NORM_NAMES[norm] for norm in norms)
+        return words(NORMS[norm] for norm in norms)
 
     def _reference_error(self, groups: Iterable[str]) -> str:
         errors = {g: reference_error(self.records, g, NORM) for g in groups}

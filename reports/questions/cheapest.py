@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from bench.results.quantities import COSTS
 from bench.results.records import Record
 from reports.formatting import number, number_range
 from reports.names import family_name
@@ -12,14 +13,9 @@ from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Part, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, scene_ref
-from reports.ranking import LEAST_COST
 from reports.series import step_or_tolerance
 from reports.text.winners import cost_text, times
 
-#: What the cheapest does: alone, and with others.
-_TAKES = {"operations": ("takes", "take"), "seconds": ("takes", "take")}
-_TAKES["residuals"] = ("needs", "need")
-_UNITS = {"operations": " operations", "seconds": "", "residuals": " residual evaluations"}
 #: Scenes are named instead of counted up to this many.
 _NAMED = 2
 #: Contestants behind the first are told up to this many, and the last one instead of "1 more".
@@ -37,7 +33,7 @@ def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) ->
         said.append(
             " alone reaches it: " if verdict.votes else " reaches it, with none to compare: "
         )
-        said += [_cost(best.run, best.value, question.cost, words), _UNITS[question.cost]]
+        said += [_cost(best.run, best.value, question.cost, words), COSTS[question.cost].counted]
     else:
         said.append(f" {_does(len(first) > 1, question.cost)}, ")
         said.append(_cost(best.run, best.value, question.cost, words))
@@ -49,8 +45,8 @@ def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) ->
 
 
 def _does(tie: bool, cost: str) -> str:
-    verb = "tie for" if tie else _TAKES[cost][0]
-    return f"{verb} the {LEAST_COST[cost]}"
+    verb = "tie for" if tie else f"{COSTS[cost].verb}s"
+    return f"{verb} the {COSTS[cost].least}"
 
 
 def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
@@ -104,11 +100,11 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     lead = [
         k for k in order if (len(where[k]), alone[k]) == (len(where[order[0]]), alone[order[0]])
     ]
-    one, several = _TAKES[found.question.cost]
-    least = f"the {LEAST_COST[found.question.cost]}"
+    cost = COSTS[found.question.cost]
     count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
     said = [*words.aim(found.question), ", ", *words.methods(lead)]
-    said.append(f" {one if len(lead) == 1 else 'each ' + several} {least} on ")
+    does = f"{cost.verb}s" if len(lead) == 1 else f"each {cost.verb}"
+    said.append(f" {does} the {cost.least} on ")
     where_said = _compared(found, most)
     some = f"{count} of {'the ' if where_said else ''}{most}"
     said.append(f"{f'all {most}' if count == most else some} scenes{where_said}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from bench.results.quantities import NORM
+from bench.results.quantities import COSTS, NORM
 from bench.results.records import NOT_TRIED
 from problems.spec import SpecError, suggest
 from reports.formatting import number
@@ -17,9 +17,6 @@ from reports.ranking import RankEntry
 from reports.scenes import stored_runs
 from reports.series import Series, error_of
 from reports.text.winners import cost_text, times
-
-#: The cost of a run in the sentences of a card.
-_UNITS = {"operations": "operations", "seconds": "per run", "residuals": "residual evaluations"}
 
 
 def card(
@@ -134,4 +131,5 @@ def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentenc
     if not values:
         return []
     ends = dict.fromkeys(cost_text(v, question.cost) for v in (values[0], values[-1]))
-    return [[f"Cost where it reaches it: {' to '.join(ends)} {_UNITS[question.cost]}."]]
+    counted = COSTS[question.cost].counted or " per run"
+    return [[f"Cost where it reaches it: {' to '.join(ends)}{counted}."]]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import COST, GROUP_NAMES, GROUPS
-from reports.ranking import GROUP, RANKED_COSTS, TARGET
+from bench.results.quantities import COST, GROUP_NAMES, GROUPS, RANKED_COSTS
+from reports.ranking import GROUP, TARGET
 
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
 #: Name of the filter that takes all scenes.

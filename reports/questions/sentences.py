@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from bench.results.quantities import COSTS
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import cheapest, families, on_each, on_one
@@ -18,9 +19,6 @@ from reports.series import label_of
 #: Scenes are named with their costs if no more than these are compared.
 _EACH = 3
 _OWN = "the reference's own error there"
-#: The lack of a cost.
-_OPEN = {"operations": "the operations are not counted", "seconds": "the time is not measured"}
-_OPEN["residuals"] = "the residual evaluations are not counted"
 
 
 def sentences(found: Answer, words: Words) -> list[Sentence]:
@@ -67,12 +65,12 @@ def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words)
     if answer.verdict.first:
         said = on_one(question, scene, answer, words)
         if unknown:
-            said += [f" Not compared, as {_OPEN[question.cost]}: ", *unknown, "."]
+            said += [f" Not compared, as {COSTS[question.cost].unknown}: ", *unknown, "."]
         return said
     if unknown:
         verb = " reaches " if len(answer.verdict.unknown) == 1 else " reach "
         goal = [*words.accuracy(question), " on ", scene_ref(scene)]
-        return [*unknown, verb, *goal, f", but {_OPEN[question.cost]}."]
+        return [*unknown, verb, *goal, f", but {COSTS[question.cost].unknown}."]
     goal = [*words.accuracy(question), " on ", scene_ref(scene)]
     return ["No integrator reaches ", *goal, *_near(answer, words), "."]
 
@@ -169,4 +167,4 @@ def _unknown(found: Answer, words: Words) -> list[Sentence]:
             where.setdefault(entry.label, []).append(name)
     if not where:
         return []
-    return [[f"Reached, but {_OPEN[found.question.cost]}: ", *_where(where, words), "."]]
+    return [[f"Reached, but {COSTS[found.question.cost].unknown}: ", *_where(where, words), "."]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.quantities import NORM, NORMS
 from bench.results.records import Record
 from reports.names import scene_name, short_names
 from reports.questions.phrases import Ref, Sentence, listed
@@ -58,5 +58,5 @@ def scene_ref(scene: str) -> Ref:
 
 def accuracy(question: Question) -> Sentence:
     """The accuracy with its norm: '1e-4 in acceleration (largest over time)'."""
-    norm = Ref("term", "error", NORM_NAMES[NORM])
+    norm = Ref("term", "error", NORMS[NORM])
     return [f"{question.accuracy} in {question.quantity} (", norm, ")"]

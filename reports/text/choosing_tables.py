@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number
@@ -12,7 +13,6 @@ from reports.names import scene_name
 from reports.questions.answers import Answer
 from reports.questions.question import Question
 from reports.questions.words import Words
-from reports.ranking import LEAST_COST
 from reports.series import Series
 from reports.text.winners import cost_text
 
@@ -52,7 +52,7 @@ def multiples_table(
         rows.append([words.names[label], *cells, _failed([*own[label].values()])])
     targets = _BETWEEN.join(a.question.accuracy for a in found)
     return Table(
-        f"{LEAST_COST[question.cost].capitalize()} to {targets} in {question.quantity}, and "
+        f"{COSTS[question.cost].least.capitalize()} to {targets} in {question.quantity}, and "
         "multiples of them",
         ["integrator", *map(scene_name, scenes), "runs that failed"],
         rows,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 from bench.results.orders import Fit
-from bench.results.quantities import NORM, NORM_NAMES
+from bench.results.quantities import NORM, NORMS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import number, order_text
@@ -60,7 +60,7 @@ def lost_orders_table(
         ["integrator", "scene", "group", "order claimed", "measured", "explained by"],
         rows,
         code=(0, 1),
-        note=f"Relative error, {NORM_NAMES[NORM]}: it does not converge, or its order at "
+        note=f"Relative error, {NORMS[NORM]}: it does not converge, or its order at "
         f"constant steps is lower than the integrator claims by {LOSS:g} or more. The commands "
         "show the experiment of the failure atlas.",
         links=links,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from bench.results.orders import SPREAD
+from bench.results.quantities import COST, COSTS
 from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord, endings
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import number
-from reports.ranking import LEAST_OPERATIONS
 from reports.series import error_of, timing_spread
 
 #: Timing samples that spread further than this, relative to their median, are noisy.
@@ -121,7 +121,7 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         f"{LEAST_QUOTIENT:g}. With fewer than {FEWEST} common rounds there is no such interval, "
         f"and the quotients must be beyond {LEAST_OF_FEW:g}. Runs that were not measured together "
         "are compared by the intervals of their own medians.",
-        f"Operations count as different beyond a factor of {LEAST_OPERATIONS:g}: the cost model is "
+        f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Work is counted where it happens; any difference of counts counts. A "
         "count that a library does not give is 'not counted'.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "

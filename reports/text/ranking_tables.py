@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from types import MappingProxyType
 
-from bench.results.quantities import COST, COST_NAMES, NORM, NORM_NAMES
+from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts, Record
 from bench.results.table import Table
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
@@ -16,9 +16,6 @@ from reports.pareto_front import compared_scenes, pareto_front
 from reports.questions.answers import Answer
 from reports.ranking import (
     GROUP,
-    LEAST_COST,
-    LEAST_OPERATIONS,
-    RANKED_COSTS,
     RANKED_GROUPS,
     TARGET,
     TARGETS,
@@ -43,11 +40,13 @@ from reports.text.lost_orders import LOSS
 from reports.text.winners import Verdict, cost_text
 
 _VALUE = itemgetter(0)
+#: Columns of the ranked costs.
+_LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
 #: When costs tie.
 TIES = (
     "Ties: times whose median quotient within rounds of samples is below "
     f"{LEAST_QUOTIENT:g} or has a 95 % interval that holds 1 (with fewer than {FEWEST} samples "
-    f"each: below {LEAST_OF_FEW:g}); operations within a factor of {LEAST_OPERATIONS:g}; equal "
+    f"each: below {LEAST_OF_FEW:g}); operations within a factor of {COSTS[COST].tie:g}; equal "
     "counts."
 )
 
@@ -69,10 +68,10 @@ def targets_table(
         return None
     return Table(
         "Cheapest way to an accuracy",
-        ["relative error", "reached by", *LEAST_COST.values()],
+        ["relative error", "reached by", *_LEAST],
         rows,
         code=(),
-        note=f"Relative error: {NORM_NAMES[NORM]}. The cheapest of the runs that reached it. "
+        note=f"Relative error: {NORMS[NORM]}. The cheapest of the runs that reached it. "
         f"{TIES} Seconds also compare languages; counts and operations do not.",
     )
 
@@ -80,7 +79,7 @@ def targets_table(
 def _target_row(
     series: Sequence[Series], group: str, target: float, names: Mapping[str, str]
 ) -> list[str]:
-    nothing = [""] * len(LEAST_COST)
+    nothing = [""] * len(RANKED_COSTS)
     if trusted_error(ok_runs(series), group, NORM) > target:
         floor = reference_error(ok_runs(series), group, NORM)
         return [f"cannot be judged: the reference's own error is {number(floor)}", *nothing]
@@ -88,7 +87,7 @@ def _target_row(
     runs = [r for rs in reached.values() for r in rs]
     count = f"{sum(map(bool, reached.values()))} of {len(series)}"
     if runs:
-        return [count, *(_cheapest(runs, cost, names) for cost in LEAST_COST)]
+        return [count, *(_cheapest(runs, cost, names) for cost in RANKED_COSTS)]
     errors = with_values(ok_runs(series), lambda r: error_of(r, group, NORM))
     if errors:
         error, record = min(errors, key=_VALUE)
@@ -129,11 +128,11 @@ def winners_table(
     if not found:
         return None
     rows = [
-        [scene, *(by[cost].worded(names) for cost in LEAST_COST)] for scene, by in found.items()
+        [scene, *(by[cost].worded(names) for cost in RANKED_COSTS)] for scene, by in found.items()
     ]
     return Table(
         f"Cheapest way to {accuracy_text(GROUP, TARGET)}",
-        ["scene", *LEAST_COST.values()],
+        ["scene", *_LEAST],
         rows,
         note=f"{TIES} Integrators joined by = do the same on the scene (equal errors and equal "
         "work at every resolution) and are one contestant. Other accuracies and "
@@ -141,7 +140,7 @@ def winners_table(
         links={
             (i, j): [ids[run.key] for run in by[cost].runs if run.key in ids]
             for i, by in enumerate(found.values())
-            for j, cost in enumerate(LEAST_COST, 1)
+            for j, cost in enumerate(RANKED_COSTS, 1)
         },
     )
 
@@ -153,10 +152,10 @@ def standings_table(found: Answer) -> Table | None:
         return None
     question = found.question
     return Table(
-        f"Standings: {LEAST_COST[question.cost]} to {question.accuracy} in {question.quantity}",
+        f"Standings: {COSTS[question.cost].least} to {question.accuracy} in {question.quantity}",
         ["integrator", "alone cheapest", "tied", "reached", "tried"],
         [[s.label, *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
-        note=f"Numbers of scenes. Relative error: {NORM_NAMES[NORM]}. First places count on scenes "
+        note=f"Numbers of scenes. Relative error: {NORMS[NORM]}. First places count on scenes "
         f"on which several integrators are compared. {TIES}",
     )
 
@@ -182,11 +181,11 @@ def pareto_table(
         return None
     return Table(
         "Not beaten in acceleration and cost at once",
-        ["scene", *(LEAST_COST[cost] for cost in RANKED_COSTS)],
+        ["scene", *_LEAST],
         rows,
         note="Integrators from cheap to accurate, with the number of their runs on the Pareto "
         "front: no other run of the scene has a smaller cost and no larger error, or a smaller "
-        f"error and no larger cost. Error: relative, {NORM_NAMES[NORM]}.",
+        f"error and no larger cost. Error: relative, {NORMS[NORM]}.",
         links=links,
     )
 
@@ -231,10 +230,10 @@ def integrators_table(
     return Table.from_dicts(
         "Integrators",
         rows,
-        note=f"Orders measured: of the relative error, {NORM_NAMES[NORM]}, from the smallest to "
+        note=f"Orders measured: of the relative error, {NORMS[NORM]}, from the smallest to "
         "the largest over the scenes; at constant steps only. None: the error does not converge. "
         f"Reached, best and worst scene: {accuracy_text(GROUP, TARGET)}; the cost "
-        f"({COST_NAMES[COST]}) as a multiple of the cheapest integrator's on a scene with several "
+        f"({COSTS[COST].title}) as a multiple of the cheapest integrator's on a scene with several "
         "contestants.",
     )
 

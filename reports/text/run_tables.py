@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from bench.results.orders import Fit
-from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORM_NAMES, NORMS, TRUST
+from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORMS, TRUST
 from bench.results.records import UNSUPPORTED, Record, median
 from bench.results.table import Table
 from reports.formatting import (
@@ -87,20 +87,20 @@ def _orders(s: Series, groups: Sequence[str]) -> str:
     )
 
 
-def orders_table(series: Sequence[Series], norms: Sequence[str] = NORMS) -> Table | None:
+def orders_table(series: Sequence[Series], norms: Sequence[str] = tuple(NORMS)) -> Table | None:
     """Fitted orders with window and number of points, a row per integrator and norm."""
     constant_steps = [s for s in series if s.controls == "step" and s.ok]
     groups = groups_of(ok_runs(constant_steps))
     if not constant_steps or not groups:
         return None
     rows = [
-        [s.label, NORM_NAMES[norm], *(_fit(s.fit(group, norm)) for group in groups)]
+        [s.label, NORMS[norm], *(_fit(s.fit(group, norm)) for group in groups)]
         for s in constant_steps
         for norm in norms
     ]
     caption, head = "Fitted orders", ["integrator", "error", *groups]
     if len(norms) == 1:
-        caption += f" of the error {NORM_NAMES[norms[0]]}"
+        caption += f" of the error {NORMS[norms[0]]}"
         head.pop(1)
         rows = [[label, *cells] for label, _, *cells in rows]
     note = "Order (window of step sizes in s, number of points)."

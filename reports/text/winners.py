@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from bench.results.quantities import COSTS
 from bench.results.records import Record
-from bench.results.timings import LEAST_QUOTIENT, LEVEL
+from bench.results.timings import LEVEL
 from reports.formatting import milliseconds, named, number
 from reports.ranking import (
     GROUP,
-    LEAST_OPERATIONS,
     TARGET,
     RankEntry,
     several_contestants,
@@ -74,7 +74,7 @@ class Verdict:
 
 def cost_text(value: float | None, cost: str) -> str:
     """A cost with its unit; counts as they are, operations with three digits."""
-    if cost == "seconds":
+    if COSTS[cost].is_time:
         long = value is not None and value >= 1
         return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
     if cost == "operations":
@@ -87,18 +87,13 @@ def cost_text(value: float | None, cost: str) -> str:
 
 def tie_text(cost: str) -> str:
     """The costs that cannot be told apart."""
-    if cost == "residuals":
+    tie, is_time = COSTS[cost].tie, COSTS[cost].is_time
+    if tie == 1.0:
         return "equal counts"
-    if cost == "operations":
-        return f"counts that differ by at most {_percent(LEAST_OPERATIONS - 1)}"
-    return (
-        f"times that differ by at most {_percent(LEAST_QUOTIENT - 1)}, or by less than the "
-        f"{_percent(LEVEL)} interval of their samples"
-    )
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.3g} %"
+    said = f"{'times' if is_time else 'counts'} that differ by at most {100 * (tie - 1):.3g} %"
+    if is_time:
+        said += f", or by less than the {100 * LEVEL:.3g} % interval of their samples"
+    return said
 
 
 def times(ratio: float | None) -> str:
