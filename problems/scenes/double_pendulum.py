@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,8 @@ class TwoRods(MechatronicSystem):
         return State(q=np.cumsum(along, axis=0).ravel(), v=np.cumsum(across, axis=0).ravel())
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        circle = np.linspace(0, 2 * np.pi, 25)
-        bob = 0.06 * self.l1 * np.column_stack([np.cos(circle), np.sin(circle)])
-        return [np.array([[0.0, 0.0], q[:2], q[2:]]), bob + q[:2], bob + q[2:]]
+        bobs = [drawing.circle(at, 0.06 * self.l1) for at in (q[:2], q[2:])]
+        return [np.array([[0.0, 0.0], q[:2], q[2:]]), *bobs]
 
 
 @dataclass(frozen=True)

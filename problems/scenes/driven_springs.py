@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -76,15 +77,10 @@ class DrivenSprings(MechatronicSystem):
         return {"q": s[:, :2], "v": s[:, 2:], "a": rate[:, 2:]}
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        half = 0.3
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
-        first, second = float(q[0]) + 1.5, float(q[1]) + 4.0
-        soft = np.linspace(first + half, second - half, 14)
-        zigzag = np.where(np.arange(14) % 2, 0.2, -0.2)
-        zigzag[[0, -1]] = 0.0
+        half, first, second = 0.3, float(q[0]) + 1.5, float(q[1]) + 4.0
         return [
             np.array([[first - 1.5, 0.0], [first - half, 0.0]]),
-            box + np.array([first, 0.0]),
-            np.column_stack([soft, zigzag]),
-            box + np.array([second, 0.0]),
+            drawing.box(first, half),
+            drawing.spring(first + half, second - half, reach=0.2, points=14),
+            drawing.box(second, half),
         ]

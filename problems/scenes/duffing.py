@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,6 @@ class Duffing(MechatronicSystem):
         return State(q=np.array([self.q0]), v=np.array([self.v0]))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        wall, half, coils = -3.0, 0.3, 7
-        x = float(q[0])
-        spring = np.linspace(wall, x - half, 2 * coils + 2)
-        zigzag = np.where(np.arange(spring.size) % 2, 0.2, -0.2)
-        zigzag[[0, -1]] = 0.0
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
-        return [
-            np.array([[wall, -0.5], [wall, 0.5]]),
-            np.column_stack([spring, zigzag]),
-            box,
-        ]
+        x, wall, half = float(q[0]), -3.0, 0.3
+        spring = drawing.spring(wall, x - half, reach=0.2, points=16)
+        return [np.array([[wall, -0.5], [wall, 0.5]]), spring, drawing.box(x, half)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,6 @@ class Friction(MechatronicSystem):
         return State(q=np.array([self.q0]), v=np.zeros(1))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        half, wall, coils = 0.8, -14.0, 9
-        x = float(q[0])
-        spring = np.linspace(wall, x - half, 2 * coils + 2)
-        zigzag = np.where(np.arange(spring.size) % 2, 0.5, -0.5)
-        zigzag[[0, -1]] = 0.0
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
+        x, wall, half = float(q[0]), -14.0, 0.8
         floor = np.array([[wall, half], [wall, -half], [14.0, -half]])
-        return [floor, np.column_stack([spring, zigzag]), box]
+        return [floor, drawing.spring(wall, x - half, reach=0.5), drawing.box(x, half)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,6 @@ class Oscillator(MechatronicSystem):
         return {"q": q, "v": -self.q0 * self.omega * np.sin(phase), "a": -(self.omega**2) * q}
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        half, wall = 0.25, -3.0
-        x = float(q[0])
-        spring = np.linspace(wall, x - half, 20)
-        zigzag = np.where(np.arange(20) % 2, 0.15, -0.15)
-        zigzag[[0, -1]] = 0.0
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
-        return [np.array([[wall, -0.5], [wall, 0.5]]), np.column_stack([spring, zigzag]), box]
+        x, wall, half = float(q[0]), -3.0, 0.25
+        spring = drawing.spring(wall, x - half, reach=0.15)
+        return [np.array([[wall, -0.5], [wall, 0.5]]), spring, drawing.box(x, half)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,4 @@ class Pendulum(MechatronicSystem):
         }
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        circle = np.linspace(0, 2 * np.pi, 25)
-        bob = 0.06 * self.length * np.column_stack([np.cos(circle), np.sin(circle)])
-        return [np.array([[0.0, 0.0], q]), bob + q]
+        return [np.array([[0.0, 0.0], q]), drawing.circle(q, 0.06 * self.length)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import State, Variables, jax, jnp, parameter
+from problems.scenes import drawing
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall
@@ -104,13 +105,10 @@ class QuarterCar(SemiActiveDamper):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         # Motions are drawn four times as large: they are small against the heights.
         body, wheel = 1.1 + 4 * float(q[0]), 0.35 + 4 * float(q[1])
-        angle = np.linspace(0, 2 * np.pi, 25)
-        rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)]) + [0.0, wheel]
+        rim = drawing.circle(np.array([0.0, wheel]), 0.34)
         box = np.array([[-3, 0], [3, 0], [3, 2], [-3, 2], [-3, 0]]) * 0.2 + [0.0, body]
-        height = np.linspace(wheel, body, 12)
-        side = np.where(np.arange(12) % 2, 0.06, -0.06)
-        side[[0, -1]] = 0.0
+        spring = drawing.spring(wheel, body, reach=0.06, points=12)[:, ::-1] - [0.18, 0.0]
         middle = 0.5 * (wheel + body)
         cylinder = np.array([[0.18, wheel], [0.18, middle]])
         rod = np.array([[0.18, middle - 0.1], [0.18, body]])
-        return [rim, box, np.column_stack([side - 0.18, height]), cylinder, rod]
+        return [rim, box, spring, cylinder, rod]

@@ -8,15 +8,15 @@ from types import ModuleType
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
+from problems.scenes import drawing
 from problems.spec import SpecError
 
 
 def _polylines(l1: float, tip: np.ndarray, slider: float) -> list[np.ndarray]:
     """Guide, crank and rod, slider; all in m."""
     half, reach = 0.2 * l1, 1.4 * l1
-    box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [slider, 0.0]
     guide = np.array([[slider - reach, -half], [slider + reach, -half]])
-    return [guide, np.array([[0.0, 0.0], tip, [slider, 0.0]]), box]
+    return [guide, np.array([[0.0, 0.0], tip, [slider, 0.0]]), drawing.box(slider, half)]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
+from problems.scenes import drawing
 from problems.spec import SpecError
 
 _PI = np.pi
@@ -134,6 +135,4 @@ class SliderCrankFlexible(MechatronicSystem):
         across = enlarged * (np.sin(_PI * s) * q[3] + np.sin(2 * _PI * s) * q[4])
         tip = self.l1 * np.array([np.cos(q[0]), np.sin(q[0])])
         rod = tip + np.column_stack([c2 * along - s2 * across, s2 * along + c2 * across])
-        half = 0.2 * self.l1
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [q[2], 0.0]
-        return [np.array([[0.0, 0.0], tip]), rod, box]
+        return [np.array([[0.0, 0.0], tip]), rod, drawing.box(q[2], 0.2 * self.l1)]

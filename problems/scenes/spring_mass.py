@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
+from problems.scenes import drawing
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,6 @@ class SpringMass(MechatronicSystem):
         return State(q=np.array([self.q0]), v=np.zeros(1), x=np.zeros(1))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        wall, half, coils = -8.0, 0.6, 9
-        x = float(q[0])
-        spring = np.linspace(wall, x - half, 2 * coils + 2)
-        zigzag = np.where(np.arange(spring.size) % 2, 0.4, -0.4)
-        zigzag[[0, -1]] = 0.0
-        box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
-        return [
-            np.array([[wall, -1.0], [wall, 1.0]]),
-            np.column_stack([spring, zigzag]),
-            box,
-        ]
+        x, wall, half = float(q[0]), -8.0, 0.6
+        spring = drawing.spring(wall, x - half, reach=0.4)
+        return [np.array([[wall, -1.0], [wall, 1.0]]), spring, drawing.box(x, half)]

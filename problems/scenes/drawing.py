@@ -1,0 +1,23 @@
+"""Shapes of which pictures of scenes are made: polylines ``(points, 2)`` in m."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def box(x: float, half: float) -> np.ndarray:
+    """A square around (x, 0) with sides of twice ``half``."""
+    return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
+
+
+def circle(centre: np.ndarray, radius: float) -> np.ndarray:
+    """A circle of 24 sides."""
+    angle = np.linspace(0, 2 * np.pi, 25)
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre
+
+
+def spring(start: float, end: float, reach: float, points: int = 20) -> np.ndarray:
+    """A zigzag along the x axis that goes ``reach`` to both sides."""
+    across = np.where(np.arange(points) % 2, reach, -reach)
+    across[[0, -1]] = 0.0
+    return np.column_stack([np.linspace(start, end, points), across])
