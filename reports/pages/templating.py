@@ -6,13 +6,12 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from html import escape as escape_html
 from importlib import resources
 from types import MappingProxyType
-from typing import Any
 
 import jinja2
-from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from bench.results.table import Table, whole
@@ -60,7 +59,6 @@ def html(
     **values
         For the template.
     """
-    environment = _environment(autoescape=True)
     digests: list[str] = []
 
     def script(caller: Callable[[], str]) -> Markup:
@@ -81,21 +79,17 @@ def html(
             return Markup(f"<style>{asset(file)}</style>")
         return Markup(f'<link rel="stylesheet" href="{escape(assets)}{file}">')
 
-    environment.globals |= {
-        "script": script,
-        "program": program,
-        "style": style,
-        "policy": POLICY,
-        "names": names,
-        "address": address or "#{}".format,
-    }
-    environment.filters |= {
-        "prose": _when_rendered(_prose(address) if address else _doi),
-        "doi": _doi,
-        "file_name": file_name,
-        "whole": whole,
-    }
-    text = clean(environment.get_template(name).render(**values))
+    text = _filled(
+        name,
+        script=script,
+        program=program,
+        style=style,
+        policy=POLICY,
+        names=names,
+        address=address or "#{}".format,
+        prose=_prose(address) if address else _doi,
+        **values,
+    )
     own = ["'self'"] if linked or assets is not None else []
     policy = {
         "default-src": "'none'",
@@ -161,43 +155,18 @@ def markdown(name: str, names: Mapping[str, str] = MappingProxyType({}), **value
 
     ``names`` are short names of integrators and scenes, which stand for them in tables.
     """
-    environment = _environment(autoescape=False)
-    environment.filters |= {
-        "md": escape_markdown,
-        "code": code,
-        "name": _when_rendered(lambda key: _named(key, names)),
-        "table": _when_rendered(lambda table: markdown_table(table, names)),
-    }
-    text = clean(environment.get_template(name).render(**values))
+    text = _filled(name, names=names, **values)
     return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
-def _when_rendered(one: Callable[[Any], object]) -> Callable[[object, Any], object]:
-    """A filter that differs between pages: a template is not compiled with its results."""
-    return jinja2.pass_context(lambda _, value: one(value))
+def _filled(name: str, **values: object) -> str:
+    return clean(_environment(name.endswith(".html.j2")).get_template(name).render(**values))
 
 
-class _CompiledOnce(jinja2.BytecodeCache):
-    """Templates that this process has compiled: each page has an environment of its own."""
-
-    def __init__(self) -> None:
-        self._code: dict[tuple[str, str], Any] = {}
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        bucket.code = self._code.get((bucket.key, bucket.checksum))
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        self._code[bucket.key, bucket.checksum] = bucket.code
-
-
-#: Compiled templates, with and without automatic escapes.
-_COMPILED = {True: _CompiledOnce(), False: _CompiledOnce()}
-
-
+@cache
 def _environment(autoescape: bool) -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("reports.pages"),
-        bytecode_cache=_COMPILED[autoescape],
         autoescape=autoescape,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -205,6 +174,17 @@ def _environment(autoescape: bool) -> jinja2.Environment:
     )
     compact = {"separators": (",", ":")}
     environment.policies |= {"json.dumps_function": chart_json, "json.dumps_kwargs": compact}
+    environment.filters |= {
+        "doi": _doi,
+        "file_name": file_name,
+        "whole": whole,
+        "md": escape_markdown,
+        "code": code,
+        # These differ between pages.
+        "prose": jinja2.pass_context(lambda page, text: page["prose"](text)),
+        "name": jinja2.pass_context(lambda page, key: _named(key, page["names"])),
+        "table": jinja2.pass_context(lambda page, table: markdown_table(table, page["names"])),
+    }
     return environment
 
 
