@@ -50,7 +50,9 @@ def faults(folder: Path, data: dict[str, Any]) -> list[str]:
             if not shown or not own:
                 continue
             states = {
-                names[int(k)]: s if isinstance(s, str) else s[0] for k, s in shown["states"].items()
+                names[k]: s if isinstance(s, str) else s[0]
+                for k, s in enumerate(shown["states"])
+                if s is not None
             }
             check(f"{at}: states", states, {k: _rounded(s) for k, s in own["states"].items()})
             check(f"{at}: first", sorted(names[k] for k in shown["first"]), sorted(own["first"]))

@@ -23,11 +23,10 @@ from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from problems.spec import SpecError
 from reports.charts.line_styles import style_of
-from reports.pages.addresses import site_of
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
-from reports.pages.site import report_site
+from reports.pages.site import Site
 from reports.text.drift_table import drift_sentences, drift_table
 
 #: The step of the oscillator at omega h = 0.2 pi, and the trapezoidal rule's period error there.
@@ -214,13 +213,13 @@ def plant_long_runs(folder):
 def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     plant_long_runs(tmp_path)
     report = read_report(tmp_path, interactive=True)
-    site, pages = report_site(report)
-    linked = [link.address for _, links in site.contents for link in links]
-    assert linked.count("report/drift.html") == [p.file for p in pages].count("drift.html") == 1
+    site = Site(report)
+    linked = [page.path for _, below in site.contents for page in below]
+    assert linked.count("report/drift.html") == 1
     (section,) = report.long_runs
     assert site.address(section.anchor, "report.html") == "report/drift.html#drift-1"
-    bare = replace(report, long_runs=[])
-    assert "report/drift.html" not in [x.address for _, xs in site_of(bare).contents for x in xs]
+    bare = Site(replace(report, long_runs=[]))
+    assert "report/drift.html" not in [page.path for page in bare.pages]
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
 from reports.pages.report import read_report
 from reports.pages.site import _command
-from reports.pages.site_data import site_data
+from reports.pages.site_data import SiteData
 from reports.questions.phrases import plain
 
 NONE = Rows(t=[], values={})
@@ -65,7 +65,8 @@ def odd(tmp_path_factory):
             Study(title=k, problem=k, t_end=1.0, figures=[], cells=own) for k, own in cells.items()
         ]
         store.save_plan(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
-    return folder, json.loads(json.dumps(site_data(read_report(folder, interactive=False))))
+    report = read_report(folder, interactive=False)
+    return folder, json.loads(json.dumps(SiteData(report).everything()))
 
 
 def test_all_numbers_of_the_front_page_are_those_of_the_records(odd):
@@ -79,7 +80,7 @@ def test_a_wrong_number_is_found(odd, place):
     folder, data = odd[0], copy.deepcopy(odd[1])
     answer = data["answers"]["a|1e-4|residuals"]
     if place == "states":
-        answer["scenes"][0]["states"]["1"] = [2.6, 0]
+        answer["scenes"][0]["states"][1] = [2.6, 0]
     elif place == "first":
         answer["scenes"][1]["first"].pop()
     elif place == "standings":
@@ -96,7 +97,10 @@ def test_runs_that_were_not_tried_are_no_failures(odd):
     (states,) = (
         s["states"] for s, k in zip(states, data["scenes"], strict=True) if k["id"] == "broken"
     )
-    assert {names[int(k)]: s for k, s in states.items()} == {"one": [1.0, 0], "two": "failed"}
+    assert {k: s for k, s in zip(names, states, strict=False) if s} == {
+        "one": [1.0, 0],
+        "two": "failed",
+    }
     assert data["failed"] == 1
 
 

@@ -56,7 +56,7 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
         for name, chart in figure.charts.items()
     }
     drawn = {name: picture.svg for name, picture in pictures(charts).items()}
-    put(folder / FILE, html("atlas.html.j2", atlas=chapter, pictures=drawn))
+    put(folder / FILE, html("atlas_page.html.j2", atlas=chapter, pictures=drawn))
     return folder / FILE
 
 

@@ -48,7 +48,7 @@ def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     sections = drift_chapter(runs, interactive=False)
     charts = {n: c for s in sections if s.figure for n, c in s.figure.charts.items()}
     drawn = {name: picture.svg for name, picture in pictures(charts).items()}
-    put(folder / FILE, html("drift.html.j2", sections=sections, pictures=drawn))
+    put(folder / FILE, html("drift_page.html.j2", sections=sections, pictures=drawn))
     return folder / FILE
 
 

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+from collections.abc import Sequence
 from functools import partial
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 import vl_convert
 
 from problems.whole_files import keep, kept, put
 from reports.charts.vega_lite import chart_json
-from reports.pages.addresses import FOLDER, FRONT
-from reports.pages.packing import packed
 from reports.pages.report import read_report
-from reports.pages.site import QUESTION_SCRIPTS, Page, named, report_site, write_pages
-from reports.pages.site_data import for_first_question, for_front, site_data
+from reports.pages.site import FOLDER, FRONT, Page, Site
+from reports.pages.site_data import SiteData
 from reports.pages.templating import html
 
 FILE = FRONT
 LIBRARY = "vega.js"
-FRONT_SCRIPTS = (*QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
+#: Scripts of a page with a question, in the order in which they are needed.
+_QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
+_FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -46,40 +49,68 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         If the folder holds no readable store.
     """
     folder = Path(folder)
-    report = read_report(folder, interactive=True)
-    site, pages = report_site(report, single_file)
-    data = site_data(report)
+    site = Site(read_report(folder, interactive=True), single_file)
+    data = SiteData(site.report)
     more = ""  # the file with the answers to all questions but the first, which report.html holds
-    if not single_file:
-        write_pages(report, folder, data)
-        put(folder / FOLDER / LIBRARY, javascript_library())
-        rest = chart_json(packed(for_front(data)), separators=(",", ":"))
+    if single_file:
+        text = _written(site, site.pages, data.everything(), library=javascript_library())
+    else:
+        _write_others(site, data, folder / FOLDER)
+        rest = chart_json(data.further_questions(), separators=(",", ":"))
         rest = f"stepbench.more({rest});\n"
         more = f"{FOLDER}data-{hashlib.sha256(rest.encode()).hexdigest()[:8]}.js"
         put(folder / more, rest)
-    text = html(
-        "page_of_report.html.j2",
-        address=partial(site.address, here=FILE),
-        names=named(report),
-        linked=not single_file,
-        report=report,
-        site=site,
-        pages=[Page(FILE, "front.html.j2", report.title, "front"), *(pages if single_file else [])],
-        root="",
-        here=FILE,
-        single=single_file,
-        library=javascript_library() if single_file else "",
-        data=packed(data if single_file else for_first_question(data)),
-        more=more,
-        scripts=FRONT_SCRIPTS,
-        pages_at="" if single_file else FOLDER,
-    )
-    path = folder / FILE
-    put(path, text)
+        text = _written(site, site.pages[:1], data.first_question(), more)
+    put(folder / FILE, text)
     for old in folder.glob(f"{FOLDER}data*.js"):
         if old != folder / more:
             old.unlink()
-    return path
+    return folder / FILE
+
+
+def _write_others(site: Site, data: SiteData, folder: Path) -> None:
+    """Write all pages but the first, and what they share."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for page in site.pages[1:]:
+        own = data.scene(page.values["scene"].name) if page.kind == "scene" else None
+        put(folder / page.file, _written(site, [page], own))
+    kept_files = {page.file for page in site.pages}
+    for old in (*folder.glob("scene-*.html"), *folder.glob("method-*.html")):
+        if old.name not in kept_files:
+            old.unlink()
+    for asset in (resources.files("reports.pages") / "assets").iterdir():
+        if asset.name.endswith((".css", ".js")):
+            put(folder / asset.name, asset.read_bytes())
+    put(folder / LIBRARY, javascript_library())
+
+
+def _written(
+    site: Site,
+    pages: Sequence[Page],
+    data: dict[str, Any] | None,
+    more: str = "",
+    library: str = "",
+) -> str:
+    """The text of a file with these pages."""
+    here, front = pages[0].path, pages[0].kind == "front"
+    return html(
+        "page_of_report.html.j2",
+        assets=None if front else "",
+        address=partial(site.address, here=here),
+        names=site.names,
+        linked=front and not site.single,
+        report=site.report,
+        site=site,
+        pages=pages,
+        root="../" * here.count("/"),  # the way to the run folder
+        here=here,
+        single=site.single,
+        library=library,
+        data=data,
+        more=more,
+        scripts=_FRONT_SCRIPTS if front else _QUESTION_SCRIPTS,
+        pages_at=FOLDER if front and not site.single else "",
+    )
 
 
 def javascript_library() -> str:

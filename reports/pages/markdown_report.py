@@ -10,9 +10,9 @@ from problems.whole_files import put
 from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.addresses import FOLDER
 from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.report import Report, read_report
+from reports.pages.site import FOLDER
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, plain, rendered
 from reports.questions.sentences import scene_sentence, sentences, unjudged

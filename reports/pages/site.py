@@ -6,29 +6,23 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from importlib import resources
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 from bench.results.quantities import COST
 from bench.results.records import Record
-from problems.whole_files import put
+from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.addresses import FOLDER, Site, method_page, scene_page, site_of
 from reports.pages.motion import motion
-from reports.pages.packing import packed
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
-from reports.pages.site_data import for_scene
-from reports.pages.templating import html
 from reports.ranking import GROUP, TARGET, reaches
 from reports.series import cost_of
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
-#: Scripts of a page with a question, in the order in which they are needed.
-QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
+#: The front page, and the folder of all others.
+FRONT, FOLDER = "report.html", "report/"
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",
@@ -39,105 +33,120 @@ TABS = {
 }
 
 
+def scene_page(name: str) -> str:
+    """File of a scene's page in the folder of the report."""
+    return f"scene-{file_name(name)}.html"
+
+
+def method_page(label: str) -> str:
+    """File of a method's page in the folder of the report."""
+    return f"method-{file_name(label)}.html"
+
+
 @dataclass
 class Page:
-    """A page of the report: file in its folder, template of its body, title, values."""
+    """A page of the report: file in its folder, title, template of its body, values, anchors.
+
+    Pages with a ``heading`` are in the contents below it, with ``count`` small behind the title.
+    """
 
     file: str
-    template: str
-    title: str
     kind: str
+    title: str
+    heading: str = ""
+    count: int | None = None
     values: dict[str, Any] = field(default_factory=dict)
     anchors: list[str] = field(default_factory=list)
+
+    @property
+    def template(self) -> str:
+        """The template of the body."""
+        return f"{self.kind}.html.j2"
 
     @property
     def anchor(self) -> str:
         """The anchor of the page where one file holds all."""
         return self.file.removesuffix(".html")
 
+    @property
+    def path(self) -> str:
+        """The file in the run folder."""
+        return self.file if self.file == FRONT else FOLDER + self.file
 
-def pages(report: Report) -> Iterator[Page]:
-    """All pages but the first."""
+
+@dataclass
+class Site:
+    """All pages of a report, and the addresses from one to another.
+
+    ``single`` says whether one file holds all pages; a page is then a part with an anchor.
+    """
+
+    report: Report
+    single: bool = False
+
+    @cached_property
+    def pages(self) -> list[Page]:
+        """All pages, the front page first."""
+        return list(_pages(self.report))
+
+    @cached_property
+    def contents(self) -> list[tuple[str, list[Page]]]:
+        """The contents at the side of all pages: headings, and the pages below each."""
+        below = {h: [p for p in self.pages if p.heading == h] for h in ("Answer", "Scenes", "Why")}
+        return [(heading, pages) for heading, pages in below.items() if pages]
+
+    @property
+    def runs_text(self) -> str:
+        """How many runs there are, and how many of them failed."""
+        failed = self.report.failed
+        return f"{len(self.report.run_ids)} runs{f', {failed} failed' if failed else ''}"
+
+    @cached_property
+    def names(self) -> dict[str, tuple[str, str]]:
+        """Anchors and short names of the integrators and scenes that have a page."""
+        methods = {k: (method_page(k), name) for k, name in self.report.names.items()}
+        scenes = {s.name: (scene_page(s.name), scene_name(s.name)) for s in self.report.scenes}
+        both = methods | scenes
+        return {key: (file.removesuffix(".html"), name) for key, (file, name) in both.items()}
+
+    @cached_property
+    def _places(self) -> dict[str, str]:
+        """The files of anchors."""
+        return {anchor: p.path for p in self.pages for anchor in (p.anchor, *p.anchors)}
+
+    def link(self, page: Page) -> str:
+        """The address of a page, relative to the run folder."""
+        if self.single:
+            return "#main" if page.kind == "front" else f"#{page.anchor}"
+        return page.path
+
+    def address(self, anchor: str, here: str) -> str:
+        """The address of an anchor for a page: the anchor alone if it is on the same page."""
+        file = "" if self.single else self._places.get(anchor, "")
+        if file in ("", here):
+            return f"#{anchor}"
+        return f"{file.removeprefix(FOLDER) if here.startswith(FOLDER) else file}#{anchor}"
+
+
+def _pages(report: Report) -> Iterator[Page]:
+    yield Page(FRONT, "front", "Overview", "Answer")
     for i, chapter in enumerate(report.scenes):
         yield _scene(report, i, chapter)
     for m in report.methods:
-        title = report.names[m.label]
-        yield Page(method_page(m.label), "method.html.j2", title, "method", {"method": m})
-    yield Page("methods.html", "methods.html.j2", "Methods", "methods")
-    yield Page("failures.html", "failures.html.j2", "Failures", "failures")
+        yield Page(method_page(m.label), "method", report.names[m.label], values={"method": m})
+    yield Page("methods.html", "methods", "Methods", "Answer", len(report.methods))
+    yield Page("failures.html", "failures", "Failures", "Answer", report.failed)
     if report.orders:
-        yield Page("orders.html", "orders.html.j2", "Orders", "orders")
+        yield Page("orders.html", "orders", "Orders", "Why")
     if report.long_runs:
         anchors = [section.anchor for section in report.long_runs]
-        yield Page("drift.html", "drift_chapter.html.j2", "Long runs", "drift", {}, anchors)
+        yield Page("drift.html", "drift", "Long runs", "Why", anchors=anchors)
     if report.atlas:
         anchors = [f"atlas-{e.result.name}" for e in report.atlas.experiments]
-        yield Page("atlas.html", "atlas_chapter.html.j2", "Failure atlas", "atlas", {}, anchors)
-    yield Page("measured.html", "measured.html.j2", "How it was measured", "measured")
-    terms = {"terms": TERMS}
-    anchors = [term.anchor for term in TERMS]
-    yield Page("glossary.html", "glossary.html.j2", "Glossary", "glossary", terms, anchors)
-
-
-def report_site(report: Report, single: bool = False) -> tuple[Site, list[Page]]:
-    """The contents of a report with the addresses of all anchors, and its pages."""
-    made = list(pages(report))
-    anchors = [
-        (anchor, FOLDER + page.file) for page in made for anchor in (page.anchor, *page.anchors)
-    ]
-    return site_of(report, anchors, single), made
-
-
-def named(report: Report) -> dict[str, tuple[str, str]]:
-    """Anchors and short names of the integrators and scenes that have a page."""
-    methods = {k: (method_page(k), name) for k, name in report.names.items()}
-    scenes = {s.name: (scene_page(s.name), scene_name(s.name)) for s in report.scenes}
-    both = methods | scenes
-    return {key: (file.removesuffix(".html"), name) for key, (file, name) in both.items()}
-
-
-def write_pages(report: Report, folder: Path, data: dict[str, Any]) -> None:
-    """Write all pages but the first, and what they share, into the folder ``report/``.
-
-    Parameters
-    ----------
-    report
-        The content.
-    folder
-        The run folder.
-    data
-        What the scripts are given, for all scenes.
-    """
-    site, made = report_site(report)
-    target = Path(folder) / FOLDER
-    target.mkdir(parents=True, exist_ok=True)
-    for page in made:
-        here = FOLDER + page.file
-        text = html(
-            "page_of_report.html.j2",
-            assets="",
-            address=partial(site.address, here=here),
-            names=named(report),
-            report=report,
-            site=site,
-            pages=[page],
-            root="../" * here.count("/"),  # the way to the run folder
-            here=here,
-            single=False,
-            library="",
-            data=packed(for_scene(data, page.values["place"])) if page.kind == "scene" else None,
-            more="",
-            scripts=QUESTION_SCRIPTS,
-            pages_at="",
-        )
-        put(target / page.file, text)
-    kept = {page.file for page in made}
-    for old in (*target.glob("scene-*.html"), *target.glob("method-*.html")):
-        if old.name not in kept:
-            old.unlink()
-    for asset in (resources.files("reports.pages") / "assets").iterdir():
-        if asset.name.endswith((".css", ".js")):
-            put(target / asset.name, asset.read_bytes())
+        yield Page("atlas.html", "atlas", "Failure atlas", "Why", anchors=anchors)
+    yield Page("measured.html", "measured", "How it was measured", "Why")
+    terms, anchors = {"terms": TERMS}, [term.anchor for term in TERMS]
+    yield Page("glossary.html", "glossary", "Glossary", "Why", values=terms, anchors=anchors)
 
 
 def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
@@ -154,8 +163,10 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
-    title = scene_name(chapter.name)
-    return Page(scene_page(chapter.name), "scene.html.j2", title, "scene", values, anchors)
+    name = chapter.name
+    return Page(
+        scene_page(name), "scene", scene_name(name), "Scenes", values=values, anchors=anchors
+    )
 
 
 def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:

@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import COSTS, GROUP_NAMES, GROUPS, NORM, NORMS, RANKED_COSTS, TRUST
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import Record, SceneRecord
-from reports.charts.line_styles import LineStyle
 from reports.names import family_name, scene_name
-from reports.pages.addresses import method_page, scene_page
 from reports.pages.report import Report
-from reports.pages.site_answers import answers_of
-from reports.questions.question import ALL, FIRST, TARGETS, Question, filters, tag_name
+from reports.pages.site import method_page, scene_page
+from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.questions.phrases import Part, Ref, Sentence
+from reports.questions.profile import Profile, profiles
+from reports.questions.question import FIRST, TARGETS, Filter, Question, filters, tag_name
+from reports.questions.sentences import scene_sentence, sentences
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
 from reports.text.winners import tie_text
 
@@ -23,154 +25,265 @@ _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _LETTERS = 4
 _NONE = "-" * _LETTERS
+#: Multiples of the best cost at which a performance profile is stated.
+_MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
 #: Most lines and points per line of a scene's little picture.
 _LINES, _POINTS = 40, 60
 
 
-def column(values: Iterable[float | None]) -> str:
-    """Positive numbers as text: four characters each, log10 to 3e-6; ``----`` for none."""
-    return "".join(map(_four_characters, values))
+class SiteData:
+    """Data of the pages of a report: its methods, scenes and runs, and answers to questions."""
 
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.found = answers(report.series)
+        names = list(report.series)
+        self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
+        self.families = {s.label: s.family for own in report.series.values() for s in own}
+        self.places = {label: k for k, label in enumerate(self.families)}
+        self.groups = groups_of(r for own in report.series.values() for s in own for r in s.ok)
+        self.resolutions: dict[str, int] = {}
+        self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
+        self.pages = {
+            r.key: f"{scene_page(name)}#{report.run_ids[r.key]}"
+            for name, own in report.series.items()
+            for s in own
+            for r in s.records
+        }
 
-def _four_characters(value: float | None) -> str:
-    if value is None or not 0 < value < math.inf:
-        return _NONE
-    place = (math.log10(value) + _LARGEST) / (2 * _LARGEST)
-    bits = round(min(max(place, 0.0), 1.0) * _STEPS)
-    text = "".join(_ALPHABET[bits >> shift & 63] for shift in (18, 12, 6, 0))
-    return text if text != _NONE else "---_"
+    def everything(self) -> dict[str, Any]:
+        """Data of a page that holds all: a question has verdicts, a sentence per scene."""
+        return self._facts() | self._runs_of() | self._answers(self.found) | self._profiles()
 
+    def first_question(self) -> dict[str, Any]:
+        """Data of the front page for the first question.
 
-def site_data(report: Report) -> dict[str, Any]:
-    """Data for the scripts: methods, scenes, runs, and the answers to all questions."""
-    families = {s.label: s.family for series in report.series.values() for s in series}
-    labels = list(families)
-    names, places = report.words.names, list(report.series)
-    groups = [g for g in GROUPS if any(g in _groups(s) for s in report.series.values())]
-    chosen = filters({k: report.words.tags.get(k, ()) for k in places})
-    answers, profiles = answers_of(report, chosen)
-    columns, resolutions = [*groups, *RANKED_COSTS], {}
-    runs_of = [
-        [_runs(s, labels.index(s.label), columns, resolutions) for s in series]
-        for series in report.series.values()
-    ]
-    return {
-        "title": report.title,
-        "runs": len(report.run_ids),
-        "failed": report.failed,
-        "norm": NORMS[NORM],
-        "trust": TRUST,
-        "group_names": {g: GROUP_NAMES[g] for g in groups},
-        "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
-        "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
-        "units": {c: COSTS[c].unit for c in RANKED_COSTS},
-        "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
-        "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
-        "first": {
-            "group": FIRST.group,
-            "target": FIRST.accuracy,
-            "cost": FIRST.cost,
-            "highlight": report.mine if report.mine in families else "",
-        },
-        "filters": [
-            {"id": f.key, "name": f.name, "scenes": [places.index(k) for k in f.scenes]}
-            for f in chosen
-        ],
-        "methods": [
-            _method(label, names[label], family, report.styles[label])
-            for label, family in families.items()
-        ],
-        "scenes": [
-            _scene(name, series, report.scene_records.get(name))
-            for name, series in report.series.items()
-        ],
-        "letters": _LETTERS,
-        "columns": columns,
-        "resolutions": list(resolutions),
-        "runs_of": runs_of,
-        "answers": answers,
-        "profiles": profiles,
-    }
+        Columns have the first three characters of a number: log10 to 2e-4, until the others come.
+        """
+        columns = [k for k, c in enumerate(self.columns) if c in (FIRST.group, FIRST.cost)]
+        first = {FIRST: self.found[FIRST]} if FIRST in self.found else {}
 
+        def shortened(text: str) -> str:
+            return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
 
-def for_first_question(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of the data that the first question needs.
-
-    Its columns have the first three characters of a number: log10 to 2e-4, until the others come.
-    """
-    kept = [k for k, name in enumerate(data["columns"]) if name in (FIRST.group, FIRST.cost)]
-    profiles = data["profiles"].get(f"{FIRST.group}|{FIRST.cost}", {})
-
-    def shortened(text: str) -> str:
-        return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
-
-    return {
-        **data,
-        "letters": _LETTERS - 1,
-        "columns": [data["columns"][k] for k in kept],
-        "runs_of": [
+        runs = [
             [
-                (method, at, [shortened(columns[k]) for k in kept], *endings)
-                for method, at, columns, *endings in own
+                (method, at, [shortened(texts[k]) for k in columns], *endings)
+                for method, at, texts, *endings in own
             ]
-            for own in data["runs_of"]
-        ],
-        "answers": {
-            key: {name: part for name, part in answer.items() if name != "verdicts"}
-            for key, answer in data["answers"].items()
-            if key == FIRST.key
-        },
-        "profiles": {f"{FIRST.group}|{FIRST.cost}": {ALL: profiles[ALL]}} if profiles else {},
-    }
+            for own in self.runs
+        ]
+        cut = {"letters": _LETTERS - 1, "columns": [self.columns[k] for k in columns]}
+        return {
+            **self._facts(),
+            **self._runs_of(),
+            **cut,
+            "runs_of": runs,
+            **self._answers(first, verdicts=False),
+            **self._profiles(first, self.filters[:1]),
+        }
 
+    def further_questions(self) -> dict[str, Any]:
+        """Further data of the front page: runs, answers without verdicts on scenes, profiles."""
+        return self._runs_of() | self._profiles() | self._answers(self.found, verdicts=False)
 
-def for_scene(data: Mapping[str, Any], place: int) -> dict[str, Any]:
-    """The part of the data that is about one scene."""
-    return {
-        **data,
-        "runs_of": [own if k == place else [] for k, own in enumerate(data["runs_of"])],
-        "answers": {
-            key: {
-                "scenes": [own if k == place else None for k, own in enumerate(answer["scenes"])],
-                "verdicts": [
-                    own if k == place else None for k, own in enumerate(answer["verdicts"])
+    def scene(self, name: str) -> dict[str, Any]:
+        """Data of a scene's page."""
+        place = list(self.report.series).index(name)
+        runs = [own if k == place else [] for k, own in enumerate(self.runs)]
+        return {
+            **self._facts(),
+            **self._runs_of(),
+            "runs_of": runs,
+            **self._answers(self.found, only=name),
+            "profiles": {},
+        }
+
+    @property
+    def columns(self) -> list[str]:
+        """Errors and costs of a run."""
+        return [*self.groups, *RANKED_COSTS]
+
+    def _facts(self) -> dict[str, Any]:
+        report, names = self.report, list(self.report.series)
+        return {
+            "title": report.title,
+            "runs": len(report.run_ids),
+            "failed": report.failed,
+            "norm": NORMS[NORM],
+            "trust": TRUST,
+            "group_names": {g: GROUP_NAMES[g] for g in self.groups},
+            "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
+            "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
+            "units": {c: COSTS[c].unit for c in RANKED_COSTS},
+            "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
+            "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
+            "first": {
+                "group": FIRST.group,
+                "target": FIRST.accuracy,
+                "cost": FIRST.cost,
+                "highlight": report.mine if report.mine in self.families else "",
+            },
+            "filters": [
+                {"id": f.key, "name": f.name, "scenes": [names.index(k) for k in f.scenes]}
+                for f in self.filters
+            ],
+            "methods": [self._method(label, family) for label, family in self.families.items()],
+            "scenes": [
+                _scene(name, series, report.scene_records.get(name))
+                for name, series in report.series.items()
+            ],
+        }
+
+    def _method(self, label: str, family: str) -> dict[str, Any]:
+        style = self.report.styles[label]
+        return {
+            "label": label,
+            "short": self.report.words.names[label],
+            "family": family_name(family),
+            "light": style.color,
+            "dark": style.dark,
+            "shape": style.shape,
+            "dash": list(style.dash),
+            "page": method_page(label),
+        }
+
+    # ---- runs ----------------------------------------------------------------------------
+    def _runs_of(self) -> dict[str, Any]:
+        return {
+            "letters": _LETTERS,
+            "columns": self.columns,
+            "resolutions": list(self.resolutions),
+            "runs_of": self.runs,
+        }
+
+    def _runs(self, series: Series) -> tuple[Any, ...]:
+        """The runs of one method on one scene, from coarse to fine.
+
+        They are the method, the place of its resolutions, and text by column; if a run failed, also
+        the endings, and the place of each run's ending among them. Most methods have the same steps
+        or tolerances: these are kept once, in ``resolutions``.
+        """
+        control = "h" if series.controls == "step" else "rtol"
+        at = f"{control}{column(step_or_tolerance(r) for r in series.records)}"
+        texts = [column(_value(r, name) for r in series.records) for name in self.columns]
+        place = self.resolutions.setdefault(at, len(self.resolutions))
+        found = self.places[series.label], place, texts
+        endings = list(dict.fromkeys(r.status for r in series.records))
+        if endings == ["ok"]:
+            return found
+        return *found, endings, [endings.index(r.status) for r in series.records]
+
+    # ---- answers -------------------------------------------------------------------------
+    def _answers(
+        self, found: Mapping[Question, Answer], verdicts: bool = True, only: str = ""
+    ) -> dict[str, Any]:
+        """Answers by question, on all scenes or one of them, and ``refs``.
+
+        What many sentences refer to stands in ``refs`` once; sentences have its place instead.
+        An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
+        its multiple) and ``states``, a list in the order of the methods: the multiple and the place
+        of the run, one of `reports.ranking.STATES`, or None of a method that was not tried. There
+        are ``verdicts``, a sentence per scene, and per filter ``sentences`` and ``standings``
+        (method, alone, tied, reached, tried).
+        """
+        places: dict[Ref, int] = {}
+
+        def plain(said: Sentence) -> list[Part | int]:
+            return [p if isinstance(p, str) else places.setdefault(p, len(places)) for p in said]
+
+        def part(answer: Answer) -> dict[str, Any]:
+            return {
+                "sentences": [plain(said) for said in sentences(answer, self.report.words)],
+                "standings": [
+                    [self.places[s.label], s.alone, s.tied, int(s.reached), s.tried]
+                    for s in answer.standings
                 ],
-                "filters": {},
             }
-            for key, answer in data["answers"].items()
-        },
-        "profiles": {},
-    }
 
+        made = {}
+        for question, answer in found.items():
+            on = {
+                k: None if only not in ("", k) else answer.scenes.get(k) for k in self.report.series
+            }
+            made[question.key] = {
+                "scenes": [own and self._states(name, own) for name, own in on.items()],
+                "verdicts": [
+                    own and plain(scene_sentence(question, name, own, self.report.words))
+                    for name, own in (on if verdicts else {}).items()
+                ],
+                "filters": {} if only else {f.key: part(answer.on(f.scenes)) for f in self.filters},
+            }
+        return {"answers": made, "refs": [self._reference(ref) for ref in places]}
 
-def for_front(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Further data of the front page: runs, answers without verdicts on scenes, profiles."""
-    return {
-        **{name: data[name] for name in ("letters", "columns", "resolutions", "runs_of")},
-        "profiles": data["profiles"],
-        "answers": {k: answer | {"verdicts": []} for k, answer in data["answers"].items()},
-    }
+    def _states(self, scene: str, answer: SceneAnswer) -> dict[str, Any]:
+        own, second = {s.label: s for s in self.report.series[scene]}, answer.verdict.second
+        states: list[Any] = [None] * (1 + max((self.places[k] for k in answer.entries), default=-1))
+        for label, entry in answer.entries.items():
+            state = entry.state
+            if isinstance(state, str) or entry.run is None:
+                states[self.places[label]] = state
+            else:
+                # Methods that do the same have the same run at the same place.
+                keys = [r.key for r in own[entry.contestant].records]
+                states[self.places[label]] = [float(f"{state:.4g}"), keys.index(entry.run.key)]
+        return {
+            "first": [self.places[label] for label in answer.first],
+            "second": [self.places[second.label], second.ratio] if second else None,
+            "states": states,
+        }
 
+    def _reference(self, ref: Ref) -> dict[str, str]:
+        pages = {"method": method_page, "scene": scene_page, "run": self.pages.__getitem__}
+        page = pages[ref.kind](ref.key) if ref.kind in pages else f"glossary.html#term-{ref.key}"
+        return {"kind": ref.kind, "key": ref.key, "text": ref.text, "page": page}
 
-def _method(label: str, short: str, family: str, style: LineStyle) -> dict[str, Any]:
-    return {
-        "label": label,
-        "short": short,
-        "family": family_name(family),
-        "light": style.color,
-        "dark": style.dark,
-        "shape": style.shape,
-        "dash": list(style.dash),
-        "page": method_page(label),
-    }
+    # ---- profiles ------------------------------------------------------------------------
+    def _profiles(
+        self, found: Mapping[Question, Answer] | None = None, chosen: Sequence[Filter] = ()
+    ) -> dict[str, Any]:
+        """Performance profiles by group and cost of these questions (all), and by filter (all)."""
+        cases: dict[tuple[str, str], list[Answer]] = {}
+        asked = {(q.group, q.cost) for q in (self.found if found is None else found)}
+        for question, answer in self.found.items():
+            if (question.group, question.cost) in asked:
+                cases.setdefault((question.group, question.cost), []).append(answer)
+        made = {
+            f"{group}|{cost}": {
+                f.key: self._profile([a.on(f.scenes) for a in own]) for f in chosen or self.filters
+            }
+            for (group, cost), own in cases.items()
+        }
+        return {"profiles": made}
 
+    def _profile(self, found: Sequence[Answer]) -> dict[str, Any]:
+        """Thousandths of the pairs (scene, target) within each multiple, by method and family.
 
-def _groups(series: Sequence[Series]) -> list[str]:
-    return groups_of(r for s in series for r in s.ok)
+        ``tried`` has the number of pairs of those that were not tried on all.
+        """
+        own = profiles(found)
+        methods = {str(self.places[label]): profile for label, profile in own.methods.items()}
+        families = {family_name(family): profile for family, profile in own.families.items()}
+
+        def parts(by_name: Mapping[str, Profile]) -> dict[str, list[int]]:
+            return {
+                name: [round(1000 * profile.part(m)) for m in _MULTIPLES]
+                for name, profile in by_name.items()
+            }
+
+        both = (*methods.items(), *families.items())
+        return {
+            "multiples": _MULTIPLES,
+            "pairs": own.pairs,
+            "tried": {name: p.pairs for name, p in both if p.pairs < own.pairs},
+            "methods": parts(methods),
+            "families": parts(families),
+        }
 
 
 def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> dict[str, Any]:
-    groups, ok = _groups(series), [r for s in series for r in s.ok]
+    ok = [r for s in series for r in s.ok]
+    groups = groups_of(ok)
     floors = {g: trusted_error(ok, g, NORM) for g in groups}
     return {
         "id": name,
@@ -206,23 +319,19 @@ def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
     ]
 
 
-def _runs(
-    series: Series, place: int, columns: Sequence[str], resolutions: dict[str, int]
-) -> tuple[Any, ...]:
-    """The runs of one method on one scene, from coarse to fine.
+# ---- numbers as text ---------------------------------------------------------------------
+def column(values: Iterable[float | None]) -> str:
+    """Positive numbers as text: four characters each, log10 to 3e-6; ``----`` for none."""
+    return "".join(map(_four_characters, values))
 
-    They are the method, the place of its resolutions, and text by column; if a run failed, also
-    the endings, and the place of each run's ending among them. Most methods have the same steps
-    or tolerances: these are kept once, in ``resolutions``.
-    """
-    control = "h" if series.controls == "step" else "rtol"
-    at = f"{control}{column(step_or_tolerance(r) for r in series.records)}"
-    texts = [column(_value(r, name) for r in series.records) for name in columns]
-    found = place, resolutions.setdefault(at, len(resolutions)), texts
-    endings = list(dict.fromkeys(r.status for r in series.records))
-    if endings == ["ok"]:
-        return found
-    return *found, endings, [endings.index(r.status) for r in series.records]
+
+def _four_characters(value: float | None) -> str:
+    if value is None or not 0 < value < math.inf:
+        return _NONE
+    place = (math.log10(value) + _LARGEST) / (2 * _LARGEST)
+    bits = round(min(max(place, 0.0), 1.0) * _STEPS)
+    text = "".join(_ALPHABET[bits >> shift & 63] for shift in (18, 12, 6, 0))
+    return text if text != _NONE else "---_"
 
 
 def _value(record: Record, name: str) -> float | None:
