@@ -8,7 +8,7 @@ from bench.atlas.experiments import built_in_experiments
 from bench.results.records import IntegratorFacts
 from reports.ranking import rank
 from reports.series import series_of
-from reports.text.lost_orders import PATTERN, TRANSIENT, UNDAMPED, lost_orders_table
+from reports.text.measured_orders import PATTERN, TRANSIENT, UNDAMPED, lost_orders_table
 from reports.text.observations import observations
 from reports.text.ranking_tables import integrators_table
 
@@ -73,14 +73,7 @@ def test_the_experiments_that_explain_losses_exist():
         assert name in built_in_experiments()
 
 
-def test_runs_without_errors_make_no_sentence_about_orders_or_tolerances():
-    """As on a scene that is too large for a reference."""
-    steps = [planted("s", "m", {}, h=h, errors={}) for h in STEPS]
-    loose = [
-        planted("s", "n", {}, h=0.1, controls="tolerance", rtol=r, atol=r, errors={}, key=f"{r}")
-        for r in (1e-3, 1e-4)
-    ]
-    assert observations(series_of(steps + loose)) == []
+def test_failed_runs_are_told_with_their_resolutions():
     failed = [planted("s", "n", {}, h=0.1, errors={}, status="crashed")]
     (said,) = observations(series_of(failed))
     assert said.text == "1 of 1 runs did not reach the end: 1 crashed (h=0.1)."

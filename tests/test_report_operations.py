@@ -11,8 +11,8 @@ from bench.results.records import Record, flatten
 from reports.charts.bills import MOST_BARS, bills
 from reports.charts.line_styles import line_styles
 from reports.series import series_of
+from reports.text.observations import observations
 from reports.text.run_tables import runs_table, summary_table
-from reports.text.seconds_per_operation import disagreements
 
 
 def run(name: str, h: float, ns: float, calls: str = "", factor: float = 1.0) -> Record:
@@ -25,7 +25,7 @@ def run(name: str, h: float, ns: float, calls: str = "", factor: float = 1.0) ->
 
 
 def told(*records: Record) -> dict[tuple[str, ...], str]:
-    return {o.integrators: o.text for o in disagreements(series_of(records))}
+    return {o.integrators: o.text for o in observations(series_of(records))}
 
 
 def drawn(records):
@@ -41,7 +41,7 @@ def test_a_method_far_from_the_median_is_told_with_its_own_reason():
     }
     assert told(*usual, run("near", 0.01, 2.0 * 2.9, "its loop is Python")) == {}
     (text,) = told(*usual, run("fast", 0.01, 2.0 / 4)).values()
-    assert "the 4th part of the median" in text
+    assert "takes 0.25 times the median" in text
     assert "does not state how it calls" in text
     # The reason is the method's own; methods with one reason share a sentence.
     (names,) = told(*usual, run("b", 0.01, 20.0, "x"), run("c", 0.01, 30.0, "x"))

@@ -35,7 +35,6 @@ from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import FIGURES, write_markdown_report
 from reports.pages.report import read_report
 from reports.series import series_of
-from reports.text.observations import observations
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import summary_table
 
@@ -154,44 +153,18 @@ def test_rivals_that_tie_are_named_or_counted() -> None:
     ]
 
 
-def test_equal_observations_share_a_sentence_with_the_order_lost_at_the_start(
-    page: Document,
-) -> None:
-    assert (
-        "good 0.8, good 0.5: in the last quarter, second order in "
-        "q (2.00), v (2.00), a (2.00) and λ (2.00). The maximum over time of the error in "
-        "λ is only first order (1.00): the start transient." in page.words
-    )
+def test_the_summary_tells_the_order_that_is_lost_at_the_start(page: Document) -> None:
+    rows = {row["integrator"]: row["orders"] for row in page.rows("All integrators", 1)}
+    assert rows["good[rho_inf=0.8]"].endswith("λ 1.00, after the start transient 2.00")
+    assert rows["ringing[rho_inf=1]"].endswith("λ none on pendulum")
 
 
-def test_a_method_that_does_not_converge_is_said_not_to(page: Document, paper: str) -> None:
-    text = "does not converge in λ (error 0.3 at the coarsest step, 0.3 at the finest)"
-    assert f"ringing 1: in the last quarter, second order in q (2.00), v (2.00) and a (2.00); {text}" in page.words  # fmt: skip  # noqa: E501
-    assert text in paper
-
-
-@pytest.mark.parametrize(
-    ("power", "said"),
-    [(1, "first order in q (1.00)"), (2.4, "order 2.4 in q (2.40)"), (4, "fourth order in q")],
-)
-def test_the_order_is_named_after_the_slope(power: float, said: str) -> None:
-    records = [planted("spring_mass", "m", {"q": (1.0, power)}, h=h) for h in STEPS]
-    (observation,) = observations(series_of(records))
-    assert said in observation.text
-
-
-def test_two_steps_make_no_observation_about_order() -> None:
-    records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS[:2]]
-    assert observations(series_of(records)) == []
-    assert summary_table(series_of(records)).rows[0][2] == "not determined"
-
-
-def test_a_step_pattern_is_a_line_of_its_own() -> None:
+def test_a_step_pattern_is_a_row_of_its_own_and_two_steps_have_no_order() -> None:
     even = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
     uneven = [planted("spring_mass", "m", {"q": (1.0, 1)}, h=h, pattern=(0.3, 0.7)) for h in STEPS]
-    text = {f.integrators: f.text for f in observations(series_of(even + uneven))}
-    assert "second order" in text[("m",)]
-    assert "first order" in text[("m x 0.3/0.7",)]
+    rows = summary_table(series_of([*even, *uneven])).rows
+    assert [row[:1] + row[2:3] for row in rows] == [["m", "q 2.00"], ["m x 0.3/0.7", "q 1.00"]]
+    assert summary_table(series_of(even[:2])).rows[0][2] == "not determined"
 
 
 def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> None:
@@ -217,7 +190,7 @@ def test_failures_are_listed_with_their_reason_and_do_no_harm(
     assert [row["message"] for row in rows] == [ATTACK, ATTACK]
     assert [row["resolution"] for row in rows] == ["h=0.1", "h=0.05"]
     assert {row["status"] for row in rows} == {"newton_failed"}
-    assert "fragile: 2 of 2 runs did not reach the end: 2 newton_failed (h=0.1; h=0.05)." in page.words  # fmt: skip  # noqa: E501
+    assert "fragile: 2 of 2 runs did not reach the end: 2 newton_failed (h=0.1 and h=0.05)." in page.words  # fmt: skip  # noqa: E501
     # Linked scripts of the report and data: no script of the store.
     own = {file.name for file in (resources.files("reports.pages") / "assets").iterdir()}
     programs = {name.removeprefix("report/") for name in page.scripts}

@@ -28,7 +28,7 @@ from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
-from reports.text.lost_orders import lost_orders_table
+from reports.text.measured_orders import lost_orders_table
 from reports.text.measurement import (
     method_of_measurement,
     missing_data,

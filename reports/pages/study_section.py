@@ -31,9 +31,9 @@ from reports.series import (
     run_name,
     series_of,
 )
+from reports.text.measured_orders import orders_table
 from reports.text.observations import Observation, observations
-from reports.text.run_tables import orders_table, runs_table
-from reports.text.seconds_per_operation import disagreements
+from reports.text.run_tables import runs_table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
 ALL_RUNS = 6
@@ -116,7 +116,7 @@ class StudySections:
             title="Accuracy and cost" if study.title in ("", self.name) else study.title,
             note=study.note,
             state=_study_state(study, records),
-            observations=[*observations(series), *disagreements(series)],
+            observations=observations(series),
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],

@@ -11,7 +11,7 @@ from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts, Record
 from bench.results.table import Table
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
-from reports.formatting import named, number, order_text, text_range
+from reports.formatting import named, number
 from reports.pareto_front import compared_scenes, pareto_front
 from reports.questions.answers import Answer
 from reports.ranking import (
@@ -36,7 +36,7 @@ from reports.series import (
     trusted_error,
     with_values,
 )
-from reports.text.lost_orders import LOSS
+from reports.text.measured_orders import orders_measured
 from reports.text.winners import Verdict, cost_text
 
 _VALUE = itemgetter(0)
@@ -216,7 +216,7 @@ def integrators_table(
                 "integrator": label,
                 "what it is": facts.title.rstrip(".") if facts else "",
                 "orders claimed": claimed,
-                "orders measured": _measured(mine),
+                "orders measured": orders_measured(mine),
                 "reached": f"{sum(s.reached for s in tried)} of {len(tried)} scenes tried"
                 if tried
                 else "not judged",
@@ -236,26 +236,3 @@ def integrators_table(
         f"({COSTS[COST].title}) as a multiple of the cheapest integrator's on a scene with several "
         "contestants.",
     )
-
-
-def _measured(series: Sequence[Series]) -> str:
-    """Orders per group; those after the start transient only where they are much higher."""
-    said = []
-    for group in groups_of(ok_runs(series)):
-        orders, stuck = _orders(series, group, NORM)
-        settled, still_stuck = _orders(series, group, "settled")
-        parts = [text_range(map(order_text, orders))] if orders else []
-        parts += [f"none on {named(stuck)}"] if stuck else []
-        gained = orders and settled and settled[0] - orders[0] >= LOSS
-        if settled and (gained or len(stuck) > len(still_stuck)):
-            parts.append(f"after the start transient {text_range(map(order_text, settled))}")
-        if parts:
-            said.append(f"{group} {', '.join(parts)}")
-    return "; ".join(said)
-
-
-def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float], list[str]]:
-    """Fitted orders over the scenes, and the scenes on which the error does not converge."""
-    fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
-    orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
-    return orders, [problem for problem, f in fits if f.verdict == "does not converge"]

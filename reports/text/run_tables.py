@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from bench.results.orders import Fit
-from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, NORMS, TRUST
+from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST
 from bench.results.records import UNSUPPORTED, Record, median
 from bench.results.table import Table
 from reports.formatting import (
@@ -15,7 +14,6 @@ from reports.formatting import (
     component_text,
     milliseconds,
     number,
-    order_text,
     text_range,
 )
 from reports.series import (
@@ -31,6 +29,7 @@ from reports.series import (
     with_values,
     worst_component,
 )
+from reports.text.measured_orders import orders_measured
 
 
 def summary_table(series: Sequence[Series]) -> Table:
@@ -54,7 +53,7 @@ def summary_table(series: Sequence[Series]) -> Table:
             {
                 "integrator": s.label,
                 **errors,
-                "orders": _orders(s, groups),
+                "orders": _orders(s),
                 "time in ms": milliseconds(seconds_of(run) if run else None),
                 "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
                 "operations": number(cost_of(run, "operations")) if run else NO_VALUE,
@@ -64,56 +63,18 @@ def summary_table(series: Sequence[Series]) -> Table:
         )
     best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
     note = (
-        f"Smallest error over the runs. {ERROR_MEANING} Orders: fitted in the largest error of the "
-        "last quarter. Time and counts are those of the run that is most accurate in q."
+        f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is most "
     )
+    note += "accurate in q."
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
     return Table.from_dicts("All integrators", rows, best=best, note=note)
 
 
-def _orders(s: Series, groups: Sequence[str]) -> str:
+def _orders(s: Series) -> str:
     if s.controls != "step":
         return "by tolerance"
-    fits = [(group, s.fit(group, "settled")) for group in groups]
-    if all(fit.verdict == "not determined" for _, fit in fits):
-        return "not determined"
-    short = {"does not converge": "none", "not determined": "?"}
-    return ", ".join(
-        f"{g} {order_text(fit.order)}"
-        if fit.verdict == "converges" and fit.order is not None
-        else f"{g} {short[fit.verdict]}"
-        for g, fit in fits
-    )
-
-
-def orders_table(series: Sequence[Series], norms: Sequence[str] = tuple(NORMS)) -> Table | None:
-    """Fitted orders with window and number of points, a row per integrator and norm."""
-    constant_steps = [s for s in series if s.controls == "step" and s.ok]
-    groups = groups_of(ok_runs(constant_steps))
-    if not constant_steps or not groups:
-        return None
-    rows = [
-        [s.label, NORMS[norm], *(_fit(s.fit(group, norm)) for group in groups)]
-        for s in constant_steps
-        for norm in norms
-    ]
-    caption, head = "Fitted orders", ["integrator", "error", *groups]
-    if len(norms) == 1:
-        caption += f" of the error {NORMS[norms[0]]}"
-        head.pop(1)
-        rows = [[label, *cells] for label, _, *cells in rows]
-    note = "Order (window of step sizes in s, number of points)."
-    return Table(caption, head, rows, note=note)
-
-
-def _fit(fit: Fit) -> str:
-    if fit.order is None or fit.window is None:
-        return fit.verdict
-    largest, smallest = fit.window
-    window = f"{number(largest)} to {number(smallest)}, {fit.points}"
-    prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
-    return f"{prefix}{order_text(fit.order)} ({window})"
+    return orders_measured([s]) or "not determined"
 
 
 def runs_table(

@@ -1,0 +1,157 @@
+"""Orders that were measured: as text, fitted in every norm, and short of what is claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+from bench.results.orders import Fit
+from bench.results.quantities import NORM, NORMS
+from bench.results.records import IntegratorFacts
+from bench.results.table import Table
+from reports.formatting import named, number, order_text, text_range
+from reports.series import Series, error_of, groups_of, ok_runs, step_or_tolerance
+
+#: An order is lost that falls short of the claimed one by this much.
+_LOSS = 0.5
+_STUCK = "does not converge"
+#: Experiments of the failure atlas that explain a loss.
+PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
+
+
+def orders_measured(series: Sequence[Series]) -> str:
+    """The orders of one integrator at constant steps, per group, over the scenes of its series.
+
+    Those after the start transient are told where they are much higher.
+    """
+    said = []
+    for group in groups_of(ok_runs(series)):
+        orders, stuck = _orders(series, group, NORM)
+        settled, still_stuck = _orders(series, group, "settled")
+        parts = [text_range(map(order_text, orders))] if orders else []
+        parts += [f"none on {named(stuck)}"] if stuck else []
+        gained = orders and settled and settled[0] - orders[0] >= _LOSS
+        if settled and (gained or len(stuck) > len(still_stuck)):
+            parts.append(f"after the start transient {text_range(map(order_text, settled))}")
+        if parts:
+            said.append(f"{group} {', '.join(parts)}")
+    return "; ".join(said)
+
+
+def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float], list[str]]:
+    """Fitted orders over the scenes, and the scenes on which the error does not converge."""
+    fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
+    orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
+    return orders, [problem for problem, f in fits if f.verdict == _STUCK]
+
+
+def orders_table(series: Sequence[Series], norms: Sequence[str] = tuple(NORMS)) -> Table | None:
+    """Fitted orders with window and number of points, a row per integrator and norm."""
+    constant_steps = [s for s in series if s.controls == "step" and s.ok]
+    groups = groups_of(ok_runs(constant_steps))
+    if not constant_steps or not groups:
+        return None
+    rows = [
+        [s.label, NORMS[norm], *(_fit(s.fit(group, norm)) for group in groups)]
+        for s in constant_steps
+        for norm in norms
+    ]
+    caption, head = "Fitted orders", ["integrator", "error", *groups]
+    if len(norms) == 1:
+        caption += f" of the error {NORMS[norms[0]]}"
+        head.pop(1)
+        rows = [[label, *cells] for label, _, *cells in rows]
+    note = "Order (window of step sizes in s, number of points)."
+    return Table(caption, head, rows, note=note)
+
+
+def _fit(fit: Fit) -> str:
+    if fit.order is None or fit.window is None:
+        return fit.verdict
+    largest, smallest = fit.window
+    window = f"{number(largest)} to {number(smallest)}, {fit.points}"
+    prefix = "" if fit.verdict == "converges" else f"{fit.verdict}: "
+    return f"{prefix}{order_text(fit.order)} ({window})"
+
+
+def lost_orders_table(
+    scenes: Mapping[str, Sequence[Series]],
+    known: Mapping[str, IntegratorFacts],
+    experiments: Collection[str] = (),
+) -> Table | None:
+    """Groups that do not converge, or at less than the claimed order; None if there are none.
+
+    ``experiments`` are the names of those that the report shows.
+    """
+    rows, links = [], {}
+    for scene, series in scenes.items():
+        for s in series:
+            alike: dict[tuple[str, str, str], list[str]] = {}
+            claims = _claims(s, known)
+            for group in groups_of(s.ok):
+                fit, settled, claimed = (
+                    s.fit(group, NORM),
+                    s.fit(group, "settled"),
+                    claims.get(group),
+                )
+                if not _is_lost(fit, claimed):
+                    continue
+                transient = settled.order is not None and not _is_lost(settled, claimed)
+                found = _ends(s, group) if fit.verdict == _STUCK else order_text(fit.order or 0.0)
+                if transient:
+                    found += f"; after the start transient {order_text(settled.order or 0.0)}"
+                why = _explained(s, group, fit, transient)
+                alike.setdefault((str(claimed or "none"), found, why), []).append(group)
+            for (claim, found, why), groups in alike.items():
+                if why in experiments:
+                    links[len(rows), 5] = [f"atlas-{why}"]
+                command = f"stepbench atlas {why}" if why else "no experiment"
+                rows.append([s.label, scene, ", ".join(groups), claim, found, command])
+    if not rows:
+        return None
+    return Table(
+        "Orders that were lost, and errors that never converge",
+        ["integrator", "scene", "group", "order claimed", "measured", "explained by"],
+        rows,
+        code=(0, 1),
+        note=f"Relative error, {NORMS[NORM]}: it does not converge, or its order at "
+        f"constant steps is lower than the integrator claims by {_LOSS:g} or more. The commands "
+        "show the experiment of the failure atlas.",
+        links=links,
+    )
+
+
+def _claims(s: Series, known: Mapping[str, IntegratorFacts]) -> Mapping[str, int]:
+    """The orders claimed on a scene: of constant steps; with tolerances errors have to fall."""
+    if s.controls != "step":
+        return {}
+    facts = known.get(s.records[0].integrator)
+    here = s.finest.claims
+    return here if here is not None else facts.orders if facts else {}
+
+
+def _is_lost(fit: Fit, claimed: int | None) -> bool:
+    """Whether errors do not converge, or with less than the claimed order."""
+    if fit.verdict == _STUCK:
+        return True
+    return claimed is not None and fit.order is not None and claimed - fit.order >= _LOSS
+
+
+def _ends(s: Series, group: str) -> str:
+    """The errors of the coarsest and of the finest run."""
+    name = "h" if s.controls == "step" else "rtol"
+    ends = [
+        f"{number(error_of(r, group, NORM))} at {name}={number(step_or_tolerance(r))}"
+        for r in (s.ok[0], s.ok[-1])
+    ]
+    return f"none: error {', '.join(ends)}"
+
+
+def _explained(s: Series, group: str, fit: Fit, transient: bool) -> str:
+    """The experiment with the same setting and the same symptom; none if there is none."""
+    if len(s.records[0].pattern) > 1:
+        return PATTERN
+    if transient:
+        return TRANSIENT
+    stuck = fit.verdict == _STUCK and group in ("a", "lam")
+    steady = s.controls == "step" and s.formulations == "index3"
+    return UNDAMPED if stuck and steady else ""
