@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from integrators.methods.generalized_alpha_adaptive import (
     GeneralizedAlphaAdaptive,
 )
 from problems import MechatronicSystem, State, jax, jnp, parameter
-from problems.compiled import compiled
+from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum
@@ -73,7 +74,7 @@ def local_errors(method, scene, ratios, h):
     """Estimated and true errors of each of some steps: the truth starts from the same q, v, x."""
     program, numbers = method.program(scene)
     start = consistent_start(scene)
-    p, rate = scene.parameters(), compiled(scene).ode
+    rate = jax.jit(partial(ode_rate, scene))
     step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])
     t, state, pairs = scene.interval[0], program.begin(scene, numbers, start, jnp.asarray(h)), []
     for ratio in ratios:
@@ -82,9 +83,7 @@ def local_errors(method, scene, ratios, h):
         estimated = program.estimate(numbers, state, new, h)
         old, now = program.read(scene, state), program.read(scene, new)
         s0 = np.concatenate([old.q, old.v, old.x])
-        exact = solve_ivp(
-            lambda t, s: rate(p, t, s), (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15
-        ).y[:, -1]
+        exact = solve_ivp(rate, (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
         true = np.concatenate([now.q, now.v, now.x]) - exact
         pairs.append((np.concatenate([estimated.q, estimated.v, estimated.x]), true))
         state, t = new, t + h

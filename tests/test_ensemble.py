@@ -18,8 +18,7 @@ from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
 from problems import parameter
-from problems.batched_initial_values import consistent_starts
-from problems.initial_values import consistent_start
+from problems.initial_values import consistent_start, consistent_starts
 from problems.spec import SpecError
 
 REGISTRY = Registry()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
-from problems.compiled import compiled
+from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
 from problems.reference import Reference
 from problems.scenes.full_car import FullCar, FullCarPassive
@@ -314,16 +314,15 @@ def test_generalized_alpha_is_second_order_in_constraints_and_controller():
 @pytest.mark.long
 def test_an_implicit_method_finds_the_reference():
     scene, t_end = FullCar(**EARLY), 0.3
-    start, p = consistent_start(scene).z, scene.parameters()
-    rate = compiled(scene).ode
-    slopes = jax.jit(jax.jacfwd(rate, 2))
+    start, rate = consistent_start(scene).z, jax.jit(partial(ode_rate, scene))
+    slopes = jax.jit(jax.jacfwd(rate, 1))
     t = np.linspace(0, t_end, 10)
     solution = solve_ivp(
-        lambda t, s: np.asarray(rate(p, t, s)),
+        lambda t, s: np.asarray(rate(t, s)),
         (0, t_end),
         np.concatenate([start.q, start.v, start.x]),
         method="Radau",
-        jac=lambda t, s: np.asarray(slopes(p, t, s)),
+        jac=lambda t, s: np.asarray(slopes(t, s)),
         rtol=1e-9,
         atol=1e-11,
         t_eval=t,

@@ -20,8 +20,8 @@ from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
 from integrators.native.endings import Ending
-from problems.batched_initial_values import consistent_starts
 from problems.formulations import complete
+from problems.initial_values import consistent_starts
 from problems.runtime import jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Sizes
