@@ -1,10 +1,9 @@
-"""Counting inside compiled code: exact, by either way, and in programs out of a cache."""
+"""Counting inside compiled code: exact, also in programs out of a cache."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,33 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from integrators import Tolerances
 from integrators.adapters import counting
 from integrators.adapters.counting import Counts, run_counted, watch
-from integrators.adapters.diffrax_adaptive import adaptive_programs
-from integrators.adapters.diffrax_methods import ImplicitEuler
 from integrators.lowering import native
-from problems import exported_programs, jax, jnp, runtime
-from problems.scenes.oscillator import Oscillator
-
-
-def forget():
-    for remembered in (counting._way, native.load, adaptive_programs, runtime.slower):
-        remembered.cache_clear()
-
-
-@pytest.fixture
-def _forgotten():
-    """Nothing that was tried out is remembered, before and after."""
-    forget()
-    yield
-    forget()
-
-
-@pytest.fixture(params=["by name", "by callback"])
-def _either_way(request, monkeypatch, _forgotten):
-    if request.param == "by callback":
-        monkeypatch.setattr(counting, "header", lambda: "")
+from problems import jax, jnp
 
 
 def evaluations(times: int):
@@ -54,11 +30,6 @@ def evaluations(times: int):
 
 
 # ---- counts ----------------------------------------------------------------------------
-def test_this_release_of_jax_lets_us_count_by_name():
-    assert counting.counts_by_name()
-
-
-@pytest.mark.usefixtures("_either_way")
 def test_neither_loops_nor_equal_calls_nor_unused_results_escape():
     watched = watch(lambda t, s, p: p * s)
 
@@ -72,7 +43,6 @@ def test_neither_loops_nor_equal_calls_nor_unused_results_escape():
     assert run_counted(program, 3) == (2.0**3, Counts(9, 0))
 
 
-@pytest.mark.usefixtures("_either_way")
 def test_a_linearisation_counts_once_however_many_directions_follow():
     watched = watch(lambda t, s, p: s**2)
     program = jax.jit(jax.jacfwd(lambda s: watched(0.0, s, None)))
@@ -81,7 +51,6 @@ def test_a_linearisation_counts_once_however_many_directions_follow():
     assert counts == Counts(0, 1)
 
 
-@pytest.mark.usefixtures("_either_way")
 def test_the_branch_that_is_not_taken_does_not_count():
     watched = watch(lambda t, s, p: s)
     program = jax.jit(lambda s: jax.lax.cond(s > 0, lambda: watched(0.0, s, None), lambda: s))
@@ -95,7 +64,6 @@ def test_runs_in_several_threads_keep_their_counts_apart():
     assert counts == [100, 200, 300, 400]
 
 
-@pytest.mark.usefixtures("_either_way")
 def test_ctrl_c_ends_the_wait_and_leaves_no_count_behind():
     def interrupt():
         os.kill(os.getpid(), signal.SIGINT)
@@ -112,50 +80,26 @@ def refuse(*_: object, **__: object) -> None:
     raise RuntimeError("too old")
 
 
-@pytest.mark.usefixtures("_forgotten")
 @pytest.mark.parametrize(
-    ("of", "name", "other", "sentence"),
+    ("of", "name", "other", "reason"),
     [
-        (shutil, "which", lambda name: None, "there is no C compiler"),
-        (counting, "header", lambda: "", "cc failed"),
+        (counting, "interface_version", lambda: (1, 0), "structures of its interface are new"),
         (jax.ffi, "register_ffi_target", refuse, "too old"),
-        (counting, "_count_by_name", lambda name: None, "evaluations=0"),
+        (counting, "_count", lambda name: None, "evaluations=0"),
     ],
 )
-def test_callbacks_count_where_xla_calls_no_functions_of_ours(
-    monkeypatch, caplog, of, name, other, sentence
+def test_where_xla_calls_no_functions_of_ours_there_are_no_counts(
+    monkeypatch, of, name, other, reason
 ):
     monkeypatch.setattr(of, name, other)
-    assert [run_counted(evaluations(4))[1] for _ in range(2)] == [Counts(4, 0)] * 2
-    assert not counting.counts_by_name()
-    assert len(caplog.messages) == 1
-    assert sentence in caplog.text
+    counting._check_counting.cache_clear()
+    with pytest.raises(RuntimeError, match=f"no way to count .*{reason}"):
+        run_counted(lambda: 1.0)
 
 
-@pytest.mark.usefixtures("_forgotten")
-def test_where_neither_way_counts_there_are_no_counts(monkeypatch):
-    monkeypatch.setattr(counting, "header", lambda: "")
-    monkeypatch.setattr(jax.debug, "callback", lambda function: None)
-    with pytest.raises(RuntimeError, match=r"no way to count .*evaluations=0"):
-        run_counted(evaluations(1))
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_a_diffrax_method_ends_with_the_same_counts_by_either_way(monkeypatch, tmp_path):
-    def work():
-        return ImplicitEuler().prepare(Oscillator(), 1.0, Tolerances(1e-2)).measure().work
-
-    monkeypatch.setattr(exported_programs, "CACHE", tmp_path)
-    monkeypatch.setattr(exported_programs, "_used", True)  # as in a worker
-    by_name = work()
-    forget()
-    monkeypatch.setattr(counting, "header", lambda: "")
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
-    signal.alarm(60)  # for a run that waits for itself
-    try:
-        assert work() == by_name
-    finally:
-        signal.alarm(0)
+def test_no_compiler_is_needed(monkeypatch):
+    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
+    assert run_counted(evaluations(4))[1] == Counts(4, 0)
 
 
 # ---- the cache -------------------------------------------------------------------------

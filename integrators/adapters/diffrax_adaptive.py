@@ -9,13 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import (
-    EVALUATION,
-    LINEARISATION,
-    counts_by_name,
-    run_counted,
-    watch,
-)
+from integrators.adapters.counting import EVALUATION, LINEARISATION, run_counted, watch
 from integrators.adapters.diffrax_scheme import (
     Numbers,
     Scheme,
@@ -118,7 +112,7 @@ def adaptive_programs(
         timed=exported(lambda: program(counts=False), lambda: (*about, "timed")),
         counted=exported(
             lambda: program(counts=True),
-            lambda: (*about, "counted", counts_by_name()),
+            lambda: (*about, "counted"),
             calls=(EVALUATION, LINEARISATION),
         ),
     )

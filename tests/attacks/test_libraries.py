@@ -36,10 +36,6 @@ DROPS = {
         "",
     ),
     "joined loops": ("runtime._JOINED = 'xla_backend_extra'", ""),
-    "XLA's interface": (
-        "from integrators.adapters import counting\ncounting.header = lambda: ''",
-        "cc failed",
-    ),
     "shared memory": (
         "import jax, numpy\njax.dlpack.from_dlpack = lambda x, copy: jax.numpy.array(x, copy=True)",
         "JAX copies their arguments",
