@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,8 +11,7 @@ from probe import Probe, worst
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import ode, sundials_equations
-from integrators.adapters.cvode import CVODE, cvode_equations
+from integrators.adapters.cvode import CVODE
 from problems.runtime import jax
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -91,16 +90,13 @@ def test_adams_takes_orders_beyond_those_of_bdf():
 def test_equations_in_c_are_those_of_jax_to_rounding(name, constraints):
     scene = Registry([]).problem(name)
     started = prepared(scene, 1.0, constraints=constraints)
-    compiled, p = started.native, started._p
-    assert len(p) == len(scene.parameters()) + 2 * (constraints == "baumgarte")
-    rate, jacobian = ode.packed_rate_and_jacobian(scene.template(), constraints != "index1")
-    start, n = started.start[1], len(started.start[1])
-    for shift in np.random.default_rng(5).normal(size=(5, n)):
-        s, found, columns = start + shift * (1 + abs(start)), np.empty(n), np.empty((n, n))
-        sundials_equations.evaluate(compiled, "residual", p, 0.3, s, out=found)
-        sundials_equations.evaluate(compiled, "jacobian", p, 0.3, s, out=columns.ravel())
-        for ours, right in ((found, rate.bind(p)(0.3, s)), (columns.T, jacobian.bind(p)(0.3, s))):
-            assert np.abs(ours - right).max() <= 1e-12 * np.abs(right).max()
+    given, start = started.given, started.given.start[1]
+    assert len(given.p) == len(scene.parameters()) + 2 * (constraints == "baumgarte")
+    for shift in np.random.default_rng(5).normal(size=(5, len(start))):
+        s = start + shift * (1 + abs(start))
+        for ours, theirs in zip(started.functions, given.bound(), strict=True):
+            right = np.asarray(theirs(0.3, s))
+            assert np.abs(ours(0.3, s) - right).max() <= 1e-12 * np.abs(right).max()
 
 
 @every_callback
@@ -188,10 +184,3 @@ def test_an_error_of_a_scene_reaches_the_caller_whenever_it_happens():
     started = prepared(CallingBack(), 2.0)
     with pytest.raises(ValueError, match="no force is known here"):
         started.measure()
-
-
-def test_equations_are_made_once_for_a_kind_of_scene():
-    longer = replace(Pendulum(), length=2.0)
-    assert cvode_equations(Pendulum().template(), False) is cvode_equations(
-        longer.template(), False
-    )

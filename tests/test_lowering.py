@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 from helpers import long
 
 from bench.plugins.registry import Registry
-from integrators.adapters import dae, sundials_equations
-from integrators.adapters.ida import ida_equations
-from integrators.lowering import c_source, graph, native, operators
-from integrators.lowering.c_source import HEADER, c_function
+from integrators.adapters import dae
+from integrators.adapters.packed_functions import PackedFunction
+from integrators.adapters.packed_functions import in_c as compiled_in_c
+from integrators.lowering import c_source, graph, operators
+from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
 from problems import jnp
@@ -30,15 +29,7 @@ FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 
 def in_c(function, n):
     """A function of one vector of n entries, lowered and compiled."""
-    program = lowered(function, (n,))
-    library = native.load(HEADER + c_function("function", program, 1))
-
-    def call(u):
-        out, u = np.empty(program.results.size), np.ascontiguousarray(u, float)
-        library.function(ctypes.c_void_p(u.ctypes.data), ctypes.c_void_p(out.ctypes.data))
-        return out.reshape(program.results.shape)
-
-    return call
+    return PackedFunction(function, n).bind_c()
 
 
 def operations(function, n):
@@ -50,21 +41,18 @@ def operations(function, n):
 def differences(scene, formulation, sparse=False):
     """Largest differences of residual and Jacobian at random states, relative to the largest."""
     of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
-    compiled = sundials_equations.compiled_equations(ida_equations(*of, sparse))
-    assert not isinstance(compiled, NotLowered), compiled
     jacobian = dae.sparse_jacobian(*of).values if sparse else dae.packed_jacobian(*of)
     n, rng, worst = dae_layout(scene.sizes, formulation).size, np.random.default_rng(7), []
     at, wdot_at = dae.start_vectors(scene, dae_layout(scene.sizes, formulation))
     for size in (0.01, 0.1, 1.0, 1.0, 10.0):
         w, wdot = (u + size * rng.normal(size=n) * (1 + abs(u)) for u in (at, wdot_at))
         state = float(rng.uniform(0, 2)), w, wdot
-        for name, packed, last in (
-            ("residual", dae.packed_residual(*of), ()),
-            ("jacobian", jacobian, (10 ** rng.uniform(-2, 6),)),
+        for packed, last in (
+            (dae.packed_residual(*of), ()),
+            (jacobian, (10 ** rng.uniform(-2, 6),)),
         ):
-            right = np.asarray(packed.bind(p)(*state, *last)).ravel()
-            found = np.full(right.size, 7.0)
-            sundials_equations.evaluate(compiled, name, p, *state, *last, out=found)
+            right = np.asarray(packed.bind(p)(*state, *last))
+            found = packed.bind_c(p)(*state, *last)
             known = np.isfinite(right)
             assert (np.isfinite(found) == known).all()
             gap = np.abs(found[known] - right[known]).max(initial=0.0)
@@ -96,11 +84,11 @@ def test_entries_of_a_sparse_jacobian_are_those_of_jax():
 def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
     spoiled = operators.OPERATORS[name]._replace(c=operators.OPERATORS[other].c)
     monkeypatch.setitem(operators.OPERATORS, name, spoiled)
-    sundials_equations.compiled_equations.cache_clear()
+    compiled_in_c.cache_clear()
     try:
         assert max(differences(Registry([]).problem("slider_crank"), "index1")) > 1e-6
     finally:
-        sundials_equations.compiled_equations.cache_clear()
+        compiled_in_c.cache_clear()
 
 
 # ---- primitives ------------------------------------------------------------------------

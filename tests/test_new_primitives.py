@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 
-from integrators.lowering import native
-from integrators.lowering.c_source import HEADER, c_function
-from integrators.lowering.programs import lowered
+from integrators.adapters.packed_functions import PackedFunction
 from integrators.native.dependencies import pattern
 from integrators.native.discrete_gradients import discrete_gradient
 from integrators.native.small_matrices import without_products
@@ -39,11 +35,10 @@ def function(u):
 
 
 def test_it_is_lowered_to_c():
-    program = lowered(function, (3,))
-    library = native.load(HEADER + c_function("function", program, 1))
-    u, out = np.array([0.3, -0.7, 1.1]), np.empty(3)
-    library.function(ctypes.c_void_p(u.ctypes.data), ctypes.c_void_p(out.ctypes.data))
-    assert out == pytest.approx(np.asarray(function(u)), rel=1e-15)
+    u = np.array([0.3, -0.7, 1.1])
+    assert PackedFunction(function, 3).bind_c()(u) == pytest.approx(
+        np.asarray(function(u)), rel=1e-15
+    )
 
 
 def test_it_is_counted():

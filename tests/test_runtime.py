@@ -15,9 +15,9 @@ import pytest
 
 from bench.running.session import teller
 from integrators import Integrator, Steps, Tolerances
-from integrators.adapters import callbacks, diffrax_adaptive
-from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters import diffrax_adaptive, packed_functions
 from integrators.adapters.diffrax_methods import ImplicitEuler
+from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -177,7 +177,7 @@ def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_
 # ---- what libraries may drop -----------------------------------------------------------
 def test_this_release_drops_nothing():
     assert runtime.runs_at_once()
-    assert callbacks.memory_is_shared()
+    assert packed_functions.memory_is_shared()
     assert klu.works()
 
 
@@ -200,7 +200,7 @@ def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
     tried = (
         *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
-        *(callbacks.memory_is_shared, diffrax_adaptive._traced_once, klu.works),
+        *(packed_functions.memory_is_shared, diffrax_adaptive._traced_once, klu.works),
         *(diffrax_adaptive.adaptive_programs, sparsity._asdex),
     )
     for remembered in tried:
@@ -218,7 +218,7 @@ def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, dr
     elif drop == "an error":
         monkeypatch.setattr(jax.dlpack, "from_dlpack", None)
     else:
-        monkeypatch.setattr(callbacks, "runs_at_once", lambda: False)
+        monkeypatch.setattr(packed_functions, "runs_at_once", lambda: False)
     call = PackedFunction(lambda t, s: t * s, None, 2).bind()
     assert [np.asarray(call(t, np.ones(2))).tolist() for t in (2.0, 3.0)] == [[2.0] * 2, [3.0] * 2]
     assert "JAX copies their arguments" in caplog.text

@@ -72,7 +72,7 @@ def test_the_jacobians_are_the_derivatives_of_the_equations(cls, formulation):
 
     def differences(move):
         pairs = [(move(d), move(-d)) for d in 1e-6 * np.eye(n)]
-        return np.stack([(residual(0.0, *a) - residual(0.0, *b)) / 2e-6 for a, b in pairs], 1)
+        return np.stack([(residual(0.0, *a) - residual(0.0, *b)) / 2e-6 for a, b in pairs])
 
     by_w, by_wdot = jacobians(0.0, w, wdot)
     assert by_w == pytest.approx(differences(lambda d: (w + d, wdot)), abs=1e-6)

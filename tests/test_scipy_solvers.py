@@ -10,8 +10,8 @@ from helpers import long
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
-from integrators.adapters.callbacks import CountedEquations, EarlyEnd
-from integrators.adapters.ode import packed_rate_and_jacobian
+from integrators.adapters.library_runs import CountedEquations, EarlyEnd
+from integrators.adapters.ode import packed_columns, packed_rate
 from integrators.adapters.scipy_ode import BDF, Radau, ScipySolver
 from problems import MechatronicSystem
 from problems.scenes.pendulum import Pendulum
@@ -52,16 +52,16 @@ def test_other_parameters_and_another_end_are_taken_without_compiling_again(meth
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-6
-    functions = packed_rate_and_jacobian(scene.template())
+    functions = [of(scene.template(), False) for of in (packed_rate, packed_columns)]
     assert [f.program._cache_size() for f in functions] == [1, 1]
 
 
 def test_the_jacobian_is_the_derivative_of_the_right_hand_side(method):
     scene = Pendulum()
     p, s = np.array(list(scene.parameters().values())), np.array([0.6, -0.7, 0.3, 0.9])
-    rate, jacobian = (f.bind(p) for f in packed_rate_and_jacobian(scene.template()))
+    rate, columns = (of(scene.template(), False).bind(p) for of in (packed_rate, packed_columns))
     differences = [(rate(0.0, s + d) - rate(0.0, s - d)) / 2e-6 for d in 1e-6 * np.eye(4)]
-    assert jacobian(0.0, s) == pytest.approx(np.stack(differences, axis=1), abs=1e-7)
+    assert columns(0.0, s) == pytest.approx(np.stack(differences), abs=1e-7)
 
 
 # ---- work ------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def test_runs_are_equal_to_the_bit_and_the_timed_one_takes_the_same_calls(method
     make = prepared.counted_equations
     monkeypatch.setattr(prepared, "counted_equations", lambda: made.append(make()) or made[0])
     assert prepared.execute() is None
-    assert made[0].work(first.work.steps).residuals == first.work.residuals
+    assert made[0].residuals == first.work.residuals
 
 
 # ---- ways to end -----------------------------------------------------------------------
@@ -157,7 +157,7 @@ def test_a_force_that_becomes_nan_ends_the_run_as_diverged_and_names_the_time(me
     assert np.isfinite(trajectory.a).all()
     assert trajectory.work.residuals < 5000
     prepared = method.prepare(Probe(breaks_at=breaks_at), 2.0, Tolerances(1e-6))
-    assert prepared.execute().status == "diverged"
+    assert prepared.execute() is None
 
 
 def test_a_pole_of_the_solution_ends_the_run_near_it(method):

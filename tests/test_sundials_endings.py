@@ -35,7 +35,7 @@ def test_a_loop_of_a_scene_runs_in_c_with_the_work_of_python(method):
         prepared(method, odd_forces.CeasingSearch(breaks_at=9.0), callbacks=callbacks)
         for callbacks in ("compiled", "python")
     ]
-    assert runs[0].native is not None
+    assert not runs[0].why
     ours, other = (run.measure() for run in runs)
     assert ours.status == other.status == "ok"
     exact = np.cos(2 * ours.t)
@@ -50,7 +50,7 @@ def test_a_loop_of_a_scene_runs_in_c_with_the_work_of_python(method):
 def test_a_value_that_is_not_finite_keeps_what_was_before(method, callbacks, force):
     whole = prepared(method, force(breaks_at=9.0), callbacks=callbacks).measure()
     run = prepared(method, force(), callbacks=callbacks)
-    assert (run.native is None) == (callbacks == "python")
+    assert bool(run.why) == (callbacks == "python")
     ended = run.measure()
     assert ended.status == "diverged"
     assert ended.message.startswith(f"Ended at t={ended.t[-1]:.6g} s of 1 s: ")
@@ -170,5 +170,5 @@ def test_a_solver_that_cannot_be_made_leaves_no_memory(method, name, result, sen
 @pytest.mark.parametrize("force", [odd_forces.EndlessForce, odd_forces.LongForce])
 def test_a_loop_that_may_hang_is_one_in_c(method, force):
     run = prepared(method, force(breaks_at=9.0))
-    assert run.native is not None
+    assert not run.why
     assert run.measure().status == "ok"

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.callbacks import advice
-from integrators.adapters.called_in_c import CallsEquations, callbacks_option
-from integrators.adapters.ode import ODEMethod, packed_columns, packed_parameters, packed_rate
-from integrators.adapters.sundials_equations import Compiled, Equations
+from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
+from integrators.adapters.ode import ODEMethod, given_ode
 from integrators.adapters.sundials_native import NativeCVODE, NativeSolver
-from integrators.adapters.sundials_python import Callbacks, new_cvode
-from integrators.adapters.sundials_run import SundialsRun
-from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.adapters.sundials_runs import SundialsRun
+from integrators.contract import PreparedRun, Tolerances, option
 from integrators.operations import dense
-from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
 #: CVODE's highest order of backward differences.
@@ -26,7 +20,7 @@ _BDF_ORDER = 5
 
 
 @dataclass(frozen=True)
-class CVODE(CallsEquations, ODEMethod):
+class CVODE(LibrarySolver, ODEMethod):
     """BDF of order 1 to 5, or Adams-Moulton of order 1 to 12, with adaptive steps on the ODE.
 
     CVODE takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -68,55 +62,32 @@ class CVODE(CallsEquations, ODEMethod):
         return _CVODERun(self, scene, t_end, resolution)
 
 
-@cache
-def cvode_equations(template: MechatronicSystem, baumgarte: bool) -> Equations:
-    """The right-hand side of the ODE and its Jacobian."""
-    return Equations("CVode", packed_rate(template, baumgarte), packed_columns(template, baumgarte))
-
-
 class _CVODERun(SundialsRun):
+    keeps_no_jacobian = False
+
     def __init__(
         self, method: CVODE, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
-        z, baumgarte = consistent_start(scene).z, method.baumgarte(scene)
-        start = np.concatenate([z.q, z.v, z.x])
-        highest = _BDF_ORDER if method.method == "bdf" else method.max_order
-        self._method = method.method
-        super().__init__(
-            "CVODE",
-            method.callbacks,
-            method.max_calls,
-            scene,
-            t_end,
-            cvode_equations(scene.template(), baumgarte is not None),
-            packed_parameters(scene, baumgarte),
-            (scene.interval[0], start),
-            {
-                "max_order": min(method.max_order, highest),
-                "rtol": resolution.rtol,
-                "atol": np.full(start.size, resolution.atol),
-            },
-            dense(start.size),
-        )
+        given, self._formulas = given_ode(scene, method.baumgarte(scene)), method.method
+        highest = _BDF_ORDER if self._formulas == "bdf" else method.max_order
+        options = {
+            "max_order": min(method.max_order, highest),
+            "rtol": resolution.rtol,
+            "atol": np.full(given.size, resolution.atol),
+        }
+        super().__init__(method, given, t_end, dense(given.size), options)
 
-    def _native_solver(self, compiled: Compiled, *given: Any) -> NativeSolver:
-        return NativeCVODE(compiled, *given, method=self._method)
+    def _native_solver(self) -> NativeSolver:
+        limit = self._method.max_calls
+        return NativeCVODE(self.given, self._t_end, self.options, limit, method=self._formulas)
 
-    def _new(self, callbacks: Callbacks, **options: Any) -> Any:
-        return new_cvode(callbacks, method=self._method, **options)
+    def _python_solver(self, equations: CountedEquations) -> Any:
+        from sksundae import cvode
 
-    def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
-        nq = self._scene.sizes.nq
-        return trajectory_from_states(self._scene, t, *np.split(w, [nq, 2 * nq], axis=1))
+        def rate(t: float, s: np.ndarray, value: np.ndarray) -> None:
+            value[:] = equations.value(t, s)
 
-    def _completed(self, work: Work) -> Work:
-        return work
+        def jacobian(t: float, s: np.ndarray, value: np.ndarray, jac: np.ndarray) -> None:
+            jac.T[:] = equations.jacobian(t, s)
 
-    def _linear_algebra(self, work: Work) -> tuple[int, int] | None:
-        # scikit-sundae does not tell how often CVODE factorises.
-        if work.factorisations is None or work.solves is None:
-            return None
-        return work.factorisations, work.solves
-
-    def _advice(self, cause: str) -> str:
-        return advice(cause)
+        return cvode.CVODE(rate, method=self._formulas, jacfn=jacobian, **self.options)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.library_runs import GivenEquations
+from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Trajectory
 from problems.formulations import Layout, dae_layout, dae_residual
@@ -38,11 +39,41 @@ class SparseJacobian(NamedTuple):
     starts: Int32[np.ndarray, " n+1"]
 
 
+def given_dae(
+    scene: MechatronicSystem,
+    formulation: str,
+    jacobian: PackedFunction,
+    *sparsity: Int32[np.ndarray, " k"],
+) -> GivenEquations:
+    """Return the residual of a scene's DAE and a Jacobian, and the consistent start.
+
+    Parameters
+    ----------
+    sparsity
+        Rows and starts of a sparse Jacobian.
+    """
+    layout = dae_layout(scene.sizes, formulation)
+    p, start = np.array([*scene.parameters().values()]), start_vectors(scene, layout)
+
+    def trajectory(t: np.ndarray, w: np.ndarray) -> Trajectory:
+        """The solver's q, v, x, lam and y; a and xdot solve the equations of motion there."""
+        found = trajectory_from_states(scene, t, w[:, layout.q], w[:, layout.v], w[:, layout.x])
+        return replace(found, lam=w[:, layout.lam], y=w[:, layout.y])
+
+    return GivenEquations(
+        scene,
+        packed_residual(scene.template(), formulation),
+        jacobian,
+        p,
+        (scene.interval[0], *start),
+        trajectory,
+        *sparsity,
+    )
+
+
 @cache
-def equations(
-    template: MechatronicSystem, formulation: str
-) -> tuple[Callable[..., Any], tuple[int | None, ...]]:
-    """Return F(p, t, w, wdot), traceable, and the lengths of its arguments, None for the scalar.
+def packed_residual(template: MechatronicSystem, formulation: str) -> PackedFunction:
+    """F(p, t, w, wdot), compiled; shape ``(n,)``.
 
     p is an array of the scene's parameters, w and wdot are laid out by `dae_layout`.
     """
@@ -52,14 +83,7 @@ def equations(
         scene = template.with_parameters(dict(zip(names, p, strict=True)))
         return dae_residual(scene, formulation, t, w, wdot)
 
-    return residual, (len(names), None, n, n)
-
-
-@cache
-def packed_residual(template: MechatronicSystem, formulation: str) -> PackedFunction:
-    """F(p, t, w, wdot), compiled; shape ``(n,)``."""
-    residual, lengths = equations(template, formulation)
-    return PackedFunction(residual, *lengths)
+    return PackedFunction(residual, len(names), None, n, n)
 
 
 @cache
@@ -68,14 +92,14 @@ def packed_jacobian(template: MechatronicSystem, formulation: str) -> PackedFunc
 
     Directions give columns of the Jacobian; a transposition inside costs as much as the columns.
     """
-    residual, lengths = equations(template, formulation)
+    residual = packed_residual(template, formulation)
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
         function = _along(residual, p, t, w, wdot, cj)
         zero = jnp.zeros_like(w)
         return jax.vmap(lambda d: jax.jvp(function, (zero,), (d,))[1])(jnp.eye(len(w)))
 
-    return PackedFunction(values, *lengths, None)
+    return PackedFunction(values, *residual.lengths, None)
 
 
 @cache
@@ -87,8 +111,10 @@ def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
     problems.sparsity.NoPattern
         If F has an operation whose pattern is not known.
     """
-    residual, _ = equations(template, formulation)
-    n = dae_layout(template.sizes, formulation).size
+    residual, n = (
+        packed_residual(template, formulation),
+        dae_layout(template.sizes, formulation).size,
+    )
     p = jnp.array(list(template.parameters().values()))
     # The pattern is the same for all w, wdot and cj; a zero or a one might hide an entry.
     w, wdot = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.5, (2, n)))
@@ -98,22 +124,23 @@ def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
 @cache
 def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJacobian:
     """dF/dw + cj dF/dwdot on its `pattern`."""
-    residual, lengths = equations(template, formulation)
-    found = pattern(template, formulation)
+    residual, found = packed_residual(template, formulation), pattern(template, formulation)
     order = np.lexsort((found.rows, found.columns))
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:
         return found.values(_along(residual, p, t, w, wdot, cj), jnp.zeros(found.size))[order]
 
     starts = np.searchsorted(found.columns[order], np.arange(found.size + 1)).astype(np.int32)
-    return SparseJacobian(PackedFunction(values, *lengths, None), found.rows[order], starts)
+    return SparseJacobian(
+        PackedFunction(values, *residual.lengths, None), found.rows[order], starts
+    )
 
 
 def _along(
-    residual: Callable[..., Any], p: Any, t: Any, w: Any, wdot: Any, cj: Any
+    residual: PackedFunction, p: Any, t: Any, w: Any, wdot: Any, cj: Any
 ) -> Callable[[Any], Any]:
     """F along w and wdot together: one sweep over n directions instead of two."""
-    return lambda d: residual(p, t, w + d, wdot + cj * d)
+    return lambda d: residual.function(p, t, w + d, wdot + cj * d)
 
 
 def start_vectors(
@@ -126,17 +153,6 @@ def start_vectors(
         w[getattr(layout, name)] = getattr(start.z, name)
     wdot[layout.q], wdot[layout.v], wdot[layout.x] = start.z.v, start.z.a, start.xdot
     return w, wdot
-
-
-def trajectory_from_vectors(
-    scene: MechatronicSystem,
-    layout: Layout,
-    t: Float[np.ndarray, " k"],
-    w: Float[np.ndarray, "k n"],
-) -> Trajectory:
-    """A trajectory with the solver's q, v, x, lam and y; a and xdot solve the equations there."""
-    completed = trajectory_from_states(scene, t, w[:, layout.q], w[:, layout.v], w[:, layout.x])
-    return replace(completed, lam=w[:, layout.lam], y=w[:, layout.y])
 
 
 def absolute_tolerances(

@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from integrators.adapters.counting import Counts
-from integrators.adapters.ode import packed_projection, packed_rate_and_jacobian
+from integrators.adapters.ode import packed_columns, packed_projection, packed_rate
 from integrators.contract import Trajectory, Work
 from integrators.operations import bill, dense
 from problems.formulations import Baumgarte, ode_rate
@@ -83,7 +83,7 @@ def bill_of(
     if scheme.root_finder == "library_default":
         return {}
     template = scene.template()
-    rate, jacobian = (one.operations for one in packed_rate_and_jacobian(template, baumgarte))
+    rate, jacobian = (one(template, baumgarte).operations for one in (packed_rate, packed_columns))
     attempts = (run.work.steps or 0) + (run.work.rejected or 0)
     projections = packed_projection(template).operations.times(attempts * scheme.projects)
     algebra = dense(2 * scene.sizes.nq + scene.sizes.nx)

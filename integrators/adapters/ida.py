@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.adapters import dae
-from integrators.adapters.callbacks import advice
-from integrators.adapters.called_in_c import CallsEquations, callbacks_option
-from integrators.adapters.sundials_equations import Compiled, Equations
+from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
 from integrators.adapters.sundials_native import NativeIDA, NativeSolver
-from integrators.adapters.sundials_python import Callbacks, new_ida
-from integrators.adapters.sundials_run import SundialsRun
-from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.adapters.sundials_runs import SundialsRun
+from integrators.contract import PreparedRun, Tolerances, Work, option
 from integrators.operations import dense, sparse
 from problems import sparsity
 from problems.dependence import states_follow_accelerations
@@ -25,7 +21,7 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class IDA(CallsEquations, Integrator):
+class IDA(LibrarySolver):
     """BDF of order 1 to 5 with adaptive steps on the DAE in the chosen formulation.
 
     The Jacobian dF/dw + cj dF/dwdot is exact (automatic differentiation). By default the
@@ -76,91 +72,76 @@ class IDA(CallsEquations, Integrator):
     ) -> PreparedRun:
         return _IDARun(self, scene, t_end, resolution)
 
-
-@cache
-def ida_equations(template: MechatronicSystem, formulation: str, sparse: bool) -> Equations:
-    """The residual of the DAE, and its dense or sparse Jacobian."""
-    key = template, formulation
-    residual = dae.packed_residual(*key)
-    if not sparse:
-        return Equations("IDA", residual, dae.packed_jacobian(*key))
-    jacobian = dae.sparse_jacobian(*key)
-    return Equations("IDA", residual, jacobian.values, jacobian.rows, jacobian.starts)
-
-
-class _IDARun(SundialsRun):
-    def __init__(
-        self, method: IDA, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> None:
-        sizes, form = scene.sizes, method.formulation
-        self._method = method
-        self.layout = dae_layout(sizes, form)
-        # With IDA's own switch, tolerances are for Newton's method alone.
-        tested = method.multipliers_in_error_test or method.suppress_algebraic
-        atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
-        options = {"max_order": method.max_order, "rtol": resolution.rtol, "atol": atol}
-        key, n = (scene.template(), form), self.layout.size
-        is_sparse = sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key))
-        equations, algebra = ida_equations(*key, is_sparse), dense(n)
-        if equations.rows is not None and equations.starts is not None:
-            from scipy.sparse import csc_matrix
-
-            rows, starts = equations.rows, equations.starts
-            entries = csc_matrix((np.ones(len(rows)), rows, starts), (n, n))
-            options |= {"linsolver": "sparse", "sparsity": entries}
-            algebra = sparse(rows, np.repeat(np.arange(n), np.diff(starts)), n)
-        super().__init__(
-            "IDA",
-            method.callbacks,
-            method.max_calls,
-            scene,
-            t_end,
-            equations,
-            np.array(list(scene.parameters().values())),
-            (scene.interval[0], *dae.start_vectors(scene, self.layout)),
-            options,
-            algebra,
-        )
-        if method.suppress_algebraic and self.native is None:
-            raise SpecError(f"suppress_algebraic needs compiled equations, but {self.why}.")
-
-    def _native_solver(self, compiled: Compiled, *given: Any) -> NativeSolver:
-        differential = np.zeros(self.layout.size)
-        for part in (self.layout.q, self.layout.v, self.layout.x):
-            differential[part] = 1.0
-        return NativeIDA(
-            compiled,
-            *given,
-            differential=differential,
-            suppress_algebraic=self._method.suppress_algebraic,
-        )
-
-    def _new(self, callbacks: Callbacks, **options: Any) -> Any:
-        return new_ida(callbacks, **options)
-
-    def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
-        return dae.trajectory_from_vectors(self._scene, self.layout, t, w)
-
-    def _completed(self, work: Work) -> Work:
-        if work.factorisations is not None:
-            return work
-        return replace(work, factorisations=work.jacobians)  # IDA factorises each Jacobian once
-
-    def _linear_algebra(self, work: Work) -> tuple[int, int]:
-        # In IDA's Newton method every residual is followed by one solve.
-        return work.factorisations or 0, work.residuals or 0
-
-    def _advice(self, cause: str) -> str:
-        if self._scene.has("constraint"):
-            small = cause == "step_too_small" and self._method.formulation != "index1"
-            if small and states_follow_accelerations(self._scene):
+    def advice(self, scene: MechatronicSystem, cause: str) -> str:
+        if scene.has("constraint"):
+            small = cause == "step_too_small" and self.formulation != "index1"
+            if small and states_follow_accelerations(scene):
                 return (
                     "x follows accelerations, whose errors under constraints do not fall with the "
                     "step, and the error test of x cuts it without end: use formulation=index1"
                 )
-            if self._method.formulation in ("index3", "index2"):
+            if self.formulation in ("index3", "index2"):
                 return "use formulation=stabilised_index2"
             for name in ("multipliers_in_error_test", "suppress_algebraic"):
-                if getattr(self._method, name):
+                if getattr(self, name):
                     return f"use {name}=false"
-        return advice(cause)
+        return super().advice(scene, cause)
+
+
+class _IDARun(SundialsRun):
+    keeps_no_jacobian = True
+
+    def __init__(
+        self, method: IDA, scene: MechatronicSystem, t_end: float, resolution: Tolerances
+    ) -> None:
+        key = scene.template(), method.formulation
+        self.layout = dae_layout(scene.sizes, method.formulation)
+        self._suppresses = method.suppress_algebraic
+        # With IDA's own switch, tolerances are for Newton's method alone.
+        tested = method.multipliers_in_error_test or self._suppresses
+        atol = dae.absolute_tolerances(scene.sizes, key[1], resolution.atol, tested)
+        options = {"max_order": method.max_order, "rtol": resolution.rtol, "atol": atol}
+        n = self.layout.size
+        if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
+            from scipy.sparse import csc_matrix
+
+            jacobian, rows, starts = dae.sparse_jacobian(*key)
+            entries = csc_matrix((np.ones(len(rows)), rows, starts), (n, n))
+            options |= {"linsolver": "sparse", "sparsity": entries}
+            algebra = sparse(rows, np.repeat(np.arange(n), np.diff(starts)), n)
+            given = dae.given_dae(scene, key[1], jacobian, rows, starts)
+        else:
+            algebra, given = dense(n), dae.given_dae(scene, key[1], dae.packed_jacobian(*key))
+        super().__init__(method, given, t_end, algebra, options)
+        if self._suppresses and self.why:
+            raise SpecError(f"suppress_algebraic needs compiled equations, but {self.why}.")
+
+    def _native_solver(self) -> NativeSolver:
+        differential = np.zeros(self.layout.size)
+        for part in (self.layout.q, self.layout.v, self.layout.x):
+            differential[part] = 1.0
+        return NativeIDA(
+            self.given,
+            self._t_end,
+            self.options,
+            self._method.max_calls,
+            differential=differential,
+            suppress_algebraic=self._suppresses,
+        )
+
+    def _python_solver(self, equations: CountedEquations) -> Any:
+        from sksundae import ida
+
+        def residual(t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray) -> None:
+            res[:] = equations.value(t, w, wdot)
+
+        def jacobian(
+            t: float, w: np.ndarray, wdot: np.ndarray, res: np.ndarray, cj: float, jac: np.ndarray
+        ) -> None:
+            jac.T[:] = equations.jacobian(t, w, wdot, cj)  # entries are their own transpose
+
+        return ida.IDA(residual, jacfn=jacobian, **self.options)
+
+    def _linear_algebra(self, work: Work) -> tuple[int, int]:
+        # In IDA's Newton method every residual is followed by one solve.
+        return work.factorisations or 0, work.residuals or 0

@@ -8,9 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.library_runs import GivenEquations
+from integrators.adapters.packed_functions import PackedFunction
+from integrators.adapters.trajectories import trajectory_from_states
+from integrators.contract import Trajectory
 from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
+from problems.initial_values import consistent_start
 from problems.projections import projected_state
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
@@ -23,21 +27,27 @@ class ODEMethod(DriftHandling):
     formulation = "ode"
 
 
+def given_ode(scene: MechatronicSystem, baumgarte: Baumgarte | None) -> GivenEquations:
+    """Return the right-hand side of a scene's ODE and its Jacobian, and the consistent start."""
+    z, key = consistent_start(scene).z, (scene.template(), baumgarte is not None)
+    start = scene.interval[0], np.concatenate([z.q, z.v, z.x])
+
+    def trajectory(t: np.ndarray, w: np.ndarray) -> Trajectory:
+        nq = scene.sizes.nq
+        return trajectory_from_states(scene, t, *np.split(w, [nq, 2 * nq], axis=1))
+
+    p = packed_parameters(scene, baumgarte)
+    return GivenEquations(scene, packed_rate(*key), packed_columns(*key), p, start, trajectory)
+
+
 def packed_parameters(scene: MechatronicSystem, baumgarte: Baumgarte | None = None) -> np.ndarray:
     """The parameters of a scene, and the rates of Baumgarte's term if it takes part."""
     return np.array([*scene.parameters().values(), *(baumgarte or ())])
 
 
-def packed_rate_and_jacobian(
-    template: MechatronicSystem, baumgarte: bool = False
-) -> tuple[PackedFunction, PackedFunction]:
-    """f(p, t, s) ``(n,)`` and df/ds ``(n, n)``, compiled; p as `packed_parameters` gives it."""
-    return packed_rate(template, baumgarte), _packed_jacobian(template, baumgarte)
-
-
 @cache
-def packed_rate(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
-    """f(p, t, s), compiled."""
+def packed_rate(template: MechatronicSystem, baumgarte: bool = False) -> PackedFunction:
+    """f(p, t, s) ``(n,)``, compiled; p as `packed_parameters` gives it."""
     count = len(template.parameters())
     lengths = count + 2 * baumgarte, None, 2 * template.sizes.nq + template.sizes.nx
 
@@ -49,14 +59,8 @@ def packed_rate(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
 
 
 @cache
-def _packed_jacobian(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
-    rate = packed_rate(template, baumgarte)
-    return PackedFunction(jax.jacfwd(rate.function, argnums=2), *rate.lengths)
-
-
-@cache
-def packed_columns(template: MechatronicSystem, baumgarte: bool) -> PackedFunction:
-    """The transpose of df/ds, compiled: column after column, as solvers in C keep it."""
+def packed_columns(template: MechatronicSystem, baumgarte: bool = False) -> PackedFunction:
+    """The transpose of df/ds ``(n, n)``, compiled: column after column, as solvers in C keep it."""
     rate = packed_rate(template, baumgarte)
 
     def columns(p: Any, t: Any, s: Any) -> Any:

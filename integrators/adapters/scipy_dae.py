@@ -7,20 +7,18 @@ from functools import cache
 from importlib.util import find_spec
 from typing import ClassVar
 
-import numpy as np
-
 from integrators.adapters import dae
-from integrators.adapters.callbacks import PackedFunction, advice
-from integrators.adapters.called_in_c import CallsEquations, callbacks_option
+from integrators.adapters.library_runs import LibrarySolver, callbacks_option
+from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import ScipyRun
-from integrators.contract import Integrator, PreparedRun, Tolerances, Trajectory, option
-from problems.formulations import FORMULATIONS, dae_layout
+from integrators.contract import PreparedRun, Tolerances, option
+from problems.formulations import FORMULATIONS
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ScipyDAESolver(CallsEquations, Integrator):
+class ScipyDAESolver(LibrarySolver):
     """Base of the methods of scipy_dae: a method states ``library_class`` and its source.
 
     The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). scipy_dae does not take
@@ -63,7 +61,21 @@ class ScipyDAESolver(CallsEquations, Integrator):
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        return _DAERun(self, scene, t_end, resolution)
+        from scipy_dae import integrate
+
+        form, tested = self.formulation, self.multipliers_in_error_test
+        atol = dae.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
+        given = dae.given_dae(scene, form, packed_jacobians(scene.template(), form))
+        solver = getattr(integrate, self.library_class)
+        return ScipyRun(self, given, t_end, solver, {"rtol": resolution.rtol, "atol": atol})
+
+    def advice(self, scene: MechatronicSystem, cause: str) -> str:
+        if scene.has("constraint"):
+            if self.multipliers_in_error_test:
+                return "use multipliers_in_error_test=false"
+            if self.formulation == "index3":
+                return "use formulation=stabilised_index2"
+        return super().advice(scene, cause)
 
 
 @dataclass(frozen=True)
@@ -88,40 +100,7 @@ class BDFDAE(ScipyDAESolver):
 
 @cache
 def packed_jacobians(template: MechatronicSystem, formulation: str) -> PackedFunction:
-    """(dF/dw, dF/dwdot) at (p, t, w, wdot), compiled; one array ``(2, n, n)``."""
-    residual, lengths = dae.equations(template, formulation)
-    jacobians = jax.jacfwd(residual, argnums=(2, 3))
-    return PackedFunction(lambda *given: jnp.stack(jacobians(*given)), *lengths)
-
-
-class _DAERun(ScipyRun):
-    def __init__(
-        self, method: ScipyDAESolver, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> None:
-        from scipy_dae import integrate
-
-        sizes, form, self._method = scene.sizes, method.formulation, method
-        self._layout, key = dae_layout(sizes, form), (scene.template(), form)
-        tested = method.multipliers_in_error_test
-        atol = dae.absolute_tolerances(sizes, form, resolution.atol, tested)
-        super().__init__(
-            getattr(integrate, method.library_class),
-            method.max_calls,
-            method.callbacks,
-            scene,
-            t_end,
-            (dae.packed_residual(*key), packed_jacobians(*key)),
-            {"rtol": resolution.rtol, "atol": atol},
-            *dae.start_vectors(scene, self._layout),
-        )
-
-    def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
-        return dae.trajectory_from_vectors(self._scene, self._layout, t, w)
-
-    def _advice(self, status: str) -> str:
-        if self._scene.has("constraint"):
-            if self._method.multipliers_in_error_test:
-                return "use multipliers_in_error_test=false"
-            if self._method.formulation == "index3":
-                return "use formulation=stabilised_index2"
-        return advice(status)
+    """dF/dw and dF/dwdot, transposed, at (p, t, w, wdot), compiled; one array ``(2, n, n)``."""
+    residual = dae.packed_residual(template, formulation)
+    jacobians = jax.jacfwd(residual.function, argnums=(2, 3))
+    return PackedFunction(lambda *given: jnp.stack(jacobians(*given)).mT, *residual.lengths)

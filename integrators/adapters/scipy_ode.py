@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.callbacks import (
+from integrators.adapters.library_runs import (
     NOT_FINITE,
     CountedEquations,
     EarlyEnd,
-    PackedFunction,
-    advice,
+    GivenEquations,
+    LibraryRun,
+    LibrarySolver,
+    Solver,
+    callbacks_option,
 )
-from integrators.adapters.called_in_c import CallsEquations, callbacks_option, functions_in_c
-from integrators.adapters.ode import (
-    ODEMethod,
-    packed_parameters,
-    packed_projection,
-    packed_rate_and_jacobian,
-)
-from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import PreparedRun, Tolerances, Trajectory, option
-from integrators.kept_rows import RowKeeper, width_of
+from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
+from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import NotCounted, bill, dense
-from problems.formulations import Baumgarte
-from problems.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
@@ -37,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ScipySolver(CallsEquations, ODEMethod):
+class ScipySolver(LibrarySolver, ODEMethod):
     """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -85,119 +78,94 @@ class BDF(ScipySolver):
     name = "bdf"
 
 
-class ScipyRun(PreparedRun):
+class ScipyRun(LibraryRun):
     """A run of a solver of scipy's kind: a loop calls its ``step``."""
 
     def __init__(
         self,
-        solver: type,
-        max_calls: int,
-        callbacks: str,
-        scene: MechatronicSystem,
+        method: LibrarySolver,
+        given: GivenEquations,
         t_end: float,
-        packed: tuple[PackedFunction, PackedFunction],
+        solver: type,
         tolerances: dict[str, Any],
-        *vectors: Float[np.ndarray, " n"],
-        baumgarte: Baumgarte | None = None,
     ) -> None:
-        """``packed`` are the equations and their Jacobian, ``vectors`` the values at the start."""
-        self._solver, self._max_calls, self._tolerances = solver, max_calls, tolerances
-        self._scene, self._t_end = scene, float(t_end)
-        #: Arguments of the equations at the start: time and vectors.
-        self.start = scene.interval[0], *vectors
-        self._packed, self._unknowns = packed, len(vectors[0])
-        self._complex = 0, 0
-        p = packed_parameters(scene, baumgarte)
-        self.functions = packed[0].bind(p), packed[1].bind(p)
-        for function in self.functions:
-            function(*self.start)  # compiles
-        if callbacks == "compiled":
-            about = f"{solver.__name__} calls {scene.name}"
-            self.functions = functions_in_c(about, packed, p, self.functions, self.start)
+        super().__init__(method, given, t_end, dense(given.size))
+        self._kind, self._tolerances = solver, tolerances
+        self._measured = self.counted_equations()
 
     def counted_equations(self) -> CountedEquations:
-        """The equations, with all counters at zero."""
-        return CountedEquations(*self.functions, self._max_calls)
+        """Return the equations, with all counters at zero."""
+        return CountedEquations(*self.functions, self._method.max_calls)
 
     def new_solver(self, equations: CountedEquations) -> Any:
-        """A new solver at the start; a used one keeps counters and history."""
-        return self._solver(
-            equations.value, *self.start, self._t_end, jac=equations.jacobian, **self._tolerances
-        )
+        """Return a new solver at the start; a used one keeps counters and history."""
 
-    @abstractmethod
-    def _trajectory(self, t: Float[np.ndarray, " k"], w: Float[np.ndarray, "k n"]) -> Trajectory:
-        """The trajectory of the solver's vectors w at times t."""
+        def jacobian(*at: Any) -> np.ndarray:
+            return equations.jacobian(*at).swapaxes(-1, -2)
 
-    def _advice(self, status: str) -> str:
-        return advice(status)
+        start = self.given.start
+        return self._kind(equations.value, *start, self._t_end, jac=jacobian, **self._tolerances)
 
-    def _after_step(self, solver: Any, equations: CountedEquations) -> None:
+    def after_step(self, solver: Any, equations: CountedEquations) -> None:
         """Change the solver's state at the end of an accepted step."""
 
-    def execute(self) -> Any:
-        return self._solve(self.counted_equations(), lambda solver: None, lambda t, w: None)
-
-    def measure(self) -> Trajectory:
-        kept = RowKeeper(width_of(self._scene.sizes), self.start[:2], self._t_end)
+    @contextlib.contextmanager
+    def _solver(self, counts: bool) -> Iterator[Solver]:
         equations = self.counted_equations()
-        end = self._solve(
-            equations, equations.count_linear_algebra, lambda time, values: kept.add((time, values))
-        )
-        t, w = map(np.array, zip(*kept.rows(), strict=True))
-        trajectory, work = self._trajectory(t, w), equations.work(kept.steps)
-        self._complex = equations.complex_factorisations, equations.complex_solves
-        if end is None:
-            return replace(trajectory, work=work)
-        message = early_end_message(t[-1], self._t_end, end.reason, self._advice(end.status))
-        return replace(trajectory, status=end.status, message=message, work=work)
-
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        work, algebra = run.work, dense(self._unknowns)
-        if work.solves is None:
-            raise NotCounted(f"{self._solver.__name__} no longer calls its lu and solve_lu")
-        function, jacobian = (packed.operations for packed in self._packed)
-        # A complex operation is four real ones, and these systems are among those counted.
-        factorisations, solves = (3 * n for n in self._complex)
-        return bill(
-            self._scene,
-            run,
-            function.times(work.residuals or 0),
-            jacobian.times(work.jacobians or 0),
-            (factorisations + (work.factorisations or 0)) * algebra.factorisation,
-            (solves + (work.solves or 0)) * algebra.solve,
-        )
-
-    def _solve(
-        self,
-        equations: CountedEquations,
-        prepare: Callable[[Any], None],
-        keep: Callable[[float, np.ndarray], None],
-    ) -> EarlyEnd | None:
-        """Step to the end, after ``prepare(solver)``; return the reason of an early end."""
+        if counts:
+            self._measured = equations
         # A singular matrix or an overflow on the way to a failure: the status says the same.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            try:
-                solver = self.new_solver(equations)
-                prepare(solver)
-                while solver.status == "running" and solver.t < self._t_end:
-                    equations.begin_step(solver.t)
-                    solver.step()
-                    if solver.status != "failed":
-                        self._after_step(solver, equations)
-                        keep(float(solver.t), solver.y)
-            except EarlyEnd as end:
-                return end
-            except (ValueError, np.linalg.LinAlgError) as error:
-                if equations.finite:
-                    return EarlyEnd("newton_failed", f"the linear algebra failed ({error})")
-                return EarlyEnd("diverged", NOT_FINITE)
-        if solver.t == self._t_end:
-            return None
-        if not equations.finite:
-            return EarlyEnd("diverged", NOT_FINITE)
-        return EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
+            yield _ScipySolver(self, equations, counts)
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        if run.work.solves is None:
+            raise NotCounted(f"{self._name} no longer calls its lu and solve_lu")
+        return super().bill(run)
+
+    def _linear_algebra(self, work: Work) -> tuple[int, int]:
+        # A complex operation is four real ones, and these systems are among those counted.
+        counts = self._measured
+        factorisations = (work.factorisations or 0) + 3 * counts.complex_factorisations
+        return factorisations, (work.solves or 0) + 3 * counts.complex_solves
+
+
+class _ScipySolver:
+    """A solver of scipy's kind at the start of a run, which its first step makes."""
+
+    def __init__(self, run: ScipyRun, equations: CountedEquations, counts: bool) -> None:
+        self._run, self._equations, self._counts = run, equations, counts
+        self._solver: Any = None
+
+    def whole(self) -> None:
+        self.step()
+        while self._solver.status == "running":
+            self.step()
+
+    def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
+        equations = self._equations
+        try:
+            if self._solver is None:
+                self._solver = self._run.new_solver(equations)
+                if self._counts:
+                    equations.count_linear_algebra(self._solver)
+            solver = self._solver
+            equations.begin_step(solver.t)
+            solver.step()
+        except (ValueError, np.linalg.LinAlgError) as error:
+            if equations.finite:
+                raise EarlyEnd("newton_failed", f"the linear algebra failed ({error})") from None
+            raise EarlyEnd("diverged", NOT_FINITE) from None
+        if solver.status == "failed":
+            if not equations.finite:
+                raise EarlyEnd("diverged", NOT_FINITE)
+            raise EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
+        self._run.after_step(solver, equations)
+        return float(solver.t), solver.y
+
+    def work(self, steps: int) -> Work:
+        return self._equations.work(steps)
 
 
 class _ODERun(ScipyRun):
@@ -206,24 +174,16 @@ class _ODERun(ScipyRun):
     ) -> None:
         from scipy import integrate
 
-        z, baumgarte = consistent_start(scene).z, method.baumgarte(scene)
+        solver = getattr(integrate, method.library_class)
+        tolerances = {"rtol": resolution.rtol, "atol": resolution.atol}
+        given = given_ode(scene, method.baumgarte(scene))
+        super().__init__(method, given, t_end, solver, tolerances)
         self._projection = packed_projection(scene.template()) if method.projects(scene) else None
-        super().__init__(
-            getattr(integrate, method.library_class),
-            method.max_calls,
-            method.callbacks,
-            scene,
-            t_end,
-            packed_rate_and_jacobian(scene.template(), baumgarte is not None),
-            {"rtol": resolution.rtol, "atol": resolution.atol},
-            np.concatenate([z.q, z.v, z.x]),
-            baumgarte=baumgarte,
-        )
         if self._projection:
             self._project = self._projection.bind(packed_parameters(scene))
-            self._project(*self.start)  # compiles
+            self._project(*given.start)  # compiles
 
-    def _after_step(self, solver: Any, equations: CountedEquations) -> None:
+    def after_step(self, solver: Any, equations: CountedEquations) -> None:
         if not self._projection:
             return
         solver.y = np.asarray(self._project(solver.t, solver.y))
@@ -237,10 +197,6 @@ class _ODERun(ScipyRun):
         found = super().bill(run)
         if not self._projection:
             return found
-        more = bill(self._scene, run, self._projection.operations.times(run.work.steps or 0))
+        projections = self._projection.operations.times(run.work.steps or 0)
+        more = bill(self.given.scene, run, projections)
         return {part: found.get(part, 0.0) + more.get(part, 0.0) for part in found | more}
-
-    def _trajectory(self, t: np.ndarray, w: np.ndarray) -> Trajectory:
-        nq = self._scene.sizes.nq
-        q, v, x = np.split(w, [nq, 2 * nq], axis=1)
-        return trajectory_from_states(self._scene, t, q, v, x)

@@ -13,12 +13,13 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from integrators.adapters.library_runs import EarlyEnd
 from integrators.lowering.graph import NotLowered
 
 #: The major release whose interface is written down here.
 _MAJOR = 7
 #: SUNDIALS' names of its index type.
-_INDICES = {"int": (ctypes.c_int32, "int32_t"), "long int": (ctypes.c_int64, "int64_t")}
+_INDICES = {"int": ctypes.c_int32, "long int": ctypes.c_int64}
 _FLOATS = POINTER(c_double)
 _INDEX = "index"  # stands for the index type, which is known when the library is loaded
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
@@ -71,8 +72,28 @@ _SIGNATURES |= {
 }
 
 
+#: Status and reason of the flags of IDA and CVODE; any other negative flag is a crash.
+_ENDINGS = {
+    -1: ("budget_exceeded", "SUNDIALS' own limit of steps was reached"),
+    -2: ("step_too_small", "the tolerances ask for more than round-off allows"),
+    -3: ("step_too_small", "the error test kept failing down to the smallest step"),
+    -4: ("newton_failed", "Newton's method kept failing down to the smallest step"),
+    -5: ("newton_failed", "the linear solver failed"),
+    -6: ("newton_failed", "the Jacobian could not be factorised"),
+    -7: ("newton_failed", "the linear solver failed"),
+    -8: ("diverged", "the equations could not be evaluated"),
+}
+
+
+def check_step(solver: str, flag: int) -> None:
+    """End the run if a step of IDA or CVODE failed."""
+    if flag < 0:
+        unknown = "crashed", f"{solver} returned the flag {flag}"
+        raise EarlyEnd(*_ENDINGS.get(flag, unknown))
+
+
 class Library:
-    """Functions of SUNDIALS by their own names, and the name of the index type in C.
+    """Functions of SUNDIALS by their own names, and its index type.
 
     Raises
     ------
@@ -86,7 +107,7 @@ class Library:
             raise NotLowered("SUNDIALS does not compute with 64-bit floats")
         if kinds.get("SUNDIALS_INT_TYPE") not in _INDICES:
             raise NotLowered("the index type of SUNDIALS is not known")
-        index, self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
+        self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
         modules = (import_module(f"sksundae._cy_{solver}") for solver in ("ida", "cvode"))
         self._libraries = [ctypes.CDLL(module.__file__) for module in modules]
         major = self._major()
@@ -95,7 +116,7 @@ class Library:
         for name, (result, *arguments) in _SIGNATURES.items():
             function = self._function(name)
             function.restype = result
-            function.argtypes = [index if kind is _INDEX else kind for kind in arguments]
+            function.argtypes = [self.index if kind is _INDEX else kind for kind in arguments]
             setattr(self, name, function)
 
     def __getattr__(self, name: str) -> Any:

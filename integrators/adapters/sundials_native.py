@@ -1,7 +1,12 @@
-"""IDA and CVODE with their equations in C: nothing of a solve runs in Python."""
+"""IDA and CVODE with their equations in C: nothing of a solve runs in Python.
+
+Between them and a scene's equations stands a little C that puts all arguments side by side, counts
+the calls, ends the run at the limit of calls, and at a value that is not finite.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from abc import ABC, abstractmethod
 from ctypes import byref, c_double, c_int64, c_long, c_void_p
@@ -9,10 +14,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.callbacks import NOT_FINITE, EarlyEnd
-from integrators.adapters.sundials import library
-from integrators.adapters.sundials_equations import Compiled
+from integrators.adapters.library_runs import NOT_FINITE, EarlyEnd, GivenEquations
+from integrators.adapters.packed_functions import in_c
+from integrators.adapters.sundials import check_step, library
 from integrators.contract import Work
+from integrators.lowering.native import load
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -22,24 +28,99 @@ _TOO_MUCH_WORK = -1
 _CSC = 0
 #: After so many steps in one call Python looks for signals.
 _STEPS_IN_A_CALL = 10_000
+_USED_UP, _NOT_FINITE = 1, 2
+_CALLED = """
+#include <stdint.h>
+#include <string.h>
+
+typedef struct {
+    void (*residual)(const double *, double *), (*jacobian)(const double *, double *);
+    double *numbers, *(*vector)(void *), *(*entries)(void *);
+    void *(*rows)(void *), *(*starts)(void *);
+    const void *row_numbers, *start_numbers;
+    int64_t parameters, size, row_bytes, start_bytes, most, residuals, jacobians, ending;
+} run_t;
+
+/* Parameters, t, vectors and cj side by side. */
+static const double *packed(run_t *run, double t, void *w, void *wdot, double cj)
+{
+    double *at = run->numbers + run->parameters;
+    *at++ = t;
+    memcpy(at, run->vector(w), run->size * sizeof(double));
+    at += run->size;
+    if (wdot) {
+        memcpy(at, run->vector(wdot), run->size * sizeof(double));
+        at[run->size] = cj;
+    }
+    return run->numbers;
+}
+
+static int residual(run_t *run, double t, void *w, void *wdot, void *r)
+{
+    if (run->residuals == run->most) {
+        run->ending = 1;
+        return -1;
+    }
+    run->residuals++;
+    double *out = run->vector(r), sum = 0.0;
+    run->residual(packed(run, t, w, wdot, 0.0), out);
+    for (int64_t k = 0; k < run->size; k++)
+        sum += 0.0 * out[k]; /* NaN if an entry is not finite */
+    run->ending = sum == 0.0 ? 0 : 2;
+    return sum == 0.0 ? 0 : -1;
+}
+
+static int jacobian(run_t *run, double t, void *w, void *wdot, double cj, void *matrix)
+{
+    run->jacobians++;
+    if (run->row_bytes) {
+        memcpy(run->rows(matrix), run->row_numbers, run->row_bytes);
+        memcpy(run->starts(matrix), run->start_numbers, run->start_bytes);
+    }
+    run->jacobian(packed(run, t, w, wdot, cj), run->entries(matrix));
+    return 0;
+}
+
+int IDA_residual(double t, void *w, void *wdot, void *r, void *run)
+{
+    return residual(run, t, w, wdot, r);
+}
+
+int IDA_jacobian(double t, double cj, void *w, void *wdot, void *r, void *matrix, void *run,
+                 void *x, void *y, void *z)
+{
+    return jacobian(run, t, w, wdot, cj, matrix);
+}
+
+int CVode_residual(double t, void *s, void *rate, void *run)
+{
+    return residual(run, t, s, 0, rate);
+}
+
+int CVode_jacobian(double t, void *s, void *rate, void *matrix, void *run, void *x, void *y,
+                   void *z)
+{
+    return jacobian(run, t, s, 0, 0.0, matrix);
+}
+"""
 
 
 class _Run(ctypes.Structure):
-    """run_t of the C in `integrators.adapters.sundials_equations`."""
+    """run_t of the C."""
 
     _fields_ = [
-        ("p", c_void_p),
-        *((name, c_void_p) for name in ("vector", "entries", "rows", "starts")),
+        *((name, c_void_p) for name in ("residual", "jacobian", "numbers", "vector", "entries")),
+        *((name, c_void_p) for name in ("rows", "starts", "row_numbers", "start_numbers")),
+        *((name, c_int64) for name in ("parameters", "size", "row_bytes", "start_bytes")),
         *((name, c_int64) for name in ("most", "residuals", "jacobians", "ending")),
     ]
 
 
-class Solution(NamedTuple):
-    """The end of a whole solve: time, unknowns, the solver's flag and its counts of calls."""
+class NativeSolution(NamedTuple):
+    """The end of a whole solve: time, unknowns, and the solver's counts of calls."""
 
     t: float
     y: Float[np.ndarray, " n"]
-    status: int
     nfev: int
     njev: int
 
@@ -49,8 +130,8 @@ class NativeSolver(ABC):
 
     Parameters
     ----------
-    compiled, p, start
-        The equations, values of their parameters, t0 and the vectors there.
+    given
+        Equations that have a form in C, and the start.
     options
         ``rtol``, ``atol`` for each unknown, and ``max_order``.
     max_calls
@@ -67,58 +148,67 @@ class NativeSolver(ABC):
     _calls: ClassVar[str]
 
     def __init__(
-        self,
-        compiled: Compiled,
-        p: Float[np.ndarray, " parameters"],
-        start: tuple[Any, ...],
-        t_end: float,
-        options: dict[str, Any],
-        max_calls: int,
+        self, given: GivenEquations, t_end: float, options: dict[str, Any], max_calls: int
     ) -> None:
-        self._library, self._entries, self._t_end, self._p = library(), compiled.entries, t_end, p
-        self._context, self._memory, self._t = c_void_p(), c_void_p(), c_double(start[0])
-        self._vectors: list[int] = []
-        self._matrix = self._solver = None
-        self._run = _Run()
+        self._library, self._given, self._t_end, self._run = library(), given, t_end, _Run()
+        self._t, self._context, self._memory = c_double(given.start[0]), c_void_p(), c_void_p()
+        #: Functions that free all memory, the last one first.
+        self._memories = contextlib.ExitStack()
         try:
-            self._set_up(compiled, start, options, max_calls)
+            self._set_up(options, max_calls)
         except BaseException:
             self.close()
             raise
 
-    def _set_up(
-        self, compiled: Compiled, start: tuple[Any, ...], options: dict[str, Any], max_calls: int
-    ) -> None:
-        it, (t0, *vectors) = self._library, start
+    def close(self) -> None:
+        """Free all memory of the solver."""
+        self._memories.close()
+
+    def _set_up(self, options: dict[str, Any], max_calls: int) -> None:
+        it, (t0, *vectors) = self._library, self._given.start
         _look("SUNContext_Create", it.SUNContext_Create(0, byref(self._context)))
+        self._memories.callback(lambda: it.SUNContext_Free(byref(self._context)))
         # Flags say the same as its messages.
         _look("SUNContext_ClearErrHandlers", it.SUNContext_ClearErrHandlers(self._context))
         self._state = [self._vector(values) for values in vectors]
         unknowns = it.N_VGetArrayPointer(self._state[0])
         self._values = np.ctypeslib.as_array(unknowns, vectors[0].shape)
-        self._linear_algebra(len(vectors[0]))
+        matrix, solver = self._linear_algebra(len(vectors[0]))
         self._memory.value = _made(f"{self._name}Create", self._create())
-        kind = "Dense" if self._entries is None else "Sparse"
-        self._run = _Run(
-            self._p.ctypes.data,
+        self._memories.callback(lambda: getattr(it, f"{self._name}Free")(byref(self._memory)))
+        functions = load(_CALLED)
+        self._run = self._described(max_calls)
+        self._do("SetUserData", c_void_p(ctypes.addressof(self._run)))
+        self._do("Init", _address(functions[f"{self._name}_residual"]), t0, *self._state)
+        self._do("SVtolerances", options["rtol"], self._vector(options["atol"]))
+        self._do("SetLinearSolver", solver, matrix)
+        self._do("SetJacFn", _address(functions[f"{self._name}_jacobian"]))
+        self._do("SetMaxOrd", options["max_order"])
+        self._do("SetMaxNumSteps", _STEPS_IN_A_CALL)
+        self._do("SetStopTime", self._t_end)
+
+    def _described(self, max_calls: int) -> _Run:
+        """The run as the C around the equations needs it."""
+        given, it = self._given, self._library
+        self._numbers = np.zeros(given.value.size + 1)
+        self._numbers[: len(given.p)] = given.p
+        kind, indices = "Dense", []
+        if given.rows is not None and given.starts is not None:
+            kind, indices = "Sparse", [given.rows, given.starts]
+        self._indices = [np.ascontiguousarray(numbers, it.index) for numbers in indices]
+        return _Run(
+            *(_address(in_c(packed)[0]) for packed in (given.value, given.jacobian)),
+            self._numbers.ctypes.data,
             it.address("N_VGetArrayPointer"),
             it.address(f"SUN{kind}Matrix_Data"),
             it.address("SUNSparseMatrix_IndexValues"),
             it.address("SUNSparseMatrix_IndexPointers"),
+            *([numbers.ctypes.data for numbers in self._indices] or (None, None)),
+            len(given.p),
+            given.size,
+            *([numbers.nbytes for numbers in self._indices] or (0, 0)),
             max_calls,
         )
-        residual, jacobian = (
-            ctypes.cast(function, c_void_p)
-            for function in (compiled.c.called_residual, compiled.c.called_jacobian)
-        )
-        self._do("SetUserData", c_void_p(ctypes.addressof(self._run)))
-        self._do("Init", residual, t0, *self._state)
-        self._do("SVtolerances", options["rtol"], self._vector(options["atol"]))
-        self._do("SetLinearSolver", self._solver, self._matrix)
-        self._do("SetJacFn", jacobian)
-        self._do("SetMaxOrd", options["max_order"])
-        self._do("SetMaxNumSteps", _STEPS_IN_A_CALL)
-        self._do("SetStopTime", self._t_end)
 
     @abstractmethod
     def _create(self) -> int:
@@ -128,29 +218,17 @@ class NativeSolver(ABC):
     def _go_on(self, task: int) -> int:
         """Call the solver; return its flag."""
 
-    def whole(self) -> Solution:
-        """Solve to the end; the solver stops exactly there, so that nothing is interpolated.
-
-        Raises
-        ------
-        EarlyEnd
-            If the calls are used up, or the residual is not finite.
-        """
-        flag = _TOO_MUCH_WORK
-        while flag == _TOO_MUCH_WORK:
-            flag = self._solve(_NORMAL)
+    def whole(self) -> NativeSolution:
+        """Solve to the end; the solver stops exactly there, so that nothing is interpolated."""
+        while self._solve(_NORMAL) == _TOO_MUCH_WORK:
+            pass
         counts = (self._count(name) for name in (self._calls, "JacEvals"))
-        return Solution(self._t.value, self._values.copy(), flag, *counts)
+        return NativeSolution(self._t.value, self._values.copy(), *counts)
 
-    def step(self) -> tuple[int, float, np.ndarray]:
-        """Take one step of the solver's own; return its flag, the time and the unknowns.
-
-        Raises
-        ------
-        EarlyEnd
-            If the calls are used up, or the residual is not finite.
-        """
-        return self._solve(_ONE_STEP), self._t.value, self._values.copy()
+    def step(self) -> tuple[float, np.ndarray]:
+        """Take one step of the solver's own; return the time and the unknowns."""
+        self._solve(_ONE_STEP)
+        return self._t.value, self._values.copy()
 
     def work(self, steps: int) -> Work:
         """The counts of the run: steps, residuals and Jacobians by us, the others by SUNDIALS."""
@@ -165,44 +243,44 @@ class NativeSolver(ABC):
             solves=newton,
         )
 
-    def close(self) -> None:
-        """Free all memory of the solver."""
-        it = self._library
-        getattr(it, f"{self._name}Free")(byref(self._memory))
-        # SuperLU_MT's memory cannot be freed before its first factorisation (SUNDIALS 7.9).
-        if self._entries is None or self._run.jacobians:
-            it.SUNLinSolFree(self._solver)
-        it.SUNMatDestroy(self._matrix)
-        for vector in self._vectors:
-            it.N_VDestroy(vector)
-        it.SUNContext_Free(byref(self._context))
-
     def _vector(self, values: np.ndarray) -> int:
         """A new vector, whose memory is freed with that of the solver."""
         it = self._library
         new = _made("N_VNew_Serial", it.N_VNew_Serial(len(values), self._context))
-        self._vectors.append(new)
+        self._memories.callback(lambda: it.N_VDestroy(new))
         np.ctypeslib.as_array(it.N_VGetArrayPointer(new), values.shape)[:] = values
         return new
 
-    def _linear_algebra(self, n: int) -> None:
-        it, context = self._library, self._context
-        if self._entries is None:
-            self._matrix = _made("SUNDenseMatrix", it.SUNDenseMatrix(n, n, context))
-            solver = it.SUNLinSol_Dense(self._state[0], self._matrix, context)
-            self._solver = _made("SUNLinSol_Dense", solver)
+    def _linear_algebra(self, n: int) -> tuple[int, int]:
+        """A new matrix and a new linear solver."""
+        it, context, rows = self._library, self._context, self._given.rows
+        if rows is None:
+            matrix = _made("SUNDenseMatrix", it.SUNDenseMatrix(n, n, context))
         else:
-            matrix = it.SUNSparseMatrix(n, n, self._entries, _CSC, context)
-            self._matrix = _made("SUNSparseMatrix", matrix)
-            solver = it.SUNLinSol_SuperLUMT(self._state[0], self._matrix, 1, context)
-            self._solver = _made("SUNLinSol_SuperLUMT", solver)
+            matrix = _made("SUNSparseMatrix", it.SUNSparseMatrix(n, n, len(rows), _CSC, context))
+        self._memories.callback(lambda: it.SUNMatDestroy(matrix))
+        if rows is None:
+            solver = it.SUNLinSol_Dense(self._state[0], matrix, context)
+        else:
+            solver = it.SUNLinSol_SuperLUMT(self._state[0], matrix, 1, context)
+        solver = _made("SUNLinSol_Dense" if rows is None else "SUNLinSol_SuperLUMT", solver)
+
+        @self._memories.callback
+        def free() -> None:
+            # SuperLU_MT's memory cannot be freed before its first factorisation (SUNDIALS 7.9).
+            if rows is None or self._run.jacobians:
+                it.SUNLinSolFree(solver)
+
+        return matrix, solver
 
     def _solve(self, task: int) -> int:
         flag = self._go_on(task)
-        if self._run.ending == 1:
+        if self._run.ending == _USED_UP:
             raise EarlyEnd("budget_exceeded", f"{self._run.most} calls were used up")
-        if self._run.ending == 2:
+        if self._run.ending == _NOT_FINITE:
             raise EarlyEnd("diverged", NOT_FINITE)
+        if task == _ONE_STEP or flag != _TOO_MUCH_WORK:
+            check_step(self._name.upper(), flag)
         return flag
 
     def _do(self, name: str, *arguments: Any) -> None:
@@ -213,6 +291,11 @@ class NativeSolver(ABC):
         number = c_long()
         self._do(f"GetNum{name}", byref(number))
         return number.value
+
+
+def _address(function: Any) -> int:
+    """The address of a function in C."""
+    return ctypes.cast(function, c_void_p).value or 0
 
 
 def _look(name: str, flag: int) -> None:
@@ -249,10 +332,8 @@ class NativeIDA(NativeSolver):
         self._differential, self._suppressed = differential, int(suppress_algebraic)
         super().__init__(*given)
 
-    def _set_up(
-        self, compiled: Compiled, start: tuple[Any, ...], options: dict[str, Any], max_calls: int
-    ) -> None:
-        super()._set_up(compiled, start, options, max_calls)
+    def _set_up(self, options: dict[str, Any], max_calls: int) -> None:
+        super()._set_up(options, max_calls)
         self._do("SetId", self._vector(self._differential))
         self._do("SetSuppressAlg", self._suppressed)
 

@@ -22,10 +22,9 @@ import numpy as np
 
 from integrators import Tolerances
 from integrators.adapters import dae, ode
-from integrators.adapters.callbacks import CountedEquations
 from integrators.adapters.ida import IDA
+from integrators.adapters.library_runs import CountedEquations
 from integrators.adapters.scipy_ode import Radau
-from integrators.adapters.sundials_python import Callbacks
 from problems.runtime import jax, one_thread
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
@@ -70,29 +69,33 @@ class Case:
         self.run = method.prepare(scene, t_end, Tolerances(rtol))
         self.p = np.array([*scene.parameters().values()])
         if isinstance(method, IDA):
-            at = self.run.start
+            at = self.run.given.start
             sparse = "sparsity" in self.run.options
             form = scene.template(), method.formulation
             values = dae.sparse_jacobian(*form).values if sparse else dae.packed_jacobian(*form)
             self.packed, self.at = (dae.packed_residual(*form), values), (at, (*at, 1e3))
             self.name = f"{scene.spec}, IDA{', sparse' if sparse else ''}"
         else:
-            at = self.run.start
-            self.packed, self.at = ode.packed_rate_and_jacobian(scene.template()), (at, at)
+            at, template = self.run.given.start, scene.template()
+            self.packed = ode.packed_rate(template), ode.packed_columns(template)
+            self.at = at, at
             self.name = f"{scene.spec}, {method.name} of scipy"
 
     def callbacks(self) -> tuple[Callable, Callable]:
         """Residual and Jacobian as the library calls them."""
         functions, (first, second) = self.run.functions, self.at
+        counted = CountedEquations(*functions, -1)
         if hasattr(self.run, "counted_equations"):
-            scipy = CountedEquations(*functions, -1)
-            return lambda: scipy.value(*first), lambda: np.asarray(scipy.jacobian(*second))
-        sundials, n = Callbacks(*functions, -1), len(first[1])
-        into = np.zeros(n), np.zeros(np.shape(functions[1](*second)))
-        return (
-            lambda: sundials.fill(into[0], *first),
-            lambda: sundials.fill_jacobian(into[1], *second),
-        )
+            return lambda: counted.value(*first), lambda: counted.jacobian(*second)
+        value, columns = np.zeros(len(first[1])), np.zeros(np.shape(functions[1](*second)))
+
+        def fill() -> None:
+            value[:] = counted.value(*first)
+
+        def fill_columns() -> None:
+            columns[:] = counted.jacobian(*second)
+
+        return fill, fill_columns
 
     def plain(self) -> list[Callable]:
         """The functions with every argument turned into an array by JAX."""

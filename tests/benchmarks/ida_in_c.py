@@ -20,6 +20,7 @@ from opponents import NotHere, stepbench, timed
 
 from integrators import Tolerances
 from integrators.adapters.ida import IDA
+from integrators.adapters.packed_functions import in_c
 from integrators.lowering.native import load
 from problems.reference import Reference
 from problems.runtime import one_thread
@@ -50,21 +51,21 @@ _SOLVERS = {
     "`bdf_adaptive`, our own": ("bdf_adaptive[newton=modified]", "IDA in C"),
 }
 _REPEAT = """
-void repeat(long n, void (*f)(void *, void *, void *, void *, void *), void **a)
+void repeat(long n, void (*f)(void *, void *), void *given, void *out)
 {
     while (n--)
-        f(a[0], a[1], a[2], a[3], a[4]);
+        f(given, out);
 }
 """
 
 
-def residual_in_c(run: Any, p: np.ndarray, count: int = 20_000) -> float:
+def residual_in_c(run: Any, count: int = 20_000) -> float:
     """Seconds of a residual in C, called by C."""
-    t0, w, wdot = run.start
-    arrays = [p, np.array([t0]), w, wdot, np.empty(len(w))]
-    places = (ctypes.c_void_p * 5)(*(array.ctypes.data for array in arrays))
+    given, (residual, _) = np.hstack([run.given.p, *run.given.start]), in_c(run.given.value)
+    arrays = given, np.empty(run.given.size)
+    places = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
     repeat = load(_REPEAT).repeat
-    return least(lambda: repeat(ctypes.c_long(count), run.native.c.residual, places)) / count
+    return least(lambda: repeat(ctypes.c_long(count), residual, *places)) / count
 
 
 def race(case: int, rounds: int) -> list[dict[str, Any]]:
@@ -104,9 +105,8 @@ def race(case: int, rounds: int) -> list[dict[str, Any]]:
             }
         )
     native = runs["in C"]
-    p = np.array([*scene.parameters().values()])
     at = [*runs].index("in C")
-    rows[at]["residual_alone_us"] = 1e6 * residual_in_c(native, p)
+    rows[at]["residual_alone_us"] = 1e6 * residual_in_c(native)
     return rows
 
 

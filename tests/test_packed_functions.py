@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from integrators.adapters.callbacks import PackedFunction, all_finite
+from integrators.adapters.library_runs import all_finite
+from integrators.adapters.packed_functions import PackedFunction
 from problems import jnp
 from problems.runtime import jax
 

@@ -1,0 +1,382 @@
+"""Runs of solvers of other libraries, which call the equations of a scene one by one."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
+from integrators.adapters.trajectories import early_end_message
+from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
+from integrators.kept_rows import RowKeeper, width_of
+from integrators.lowering.graph import NotLowered
+from integrators.operations import Algebra, bill
+from problems.runtime import slower
+from problems.system import MechatronicSystem
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int32
+
+NOT_FINITE = "the equations gave a value that is not finite"
+
+
+class EarlyEnd(Exception):
+    """The end of a run ahead of its time; raised in a callback, it ends the run there.
+
+    Parameters
+    ----------
+    status
+        One of `integrators.contract.STATUSES`.
+    reason
+        A clause for the run's message.
+    """
+
+    def __init__(self, status: str, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+def callbacks_option() -> Any:
+    """The option that chooses how equations are called."""
+    return option(
+        "compiled",
+        "compiled: the solver calls equations in C, where there is a C compiler; python: it calls "
+        "JAX's compiled functions through Python",
+        choices=("compiled", "python"),
+    )
+
+
+class LibrarySolver(Integrator):
+    """Base of adaptive solvers of other libraries; they have the options ``max_calls`` and
+    `callbacks_option`."""
+
+    controls = "tolerance"
+    #: A solver, as a clause that goes on with "calls ...".
+    loop: ClassVar[str]
+    callbacks: str
+    max_calls: int
+
+    @property
+    def calls(self) -> str:
+        """How the method calls its equations."""
+        if self.callbacks == "compiled":
+            return f"{self.loop} calls equations in C, where they have such a form, one by one"
+        return f"{self.loop} calls compiled equations through Python, one by one"
+
+    def advice(self, scene: MechatronicSystem, cause: str) -> str:
+        """Return advice after an early end of this status, or with the step too small."""
+        if cause == "budget_exceeded":
+            return "raise max_calls or use a larger rtol"
+        if cause == "diverged":
+            return "check the scene's equations beyond this time or use a smaller rtol"
+        return "use a larger rtol, or a smaller one if the solution changes abruptly here"
+
+
+@dataclass(frozen=True, eq=False)
+class GivenEquations:
+    """Equations of a scene as a solver is given them, and the start of a run.
+
+    Parameters
+    ----------
+    value
+        Residual of a DAE or right-hand side of an ODE, of (p, t, vectors).
+    jacobian
+        Its transposed Jacobian, or the entries of that as compressed columns; IDA adds the argument
+        cj.
+    p, start
+        Parameters, and t0 with the vectors there.
+    trajectory
+        Makes a trajectory of times and the solver's vectors there.
+    rows, starts
+        Rows of the entries, and the number of the first one of each column; None if dense.
+    """
+
+    scene: MechatronicSystem
+    value: PackedFunction
+    jacobian: PackedFunction
+    p: Float[np.ndarray, " parameters"]
+    start: tuple[Any, ...]
+    trajectory: Callable[[np.ndarray, np.ndarray], Trajectory]
+    rows: Int32[np.ndarray, " entries"] | None = None
+    starts: Int32[np.ndarray, " n+1"] | None = None
+
+    @property
+    def size(self) -> int:
+        """The number of equations."""
+        return len(self.start[1])
+
+    def bound(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Return equations and Jacobian as JAX compiles them, of (t, vectors)."""
+        functions = self.value.bind(self.p), self.jacobian.bind(self.p)
+        functions[0](*self.start)  # compiles
+        functions[1](*self.start, *self._factors)
+        return functions
+
+    def bound_in_c(
+        self, functions: tuple[Callable[..., Any], Callable[..., Any]]
+    ) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Return equations and Jacobian in C, after a comparison with the functions of JAX.
+
+        They are compared at the start of the run and near it. The start has the exact zeros of a
+        scene, at which functions may jump; near it, where a run might come, nothing vanishes by
+        chance.
+
+        Raises
+        ------
+        NotLowered
+            If they have no form in C, there is no compiler, or they differ.
+        """
+        t, *vectors = self.start
+        shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(vectors), self.size))
+        moved = [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
+        found = self.value.bind_c(self.p), self.jacobian.bind_c(self.p)
+        for ours, theirs, rows, factors in (
+            (found[0], functions[0], None, ()),
+            (found[1], functions[1], self.rows, self._factors),
+        ):
+            values, right = (
+                np.array([np.ravel(f(t, *at, *factors)) for at in (vectors, moved)])
+                for f in (ours, theirs)
+            )
+            if rows is None:  # of columns
+                rows = np.tile(np.arange(self.size), len(right[0]) // self.size)
+            if not same_to_rounding(values, right, rows):
+                raise NotLowered("its equations in C are not those of JAX")
+        return found
+
+    @property
+    def _factors(self) -> tuple[float, ...]:
+        """A value for cj, if the Jacobian has this argument."""
+        return (3.0,) * (len(self.jacobian.lengths) - len(self.value.lengths))
+
+
+def all_finite(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether every entry of a vector is finite; three times as fast as ``np.isfinite``."""
+    return _zeros(len(values)).dot(values) == 0.0  # 0 times NaN or infinity is NaN
+
+
+@cache
+def _zeros(n: int) -> np.ndarray:
+    return np.zeros(n)
+
+
+class CountedEquations:
+    """The equations as a solver calls them from Python, counted; one object for each run.
+
+    The times of the calls tell iterations and attempts of solvers of scipy's kind. The first call
+    of every Newton iteration is at the earliest time of its attempt. An attempt that is repeated
+    with a smaller step begins earlier than those before it.
+
+    Parameters
+    ----------
+    value, jacobian
+        Functions of (t, ...).
+    max_calls
+        After so many calls of ``value`` the run ends as budget_exceeded.
+    ends_at_not_finite
+        Whether a value that is not finite ends the run at once.
+    """
+
+    def __init__(
+        self,
+        value: Callable[..., Any],
+        jacobian: Callable[..., Any],
+        max_calls: int,
+        ends_at_not_finite: bool = False,
+    ) -> None:
+        self._value, self._jacobian, self._max_calls = value, jacobian, max_calls
+        self._ends_at_not_finite = ends_at_not_finite
+        self.residuals = self.jacobians = self._newton = self._attempts = 0
+        self._factorisations = self._solves = 0
+        #: Factorisations and solves of complex systems among all.
+        self.complex_factorisations = self.complex_solves = 0
+        self._now = self._earliest = math.inf
+        #: Whether all values since the last accepted step were finite.
+        self.finite = True
+
+    def begin_step(self, t: float) -> None:
+        """Note that the solver begins a step at time t."""
+        self._now, self._earliest, self.finite = t, math.inf, True
+
+    def value(self, t: float, *vectors: np.ndarray) -> np.ndarray:
+        """The right-hand side or residual, counted.
+
+        Raises
+        ------
+        EarlyEnd
+            If the calls are used up, or a value or the time is not finite.
+        """
+        if self.residuals == self._max_calls:
+            raise EarlyEnd("budget_exceeded", f"{self._max_calls} calls were used up")
+        self.residuals += 1
+        if self._now < t <= self._earliest:
+            self._newton += 1
+            self._attempts += int(t < self._earliest)
+            self._earliest = t
+        value = np.asarray(self._value(t, *vectors))
+        if not all_finite(value):
+            self.finite = False
+            # Solvers of scipy's kind take a smaller step after such a value, unless it made the
+            # time NaN.
+            if self._ends_at_not_finite or not math.isfinite(t):
+                raise EarlyEnd("diverged", NOT_FINITE)
+        return value
+
+    def jacobian(self, t: float, *given: Any) -> np.ndarray:
+        """The transposed Jacobian or its entries, counted."""
+        self.jacobians += 1
+        # Now, as the next call overwrites its arguments.
+        return np.asarray(self._jacobian(t, *given))
+
+    def count_linear_algebra(self, solver: Any) -> None:
+        """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change.
+
+        A solver that calls others, as later releases may, leaves them uncounted.
+        """
+        try:
+            factorise, solve = solver.lu, solver.solve_lu
+        except AttributeError:
+            return
+
+        def counted_lu(matrix: np.ndarray) -> Any:
+            self._factorisations += 1
+            self.complex_factorisations += np.iscomplexobj(matrix)
+            return factorise(matrix)
+
+        def counted_solve(factors: Any, b: np.ndarray) -> np.ndarray:
+            self._solves += 1
+            self.complex_solves += np.iscomplexobj(b)
+            return solve(factors, b)
+
+        solver.lu, solver.solve_lu = counted_lu, counted_solve
+
+    def work(self, steps: int) -> Work:
+        """The counts of the run, with its number of accepted steps.
+
+        Factorisations and solves are unknown if there were steps and no solve was seen.
+        """
+        seen = self._solves or not steps
+        return Work(
+            steps,
+            self._attempts - steps,
+            self._newton,
+            self.residuals,
+            self.jacobians,
+            self._factorisations if seen else None,
+            self._solves if seen else None,
+        )
+
+
+class Solver(Protocol):
+    """A solver at the start of a run. Its methods raise `EarlyEnd` where it ends there."""
+
+    def whole(self) -> Any:
+        """Solve to the end."""
+
+    def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
+        """Take one step of the solver's own; return time and unknowns, an array of their own."""
+        ...
+
+    def work(self, steps: int) -> Work:
+        """Return the counts of so many steps."""
+        ...
+
+
+class LibraryRun(PreparedRun):
+    """A run of a solver of another library.
+
+    Parameters
+    ----------
+    algebra
+        Operations of the solver's linear algebra.
+    """
+
+    def __init__(
+        self, method: LibrarySolver, given: GivenEquations, t_end: float, algebra: Algebra
+    ) -> None:
+        self.given, self._method, self._t_end = given, method, float(t_end)
+        self._name, self._algebra = type(method).__name__, algebra
+        self.functions = given.bound()
+        #: Why the equations are not called in C; empty if they are.
+        self.why = "callbacks=python was asked for"
+        if method.callbacks == "compiled":
+            self.why = self._called_in_c()
+
+    def _called_in_c(self) -> str:
+        """Take functions in C in the place of JAX's; return why not."""
+        try:
+            self._check_library()
+            self.functions = self.given.bound_in_c(self.functions)
+        except NotLowered as reason:
+            about = f"{self._name} calls {self.given.scene.name}"
+            slower(f"{about} through Python, which takes longer: {reason}.")
+            return str(reason)
+        return ""
+
+    def _check_library(self) -> None:
+        """Raise NotLowered if the library takes no functions in C."""
+
+    @abstractmethod
+    def _solver(self, counts: bool) -> contextlib.AbstractContextManager[Solver]:
+        """A new solver at the start of the run, as a used one keeps counters and history.
+
+        ``counts`` tells whether counts that cost time are wanted.
+        """
+
+    def execute(self) -> Any:
+        with contextlib.suppress(EarlyEnd), self._solver(counts=False) as solver:
+            return solver.whole()
+
+    def measure(self) -> Trajectory:
+        # The steps of ``execute``, one by one: a failure loses none of them.
+        given, end, work, h = self.given, None, Work(steps=0), 0.0
+        kept = RowKeeper(width_of(given.scene.sizes), given.start[:2], self._t_end)
+        try:
+            with self._solver(counts=True) as solver:
+                try:
+                    while kept.last[0] < self._t_end:
+                        time, unknowns = solver.step()
+                        h = time - kept.last[0]
+                        kept.add((time, unknowns))
+                finally:
+                    work = solver.work(kept.steps)
+        except EarlyEnd as early_end:
+            end = early_end.with_traceback(None)  # whose frames would keep the solver alive
+        t, w = map(np.array, zip(*kept.rows(), strict=True))
+        trajectory = replace(given.trajectory(t, w), work=work)
+        if end is None:
+            return trajectory
+        cause, reason = end.status, end.reason
+        if self._collapsed(end.status, work):
+            cause, reason = "step_too_small", f"the step has collapsed to {h:.2g} s, and {reason}"
+        remedy = self._method.advice(given.scene, cause)
+        message = early_end_message(t[-1], self._t_end, reason, remedy)
+        return replace(trajectory, status=end.status, message=message)
+
+    def _collapsed(self, status: str, work: Work) -> bool:
+        """Whether the steps that were tried failed, one after the other, at the end of a run."""
+        return False
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        if run.work.factorisations is None:
+            return {}
+        factorisations, solves = self._linear_algebra(run.work)
+        return bill(
+            self.given.scene,
+            run,
+            self.given.value.operations.times(run.work.residuals or 0),
+            self.given.jacobian.operations.times(run.work.jacobians or 0),
+            factorisations * self._algebra.factorisation,
+            solves * self._algebra.solve,
+        )
+
+    def _linear_algebra(self, work: Work) -> tuple[int, int]:
+        """The numbers of real factorisations and solves."""
+        return work.factorisations or 0, work.solves or 0

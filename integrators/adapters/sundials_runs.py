@@ -1,0 +1,127 @@
+"""Runs of IDA and CVODE: by SUNDIALS itself on equations in C, or by scikit-sundae on Python's."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import io
+import warnings
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from integrators.adapters.library_runs import (
+    CountedEquations,
+    EarlyEnd,
+    GivenEquations,
+    LibraryRun,
+    LibrarySolver,
+    Solver,
+)
+from integrators.adapters.sundials import check_step, library
+from integrators.adapters.sundials_native import NativeSolver
+from integrators.contract import Work
+from integrators.operations import Algebra
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+#: SUNDIALS' own limit of steps is never reached: calls are limited here.
+_NO_LIMIT = 2**31 - 1
+
+
+class SundialsRun(LibraryRun):
+    """A run of a solver of SUNDIALS.
+
+    Parameters
+    ----------
+    options
+        Those of scikit-sundae's solver.
+    """
+
+    #: Whether the solver factorises each Jacobian once.
+    keeps_no_jacobian: ClassVar[bool]
+
+    def __init__(
+        self,
+        method: LibrarySolver,
+        given: GivenEquations,
+        t_end: float,
+        algebra: Algebra,
+        options: dict[str, Any],
+    ) -> None:
+        self.options = {**options, "max_num_steps": _NO_LIMIT}
+        super().__init__(method, given, t_end, algebra)
+
+    @abstractmethod
+    def _native_solver(self) -> NativeSolver:
+        """A new solver of the library."""
+
+    @abstractmethod
+    def _python_solver(self, equations: CountedEquations) -> Any:
+        """A new solver of scikit-sundae, which checks the signatures of what it calls."""
+
+    def _check_library(self) -> None:
+        library()
+
+    @contextlib.contextmanager
+    def _solver(self, counts: bool) -> Iterator[Solver]:
+        if not self.why:
+            with contextlib.closing(self._native_solver()) as solver:
+                yield solver
+            return
+        # After a NaN IDA would repeat the step without end.
+        limit = self._method.max_calls
+        equations = CountedEquations(*self.functions, limit, ends_at_not_finite=True)
+        # SUNDIALS writes its warnings to standard output; the status says the same.
+        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
+            with warnings.catch_warnings():
+                # IDA warns that the sparse Jacobian comes from our function, as intended.
+                warnings.simplefilter("ignore")
+                solver = self._python_solver(equations)
+            solver.init_step(*self.given.start)
+            try:
+                yield _PythonSolver(self, solver, equations, self._t_end)
+            finally:
+                if "sparsity" in self.options and not equations.jacobians:
+                    # SuperLU_MT's memory cannot be freed before its first factorisation: the
+                    # process would crash (scikit-sundae 1.2.0).
+                    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+
+    def _collapsed(self, status: str, work: Work) -> bool:
+        # More than a Jacobian in each step.
+        return status == "budget_exceeded" and (work.jacobians or 0) > (work.steps or 0)
+
+
+class _PythonSolver:
+    """A solver of scikit-sundae's at the start of a run."""
+
+    def __init__(
+        self, run: SundialsRun, solver: Any, equations: CountedEquations, t_end: float
+    ) -> None:
+        self._run, self._solver, self._equations, self._t_end = run, solver, equations, t_end
+
+    def whole(self) -> Any:
+        # It stops exactly at the end, so that nothing is interpolated.
+        return self._solved("normal")
+
+    def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
+        step = self._solved("onestep")
+        return float(step.t), step.y
+
+    def work(self, steps: int) -> Work:
+        counts = self._equations
+        work = Work(steps, residuals=counts.residuals, jacobians=counts.jacobians)
+        if self._run.keeps_no_jacobian:
+            work.factorisations = work.jacobians
+        return work
+
+    def _solved(self, task: str) -> Any:
+        try:
+            found = self._solver.step(self._t_end, task, self._t_end)
+        except RuntimeError as error:
+            raise EarlyEnd("crashed", f"the solver gave up: {error}") from None
+        check_step(type(self._solver).__name__, found.status)
+        return found
