@@ -19,7 +19,7 @@ from bench.running.worker import Worker
 from bench.sweeps import batch, jobs, variation
 from bench.sweeps.ensemble import rows_of
 from bench.sweeps.member_files import write_members
-from bench.sweeps.parts import KeptParts, NamelessParts
+from bench.sweeps.parts import KeptParts, TemporaryParts
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import Quantity, Range
 from problems.runtime import jax
@@ -58,7 +58,7 @@ def test_a_member_that_used_up_its_own_steps_is_finished(asked):  # noqa: F811
             answer, status=["budget_exceeded"] * 13, message=["It took all of its max_steps."] * 13
         )
 
-    run, results = run_all(asked, NamelessParts(), Changed(of_its_own))
+    run, results = run_all(asked, TemporaryParts(), Changed(of_its_own))
     assert run.lost.numbers() == set()
     assert results.statuses["budget_exceeded"] == 13
 
@@ -77,7 +77,7 @@ def test_a_member_that_used_up_its_own_steps_is_finished(asked):  # noqa: F811
     ],
 )
 def test_answers_about_something_else_are_lost(asked, change):  # noqa: F811
-    run, results = run_all(asked, NamelessParts(), Changed(change))
+    run, results = run_all(asked, TemporaryParts(), Changed(change))
     assert run.lost.numbers() == {1}
     assert results.first["crashed"] == (13, "Its answer is about something else than it was asked.")
     assert len(whole(results)["member"]) == 40
@@ -86,7 +86,7 @@ def test_answers_about_something_else_are_lost(asked, change):  # noqa: F811
 def test_shards_come_in_groups_and_again_alone(asked):  # noqa: F811
     runner = Here([KILLED, None, KILLED])
     run = ShardRun(runner, asked, Sources(), Quiet())
-    run.complete(runner, store := NamelessParts(), 1, 2)
+    run.complete(runner, store := TemporaryParts(), 1, 2)
     assert runner.sizes == [[1], [2, 1], [1, 1]]
     assert store.numbers() == {0, 1, 2}
 
@@ -109,11 +109,11 @@ def test_a_worker_may_round_the_draw_differently(asked):  # noqa: F811
     def rounded(answer):
         return replace(answer, vary=answer.vary | {"k": np.nextafter(answer.vary["k"], 2.0)})
 
-    assert run_all(asked, NamelessParts(), Changed(rounded))[0].lost.numbers() == set()
+    assert run_all(asked, TemporaryParts(), Changed(rounded))[0].lost.numbers() == set()
 
 
 def test_the_code_of_ensembles_decides_the_members(asked, monkeypatch):  # noqa: F811
-    run, _ = run_all(asked, NamelessParts())
+    run, _ = run_all(asked, TemporaryParts())
     before, read = run.about, fingerprint._source
 
     def edited(file):

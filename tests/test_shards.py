@@ -22,7 +22,7 @@ from bench.running.worker import Worker
 from bench.sweeps import jobs, parts
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.jobs import EnsembleRequest, SweepRequest
-from bench.sweeps.parts import KeptParts, NamelessParts, Results
+from bench.sweeps.parts import KeptParts, Results, TemporaryParts
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import drawn, find_range
 from integrators import Steps
@@ -99,7 +99,7 @@ def test_a_member_has_its_values_however_members_are_divided():
 
 
 def test_shards_in_any_order_are_the_ensemble_in_one_process(asked):
-    run, results = run_all(asked, NamelessParts())
+    run, results = run_all(asked, TemporaryParts())
     assert run.plan.shards == 3
     assert run.members == COUNT
     scene = REGISTRY.problem("spring_mass[b=0]")
@@ -117,7 +117,7 @@ def test_shards_in_any_order_are_the_ensemble_in_one_process(asked):
 
 
 def test_summaries_hold_a_few_columns_at_a_time(asked, monkeypatch):
-    _, results = run_all(asked, NamelessParts())
+    _, results = run_all(asked, TemporaryParts())
     together = results.summary()
     monkeypatch.setattr(parts, "_MOST_BYTES", 1)
     assert results.summary() == together
@@ -126,7 +126,7 @@ def test_summaries_hold_a_few_columns_at_a_time(asked, monkeypatch):
 def test_a_shard_that_is_killed_is_run_again_and_one_that_dies_is_lost_alone(asked):
     dies = NoAnswer(status="crashed", message="The process died.")
     runner = Here([None, KILLED, dies])
-    run, results = run_all(asked, NamelessParts(), runner)
+    run, results = run_all(asked, TemporaryParts(), runner)
     assert runner.asked == [26, 13, 0, 13]
     assert run.lost.numbers() == {0}
     assert results.statuses["crashed"] == 13
@@ -137,11 +137,11 @@ def test_a_shard_that_is_killed_is_run_again_and_one_that_dies_is_lost_alone(ask
     assert np.isnan(table["q1"][:13]).all()
     assert (table["work_steps"][:13] == 0).all()
     with pytest.raises(SpecError, match="It was killed"):
-        run_all(asked, NamelessParts(), Here([None, None, *3 * [KILLED]]))
-    run, _ = run_all(asked, NamelessParts(), Here([dies]))  # before any has succeeded
+        run_all(asked, TemporaryParts(), Here([None, None, *3 * [KILLED]]))
+    run, _ = run_all(asked, TemporaryParts(), Here([dies]))  # before any has succeeded
     assert (run.lost.numbers(), run.members) == ({2}, 26)
     with pytest.raises(SpecError, match="The process died"):
-        run_all(asked, NamelessParts(), Here(3 * [dies]))
+        run_all(asked, TemporaryParts(), Here(3 * [dies]))
 
 
 def test_another_call_runs_what_is_missing(asked, tmp_path):
@@ -157,7 +157,7 @@ def test_another_call_runs_what_is_missing(asked, tmp_path):
     runner, kept = Here(), KeptParts(folder, about)
     _, results = run_all(asked, kept, runner)
     assert runner.asked == [13, 0]
-    _, fresh = run_all(asked, NamelessParts())
+    _, fresh = run_all(asked, TemporaryParts())
     again, before = whole(results), whole(fresh)
     assert all(np.array_equal(again[n], before[n], equal_nan=n[0] in "qvaxy") for n in before)
     kept.remove()
@@ -284,8 +284,8 @@ def test_a_table_with_lost_members_is_written_and_the_command_fails(
 ):
     dies = NoAnswer(status="crashed", message="The process died.")
 
-    def _run(sources, request, parts_of, *more):
-        parts = NamelessParts()
+    def _run(*_):
+        parts = TemporaryParts()
         return run_all(asked, parts, Here([None, dies]))[0], parts
 
     monkeypatch.setattr("bench.commands.ensemble._run", _run)

@@ -15,7 +15,7 @@ from test_shards import COUNT, asked, run_all, whole  # noqa: F401 - a fixture
 from bench.results.store_file import StoreError
 from bench.sweeps import parts
 from bench.sweeps.member_files import write_members
-from bench.sweeps.parts import KeptParts, NamelessParts
+from bench.sweeps.parts import KeptParts, TemporaryParts
 
 
 def part(values):
@@ -91,7 +91,7 @@ def test_no_half_file_is_left_whatever_ends_the_writing(tmp_path, monkeypatch):
 
 def test_files_hold_the_same_members(asked, tmp_path):  # noqa: F811
     pytest.importorskip("pyarrow")
-    _, results = run_all(asked, NamelessParts())
+    _, results = run_all(asked, TemporaryParts())
     names = [tmp_path / f"members{suffix}" for suffix in (".csv", ".json", ".parquet")]
     for name in names:
         write_members(name, results.parts())

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,7 +20,7 @@ from problems.spec import SpecError
 if TYPE_CHECKING:
     from bench.plugins.facts import Sources
     from bench.sweeps.jobs import EnsembleRequest
-    from bench.sweeps.parts import Results
+    from bench.sweeps.parts import Parts, Results
     from bench.sweeps.shards import ShardRun
 
 _MOST_MEMBERS = 100_000_000
@@ -94,7 +94,7 @@ def solve_ensemble(
 ) -> None:
     """Draw the members, run them in shards, and show or write the results."""
     from bench.sweeps.member_files import check_name, write_members
-    from bench.sweeps.parts import KeptParts, NamelessParts, Results
+    from bench.sweeps.parts import KeptParts, Results
 
     if not request.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
@@ -103,13 +103,8 @@ def solve_ensemble(
     if out:
         check_name(out)
         remark("Finished members are stored; the same command goes on.")
-
-    def parts_of(about: dict[str, Any]) -> KeptParts | NamelessParts:
-        if not out:
-            return NamelessParts()
-        return KeptParts(out.with_name(f"{out.name}.parts"), about | {"sources": fingerprint})
-
-    run, parts = _run(sources, request, parts_of, jobs, cluster)
+    folder = out.with_name(f"{out.name}.parts") if out else None
+    run, parts = _run(sources, request, folder, fingerprint, jobs, cluster)
     results = Results((parts, run.lost), run.plan.shards, run.plan.ranges)
     if as_json:
         _print_json(run, results)
@@ -137,16 +132,18 @@ def solve_ensemble(
 def _run(
     sources: Sources,
     request: EnsembleRequest,
-    parts_of: Callable[[dict[str, Any]], Any],
+    folder: Path | None,
+    fingerprint: str,
     jobs: int | None,
     cluster: str | None,
-) -> tuple[ShardRun, Any]:
-    """Run the members that the parts lack; return them, and what is known of the run."""
+) -> tuple[ShardRun, Parts]:
+    """Run the members that the folder lacks; return what is known of the run, and its parts."""
     from bench.commands.terminal import RunProgress
     from bench.guard.limits import Limits, cores
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.running.session import teller
+    from bench.sweeps.parts import KeptParts, TemporaryParts
     from bench.sweeps.shards import ShardRun
 
     workers = processes(jobs, request.count)
@@ -157,7 +154,8 @@ def _run(
         printed = teller(progress)
         with Runner(workers, limits, printed) as here:
             run = ShardRun(here, request, sources, progress)
-            parts = parts_of(run.about)
+            about = run.about | {"sources": fingerprint}
+            parts = KeptParts(folder, about) if folder else TemporaryParts()
             if not cluster:
                 run.complete(here, parts, threads)
                 return run, parts

@@ -7,10 +7,14 @@ no Python. Nothing calls back to Python, so the same code runs on a GPU.
 
 from __future__ import annotations
 
+import math
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,6 +99,11 @@ class Batch:
     lanes
         Runs side by side, a power of two. By default the machine and the memory decide.
 
+    Attributes
+    ----------
+    compiled_at
+        Time in s of `time.perf_counter` at which `blocks` had compiled the program.
+
     Raises
     ------
     SpecError
@@ -154,32 +163,45 @@ class Batch:
         ]
         self._time_table = _table(self._times.numbers)
         self._lanes = lanes or _lanes(self._sizes, len(runs))
+        self.compiled_at = math.inf
 
-    def blocks(self, jobs: int | None = None) -> Iterator[Block]:
-        """Run all in ``jobs`` threads, a block at a time in each; by default one per processor.
+    def blocks(
+        self,
+        jobs: int | None = None,
+        budget: float = math.inf,
+        begun: Callable[[], None] = lambda: None,
+    ) -> Iterator[Block]:
+        """Compile the program, and run all in threads, a block at a time in each.
 
         The longest runs come first, so that the last blocks are short.
+
+        Parameters
+        ----------
+        jobs
+            Threads; one per processor if not given.
+        budget
+            Seconds after which no further blocks are given, but the first one always is; compiling
+            is not counted.
+        begun
+            Called when the program is compiled.
         """
-        order = self._times.longest_first()
-        parts = [order[k : k + self._lanes] for k in range(0, len(order), self._lanes)]
-        jobs = jobs or cores()
+        nobody = np.zeros(self._lanes, dtype=np.int64)
+        jax.block_until_ready(self._called(nobody, nobody == 0))
+        begun()
+        self.compiled_at = time.perf_counter()
+        order, jobs = self._times.longest_first(), jobs or cores()
+        parts = (order[k : k + self._lanes] for k in range(0, len(order), self._lanes))
         pool = ThreadPoolExecutor(jobs)
         try:
             # Blocks that are not submitted yet take no memory.
-            waiting: list[Future[Block]] = []
-            for part in parts:
-                waiting.append(pool.submit(self._block, part))
-                if len(waiting) > 2 * jobs:
-                    yield waiting.pop(0).result()
+            waiting = deque(pool.submit(self._block, part) for part in islice(parts, 2 * jobs))
             while waiting:
-                yield waiting.pop(0).result()
+                waiting += [pool.submit(self._block, part) for part in islice(parts, 1)]
+                yield waiting.popleft().result()
+                if time.perf_counter() - self.compiled_at > budget:
+                    return
         finally:
             pool.shutdown(cancel_futures=True)
-
-    def warm(self) -> None:
-        """Compile the program and take no step."""
-        nobody = np.zeros(self._lanes, dtype=np.int64)
-        jax.block_until_ready(self._called(nobody, nobody == 0))
 
     def _called(self, lanes: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
         tables = [table[of[lanes]] for table, of in self._tables]

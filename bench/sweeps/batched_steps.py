@@ -1,13 +1,14 @@
 """The times of many runs: constant steps, or steps that follow a tolerance.
 
-A `Times` object gives a compiled time loop its last arguments. It reads the rows and endings that
-the loop returns.
+Both kinds give a compiled time loop its last arguments, and read the rows and endings that it
+returns. ``places`` are indices of runs among all of them, ``counts`` names of the work counts,
+``numbers`` the different last arguments of the loop.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,39 +47,6 @@ class BatchRows(NamedTuple):
     counts: Float[np.ndarray, "k c"]
 
 
-class Times(Protocol):
-    """The times of many runs; ``places`` are indices of runs among all of them."""
-
-    #: Names of the work counts.
-    counts: tuple[str, ...]
-    #: The different last arguments of a kernel.
-    numbers: list[Any]
-
-    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
-        """The compiled time loop of a method on a kind of scene."""
-        ...
-
-    def longest_first(self) -> np.ndarray:
-        """The places of all runs, the longest run first."""
-        ...
-
-    def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
-        """Places in ``numbers``; an ``idle`` run takes no step."""
-        ...
-
-    def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
-        """Arguments of a kernel that select the rows to keep."""
-        ...
-
-    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
-        """Rows and endings from the result of a kernel."""
-        ...
-
-    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
-        """Status and message of a run that ended at t (s)."""
-        ...
-
-
 class ConstantSteps:
     """Runs at constant steps, or patterns of them."""
 
@@ -99,19 +67,24 @@ class ConstantSteps:
             table[: len(numbers)] = numbers
 
     def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
+        """Return the compiled time loop of a method on a kind of scene."""
         return constant_steps.kernel(program, template)
 
     def longest_first(self) -> np.ndarray:
+        """Return the places of all runs, the longest run first."""
         return np.argsort(-self._rows.max(axis=1)[self._of], kind="stable")
 
     def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        """Return places in ``numbers``; an ``idle`` run takes no step."""
         return self._of[places]
 
     def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
+        """Return the arguments of a loop that select the rows to keep."""
         of = self._of[places]
         return self._rows[of], np.where(idle, 0, self._row_counts[of])
 
     def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> BatchRows:
+        """Return rows and endings from the result of a loop."""
         table, end = answer
         of = self._of[places]
         table[table[:, :, 0] != self._rows[of]] = np.nan
@@ -120,11 +93,12 @@ class ConstantSteps:
         )
 
     def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
+        """Return status and message of a run that ended at t (s)."""
         return ending.outcome(t, self._t_end)
 
 
 class ChosenSteps:
-    """Runs whose steps follow a tolerance."""
+    """Runs whose steps follow a tolerance; methods as of `ConstantSteps`."""
 
     counts = ("steps", "rejected", *COUNTS)
 
@@ -177,7 +151,9 @@ class ChosenSteps:
         return ending.outcome(t, float(span.t_end), int(span.max_steps))
 
 
-def times_of(runs: Sequence[BatchRun], t_end: float, every_row: bool) -> Times:
+def times_of(
+    runs: Sequence[BatchRun], t_end: float, every_row: bool
+) -> ConstantSteps | ChosenSteps:
     """The times of runs that have either all steps or all tolerances."""
     t0 = runs[0].scene.interval[0]
     steps = [run.resolution for run in runs if isinstance(run.resolution, Steps)]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bench.running.plan import check_end
-from bench.sweeps.batch import Batch, Block, refuse
+from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError
@@ -174,13 +174,10 @@ def ensemble(
     quantities = {find_quantity(name, scene, method): v for name, v in values.items()}
     fixed = resolution or default_resolution(scene, method)
     batch = Batch(runs_with(scene, method, fixed, quantities), end)
-    batch.warm()
-    begun()
-    compiled = time.perf_counter()
     count = shape[0]
     status, message = ["budget_exceeded"] * count, [_OUT_OF_TIME] * count
     t, ends, work = np.full(count, scene.interval[0]), {}, {}
-    for block in within_budget(budget, batch.blocks(jobs)):
+    for block in batch.blocks(jobs, budget, begun):
         for k, *ending in zip(block.members, block.status, block.message, strict=True):
             status[k], message[k] = ending
         t[block.members] = block.t_last
@@ -189,18 +186,9 @@ def ensemble(
             ends.setdefault(name, np.full((count, last.shape[1]), np.nan))[block.members] = last
         for name, counts in zip(batch.counts, block.counts.T, strict=False):
             work.setdefault(name, np.zeros(count, dtype=np.int64))[block.members] = counts
-    done = time.perf_counter()
+    compiled, done = batch.compiled_at, time.perf_counter()
     return Ensemble(
         spec_without(scene, quantities), spec_without(method, quantities), end, values, status,
         message, t, {name: table for name, table in ends.items() if table.shape[1]}, work,
         compiled - started, done - compiled,
     )  # fmt: skip
-
-
-def within_budget(budget: float, blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks until the budget in s is used up; the first one is always given."""
-    begun = time.perf_counter()
-    for block in blocks:
-        yield block
-        if time.perf_counter() - begun > budget:
-            return

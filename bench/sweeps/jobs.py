@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,8 +54,22 @@ class SweepRequest:
     t_end: float | None
     budget: float
 
-    def ready(self, worker: Worker) -> tuple[MechatronicSystem, Integrator]:
-        """Make scene and integrator, and say that compiling begins.
+    def prepared(
+        self, worker: Worker, spans: Mapping[str, tuple[float, float] | None]
+    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
+        """Make what the runs are made of, and say that compiling begins.
+
+        Parameters
+        ----------
+        worker
+            The process that runs them.
+        spans
+            Ends of the range of each quantity that varies, by name; None for those of `find_range`.
+
+        Returns
+        -------
+        tuple
+            Scene, integrator, the ranges, and the step or tolerances that are the same in all runs.
 
         Raises
         ------
@@ -72,13 +86,9 @@ class SweepRequest:
             raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")
         refuse(method, scene)
         worker.notify(PREPARING, "tracing and compiling")
-        return scene, method
-
-    def resolution(
-        self, scene: MechatronicSystem, method: Integrator, ranges: Sequence[Range]
-    ) -> Steps | Tolerances:
-        """Return the step or tolerances that are the same in all runs."""
-        return unvaried_resolution(scene, method, self.given, self.t_end, ranges)
+        ranges = {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
+        fixed = unvaried_resolution(scene, method, self.given, self.t_end, ranges.values())
+        return scene, method, ranges, fixed
 
 
 def map_job(
@@ -91,12 +101,13 @@ def map_job(
     threshold: float,
 ) -> dict[str, Any]:
     """Make a map of outcomes as plain values; ``ranges`` and ``over`` are texts of the user."""
-    scene, method = request.ready(worker)
     spans = read_ranges(ranges, "--range")
     stray = next((name for name in spans if name not in over), None)
     if stray:
         raise SpecError(f"--range {stray} is of no axis; the axes are {over[0]} and {over[1]}.")
-    x, y = (find_range(name, scene, method, spans.get(name)) for name in over)
+    of_axes = {name: spans.get(name) for name in over}
+    scene, method, found, fixed = request.prepared(worker, of_axes)
+    x, y = found.values()
     points = [
         POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has("exact") else POINTS
         for r in (x, y)
@@ -106,13 +117,13 @@ def map_job(
         method,
         (x, y),
         grid or (points[0], points[1]),
-        request.resolution(scene, method, (x, y)),
+        fixed,
         request.t_end,
         error,
         threshold,
         request.budget,
         begun=lambda: worker.notify(RUNNING, "running the points"),
-    ).as_dict()
+    )
 
 
 @dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
@@ -124,10 +135,11 @@ class EnsembleRequest:
     vary: tuple[str, ...]
     seed: int
 
-    def ranges(self, scene: MechatronicSystem, method: Integrator) -> dict[str, Range]:
-        """Return the range of each quantity that varies, by name."""
-        spans = read_ranges(self.vary, "--vary")
-        return {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
+    def prepared(
+        self, worker: Worker
+    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
+        """Make what the members are made of, as `SweepRequest.prepared` does."""
+        return self.sweep.prepared(worker, read_ranges(self.vary, "--vary"))
 
 
 @dataclass(frozen=True)
@@ -160,15 +172,12 @@ def shards_of(count: int, backend: str = "cpu") -> int:
 
 def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
     """Read an ensemble's request; refuse what cannot be run."""
-    sweep = request.sweep
-    scene, method = sweep.ready(worker)
-    ranges = request.ranges(scene, method)
-    sweep.resolution(scene, method, [*ranges.values()])
-    quantities = [drawn.quantity for drawn in ranges.values()]
+    scene, method, ranges, _ = request.prepared(worker)
+    quantities, t_end = [varied.quantity for varied in ranges.values()], request.sweep.t_end
     return EnsemblePlan(
         spec_without(scene, quantities),
         spec_without(method, quantities),
-        check_end(scene.interval[0], scene.interval[1] if sweep.t_end is None else sweep.t_end),
+        check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end),
         ranges,
         shards_of(request.count, jax.default_backend()),
     )
@@ -178,13 +187,12 @@ def shard_job(
     worker: Worker, request: EnsembleRequest, first: int, count: int, threads: int
 ) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
-    scene, method = request.sweep.ready(worker)
-    ranges = request.ranges(scene, method)
+    scene, method, ranges, fixed = request.prepared(worker)
     return ensemble(
         scene,
         method,
         drawn(ranges, request.seed, first, count),
-        request.sweep.resolution(scene, method, [*ranges.values()]),
+        fixed,
         request.sweep.t_end,
         request.sweep.budget,
         threads,

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
 from bench.running.plan import check_end
-from bench.sweeps.batch import Batch, BatchRun, Block, refuse
-from bench.sweeps.ensemble import within_budget
+from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.plain_text import said
@@ -23,93 +20,11 @@ from problems.reference import Reference
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
-
 #: Outcomes of a point; the last two say nothing of the method.
 OUTCOMES = (
     "ok", "inaccurate", "newton_failed", "step_too_small", "budget_exceeded", "diverged", "not_run",
     "no_reference",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class OutcomeMap:
-    """Outcomes and errors over a grid; tables have a row per value of the second range.
-
-    Attributes
-    ----------
-    problem, integrator
-        Printed names, without the quantities that vary.
-    t_end
-        End time in s.
-    ranges, values
-        The two quantities and their values on the grid.
-    group, norm, threshold
-        The relative error of this group in this norm; above the threshold it is inaccurate.
-    outcome
-        Places in `OUTCOMES`.
-    error
-        Relative errors, NaN where a run did not reach the end.
-    reasons
-        The message of one run for each outcome but ok.
-    compile_s, run_s
-        Seconds for preparing and for running.
-    """
-
-    problem: str
-    integrator: str
-    t_end: float
-    ranges: tuple[Range, Range]
-    values: tuple[Float[np.ndarray, " nx"], Float[np.ndarray, " ny"]]
-    group: str
-    norm: str
-    threshold: float
-    outcome: Int[np.ndarray, "ny nx"]
-    error: Float[np.ndarray, "ny nx"]
-    reasons: dict[str, str]
-    compile_s: float
-    run_s: float
-
-    def counts(self) -> dict[str, int]:
-        """Return the number of points by outcome, for outcomes that occur."""
-        found = Counter(self.outcome.ravel().tolist())
-        return {name: found[k] for k, name in enumerate(OUTCOMES) if found[k]}
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the map as plain values for JSON and for the page, with log10 of the errors."""
-        with np.errstate(divide="ignore"):
-            logs = np.log10(self.error)
-        x, y = (
-            {"name": varied.quantity.name, "values": v.tolist(), "log": varied.logarithmic}
-            for varied, v in zip(self.ranges, self.values, strict=True)
-        )
-        return {
-            "problem": self.problem,
-            "integrator": self.integrator,
-            "t_end": self.t_end,
-            "x": x,
-            "y": y,
-            "error": f"{self.group}:{self.norm}",
-            "threshold": self.threshold,
-            "outcome": [[OUTCOMES[k] for k in row] for row in self.outcome.tolist()],
-            "log10_error": [[finite(e) for e in row] for row in logs.tolist()],
-            "counts": self.counts(),
-            "reasons": self.reasons,
-            "compile_s": self.compile_s,
-            "run_s": self.run_s,
-        }
-
-
-def read_error(text: str, scene: MechatronicSystem) -> tuple[str, str]:
-    """Read text such as "a:end" as a group of the scene and a norm ("max" if none is given).
-
-    Raises
-    ------
-    SpecError
-        If the scene has no such group, or there is no such norm.
-    """
-    return group_and_norm(text, [group for group in GROUPS if scene.sizes.of(group)])
 
 
 def outcome_map(
@@ -124,7 +39,7 @@ def outcome_map(
     budget: float = float("inf"),
     jobs: int | None = None,
     begun: Callable[[], None] = lambda: None,
-) -> OutcomeMap:
+) -> dict[str, Any]:
     """Run a method on a scene at every point of a grid over two quantities.
 
     Parameters
@@ -142,31 +57,36 @@ def outcome_map(
     threshold
         A run with a larger error is inaccurate.
 
+    Returns
+    -------
+    dict
+        Plain values for JSON and for the page. "problem" and "integrator", printed names without
+        the quantities that vary; "t_end" in s; "x" and "y" with "name", "values", and "log" where
+        these are spread evenly in the logarithm; "error" and "threshold"; "outcome", one of
+        `OUTCOMES`, and "log10_error", None where a run did not reach the end, both with a row per
+        value of y; "counts" of the outcomes that occur; "reasons", the message of one run for each
+        but ok; "compile_s" and "run_s", seconds for preparing and for running.
+
     Raises
     ------
     SpecError
         If a value or a name is not allowed, or the integrator cannot run many members as one
         program.
     """
-    refuse(method, scene)
-    group, norm = read_error(error, scene)
+    group, norm = group_and_norm(error, [group for group in GROUPS if scene.sizes.of(group)])
     if not 0 < threshold < math.inf:
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     started = time.perf_counter()
-    x, y = (varied.even(count) for varied, count in zip(ranges, counts, strict=True))
-    points = (table.ravel() for table in np.meshgrid(x, y))
+    sides = [varied.even(count) for varied, count in zip(ranges, counts, strict=True)]
+    points = (table.ravel() for table in np.meshgrid(*sides))
     grid = dict(zip((varied.quantity for varied in ranges), points, strict=True))
     runs = runs_with(scene, method, resolution or default_resolution(scene, method), grid)
     batch = Batch(runs, end, every_row=norm != "end")
-    batch.warm()
-    begun()
-    compiled = time.perf_counter()
-    outcome = np.full(len(runs), OUTCOMES.index("not_run"))
+    outcome, reasons = np.full(len(runs), OUTCOMES.index("not_run")), {}
     errors = np.full(len(runs), np.nan)
-    reasons: dict[str, str] = {}
     meter = _ErrorMeter(runs, end, group, norm)
-    for block in within_budget(budget, batch.blocks(jobs)):
+    for block in batch.blocks(jobs, budget, begun):
         errors[block.members], failed = meter.errors(block)
         for k, member in enumerate(block.members):
             name, reason = block.status[k], block.message[k]
@@ -180,12 +100,28 @@ def outcome_map(
             outcome[member] = OUTCOMES.index(name)
             if name != "ok":
                 reasons.setdefault(name, reason)
-    shape = counts[::-1]
-    return OutcomeMap(
-        spec_without(scene, grid), spec_without(method, grid), end, ranges, (x, y), group, norm,
-        threshold, outcome.reshape(shape), errors.reshape(shape), reasons,
-        compiled - started, time.perf_counter() - compiled,
-    )  # fmt: skip
+    compiled, done = batch.compiled_at, time.perf_counter()
+    with np.errstate(divide="ignore"):
+        logs = np.log10(errors)
+    x, y = (
+        {"name": varied.quantity.name, "values": values.tolist(), "log": varied.logarithmic}
+        for varied, values in zip(ranges, sides, strict=True)
+    )
+    return {
+        "problem": spec_without(scene, grid),
+        "integrator": spec_without(method, grid),
+        "t_end": end,
+        "x": x,
+        "y": y,
+        "error": f"{group}:{norm}",
+        "threshold": threshold,
+        "outcome": np.array(OUTCOMES)[outcome].reshape(counts[::-1]).tolist(),
+        "log10_error": [[finite(e) for e in row] for row in logs.reshape(counts[::-1]).tolist()],
+        "counts": {n: c for k, n in enumerate(OUTCOMES) if (c := int(np.sum(outcome == k)))},
+        "reasons": reasons,
+        "compile_s": compiled - started,
+        "run_s": done - compiled,
+    }
 
 
 class _ErrorMeter:

@@ -13,7 +13,6 @@ import json
 import shutil
 import tempfile
 import zipfile
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -35,28 +34,7 @@ _OWN = ("member", "status", "message", "t")
 Columns = Mapping[str, np.ndarray]
 
 
-class Parts(ABC):
-    """The parts of an ensemble by their numbers."""
-
-    @abstractmethod
-    def put(self, k: int, columns: Columns) -> None:
-        """Keep a part."""
-
-    @abstractmethod
-    def numbers(self) -> set[int]:
-        """Return which parts there are."""
-
-    @abstractmethod
-    def opened(self, k: int) -> Path | IO[bytes]:
-        """Return a part for `numpy.load`."""
-
-    def read(self, k: int) -> dict[str, np.ndarray]:
-        """Return all columns of a part."""
-        with np.load(self.opened(k)) as columns:
-            return dict(columns)
-
-
-class NamelessParts(Parts):
+class TemporaryParts:
     """Parts in a file that has no name, and ends with this process however it ends.
 
     It is in the system's folder for temporary files: in memory, where this is a tmpfs.
@@ -67,21 +45,26 @@ class NamelessParts(Parts):
         self._places: dict[int, tuple[int, int]] = {}
 
     def put(self, k: int, columns: Columns) -> None:
+        """Keep the part with this number."""
         content = _encoded(columns)
         self._places[k] = self._file.seek(0, io.SEEK_END), len(content)
         self._file.write(content)
 
     def numbers(self) -> set[int]:
+        """Return the numbers of the parts that there are."""
         return set(self._places)
 
     def opened(self, k: int) -> IO[bytes]:
+        """Return a part for `numpy.load`."""
         start, length = self._places[k]
         self._file.seek(start)
         return io.BytesIO(self._file.read(length))
 
 
-class KeptParts(Parts):
+class KeptParts:
     """Parts in a folder, where another call of the same command finds them.
+
+    Methods as of `TemporaryParts`.
 
     Parameters
     ----------
@@ -144,6 +127,15 @@ class KeptParts(Parts):
                 yield int(number)
 
 
+Parts = KeptParts | TemporaryParts
+
+
+def read_part(part: Path | IO[bytes]) -> dict[str, np.ndarray]:
+    """Return all columns of an opened part."""
+    with np.load(part) as columns:
+        return dict(columns)
+
+
 class Results:
     """Contents of the parts 0 to ``count - 1`` of an ensemble, a few columns in memory at a time.
 
@@ -189,7 +181,7 @@ class Results:
     def parts(self) -> Iterator[dict[str, np.ndarray]]:
         """Yield the columns of each part, in the order of the members."""
         for k, of in enumerate(self._of):
-            yield of.read(k)
+            yield read_part(of.opened(k))
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return "min", "median" and "max" of each end value over the members that are ok."""

@@ -21,7 +21,7 @@ from bench.running.runner import Runner, Task
 from bench.running.session import OTHER_ANSWER, Progress
 from bench.sweeps.ensemble import Ensemble
 from bench.sweeps.jobs import EnsemblePlan, EnsembleRequest, plan_job, shard_job
-from bench.sweeps.parts import Columns, NamelessParts, Parts
+from bench.sweeps.parts import Columns, Parts, TemporaryParts, read_part
 from bench.sweeps.variation import drawn
 from problems.spec import SpecError
 
@@ -69,7 +69,7 @@ class ShardRun:
         task = Task(plan_job, (request,), self._about, sources=sources)
         ((_, answer),) = runner.run([[task]])
         self.plan: EnsemblePlan = self._answered(answer)
-        self.lost = NamelessParts()
+        self.lost = TemporaryParts()
         self.members, self.compile_s, self.run_s, self.wall_s = 0, 0.0, 0.0, 0.0
 
     @property
@@ -114,7 +114,7 @@ class ShardRun:
         tries, began = Counter[int](), time.perf_counter()
         failed: dict[int, NoAnswer] = {}
         have = parts.numbers()
-        pattern = parts.read(min(have)) if have else {}
+        pattern = read_part(parts.opened(min(have))) if have else {}
         missing = [k for k in range(self.plan.shards) if k not in have]
         if len(missing) > 1:
             self._progress.phase("running shards", len(missing))

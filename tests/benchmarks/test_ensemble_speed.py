@@ -43,7 +43,6 @@ def test_ensemble_against_a_loop(benchmark, capsys, problem, name):
     end, steps = scene.interval[1], Steps(scene.nominal_step)
     axis_of = find_quantity(name, scene, method)
     batch = Batch(runs_with(scene, method, steps, {axis_of: values}), end)
-    batch.warm()
 
     def made(value):
         (run,) = runs_with(scene, method, steps, {axis_of: [value]})
