@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from bench.results.table import NO_VALUE as NO_VALUE
-
-
-def number(value: float | None) -> str:
-    """Three significant digits, plain where that is short; a dash for no value."""
-    if value is None or not math.isfinite(value):
-        return NO_VALUE
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        rounded = float(f"{value:.3g}")
-        return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
-    return f"{value:.3g}"
+from bench.results.table import number as number
 
 
 def number_range(values: Iterable[float | None]) -> str:

@@ -15,7 +15,7 @@ from planted import Document, plant, planted
 from small_stores import A_LONG_RUN
 
 from bench.plugins.registry import Registry
-from bench.results.drift import LongRun, scenes_of
+from bench.results.drift import LongRun, drift_table, scenes_of
 from bench.results.store import Store
 from bench.running import measure
 from bench.running.drift import course, drift_job
@@ -23,11 +23,11 @@ from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from problems.spec import SpecError
 from reports.charts.line_styles import style_of
+from reports.pages.drift import drift_sentences
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.pages.site import Site
-from reports.text.drift_table import drift_sentences, drift_table
 
 #: The step of the oscillator at omega h = 0.2 pi, and the trapezoidal rule's period error there.
 H, PERIOD_ERROR = 0.6283185307179586, 0.03207491062

@@ -20,7 +20,7 @@ from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.reference import Reference
 from problems.system import GROUPS
-from reports.charts.outcome_map import axis_ticks, blend, map_image
+from reports.pages.outcome_map import axis_ticks, blend, map_image
 
 REGISTRY = Registry()
 ADAPTIVE = "generalized_alpha_adaptive[newton=modified]"

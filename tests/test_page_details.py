@@ -11,7 +11,7 @@ from planted import edited, everything, plant
 from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts
 from bench.results.store import Store
-from reports.charts.atlas import experiment_chart
+from reports.pages.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 

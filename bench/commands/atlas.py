@@ -50,12 +50,14 @@ def atlas(
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete
     from bench.commands.terminal import RunProgress, show
-    from bench.commands.terminal_tables import atlas_tables, experiment_table
+    from bench.results.experiments import part_table
     from bench.results.store import Store
+    from bench.results.table import Table
 
     experiments = read_experiments(names)
     if only_list:
-        show(experiment_table(experiments))
+        rows = [[str(e.number), e.name, e.title] for e in experiments]
+        show(Table("Failure atlas", ["", "name", "what fails"], rows))
         return
     registry = options.usable_registry(plugins)
     added = [registry.integrator(name).spec for name in integrators]
@@ -65,7 +67,10 @@ def atlas(
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(results), indent=2))
     else:
-        show(*atlas_tables(results))
+        for result in results:
+            show(
+                f"{result.number}. {result.title}: {result.verdict}", *map(part_table, result.parts)
+            )
         click.echo(f"Page: {view('atlas')(results, out)}")
     differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
     if differ:

@@ -95,7 +95,7 @@ def drift(
 def _show(results: Sequence[LongRun], form: str | None) -> None:
     import msgspec
 
-    from bench.results.drift import flat
+    from bench.results.drift import drift_table, flat
 
     if form == "json":
         click.echo(json.dumps(msgspec.to_builtins(results), indent=2, allow_nan=False))
@@ -105,7 +105,6 @@ def _show(results: Sequence[LongRun], form: str | None) -> None:
         click.echo(csv_export([flat(run) for run in results]), nl=False)
     else:
         from bench.commands.terminal import show
-        from bench.commands.terminal_tables import drift_table
 
         show(drift_table(results))
 

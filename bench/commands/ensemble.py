@@ -15,6 +15,7 @@ import click
 from bench.commands import options
 from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
+from bench.results.table import Table
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
@@ -110,9 +111,8 @@ def solve_ensemble(
         _print_json(run, results)
     else:
         from bench.commands.terminal import show
-        from bench.commands.terminal_tables import ensemble_table
 
-        show(*ensemble_table(run, results))
+        show(*_shown(run, results))
     if out:
         write_members(out, results.parts())
         click.echo(f"{request.count} members in {out}", err=as_json)
@@ -172,6 +172,37 @@ def processes(jobs: int | None, members: int) -> int:
     # A process takes most of a GPU's memory for itself.
     usual = _JOBS if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu" else 1
     return min(jobs or usual, shards_of(members))
+
+
+def _shown(run: ShardRun, results: Results) -> list[Table | str]:
+    """Least, median and largest end values; then statuses, work and times."""
+    plan, count = run.plan, results.statuses.total()
+    title = f"{plan.integrator} on {plan.problem}: {count} members at t={plan.t_end:g} s"
+    columns = ("min", "median", "max")
+    rows = [
+        [name, *(f"{numbers[column]:.9g}" for column in columns)]
+        for name, numbers in results.summary().items()
+    ]
+    lines = [", ".join(f"{number} {status}" for status, number in results.statuses.items())]
+    lines += [
+        f"{status}, first member {member}: {message}"
+        for status, (member, message) in results.first.items()
+        if status != "ok"
+    ]
+    work = ", ".join(f"{name} {counts}" for name, counts in results.work.items())
+    lines.append(f"work of all: {work}")
+    if run.members == count and plan.shards == 1:
+        lines.append(
+            f"prepared in {run.compile_s:.2g} s, run in {run.run_s:.3g} s: "
+            f"{count / run.run_s:.3g} members/s"
+        )
+    elif run.members:
+        lines.append(
+            f"{run.members} members run now, in {run.wall_s:.3g} s: "
+            f"{run.members / run.wall_s:.3g} members/s (shards together: prepared in "
+            f"{run.compile_s:.2g} s, run in {run.run_s:.3g} s)"
+        )
+    return [Table(title, ["value", *columns], rows), *lines]
 
 
 def _print_json(run: ShardRun, results: Results) -> None:

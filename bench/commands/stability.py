@@ -98,7 +98,11 @@ def _show(results: list[dict[str, Any]], out: Path, as_json: bool) -> None:
         click.echo(json.dumps(results, indent=2, allow_nan=False))
         return
     from bench.commands.terminal import show
-    from bench.commands.terminal_tables import stability_tables
+    from bench.stability.tables import stability_tables
 
-    show(*stability_tables(results))
+    facts, *tables = stability_tables(results)
+    for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
+        lines = (f"  {head}: {cell}" for head, cell in zip(facts.head[1:], cells, strict=True))
+        show(f"{name}, {results[0]['system']}", *lines)
+    show(*tables)
     click.echo(f"Page: {view('stability')(results, out)}")

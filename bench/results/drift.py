@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from bench.results.records import Count, Name, NotNegative, Positive
+from bench.results.table import Table, number
 
 #: Quantities that drift by name, with the words of a column and the unit of their numbers; Φ is
 #: that of the constraints, 1 that of relative numbers.
@@ -29,6 +30,11 @@ RULE = (
     f"least {STRAIGHT:.0%} of the variance. Bounded: the bands of the first and second half, which "
     f"hold 90% of the rows each, end within {APART:.0%} of the whole band of each other. Else "
     f"neither."
+)
+_NOTE = (
+    "Largest: absolute value, over the rows. Per s: slope of a straight line through all rows. "
+    "Line: part of the variance that it explains. Halves: distance between the bands of both "
+    f"halves, as a part of the whole band. Φ: the unit of the constraints. {RULE}"
 )
 
 
@@ -90,12 +96,6 @@ class LongRun(msgspec.Struct, kw_only=True):
         return [(name, self.drifts[name]) for name in DRIFTS if name in self.drifts]
 
 
-def titled(quantity: str) -> str:
-    """Return a quantity in words with its unit."""
-    words, unit = DRIFTS[quantity]
-    return f"{words} [{unit}]"
-
-
 def flat(run: LongRun) -> dict[str, Any]:
     """Return one long run as a row: largest drifts, trends by a straight line, verdicts."""
     row = {name: getattr(run, name) for name in ("problem", "integrator", "steps", "h", "status")}
@@ -112,3 +112,20 @@ def scenes_of(runs: Mapping[str, LongRun]) -> list[list[LongRun]]:
     for run in runs.values():
         groups.setdefault((run.problem, run.asked, run.h), []).append(run)
     return list(groups.values())
+
+
+def drift_table(runs: Sequence[LongRun]) -> Table:
+    """Return a row for each integrator and quantity: largest value, trend, and what decides."""
+    rows = []
+    for run in runs:
+        steps = "-" if run.steps is None else str(run.steps)
+        steps = steps if run.status == "ok" else f"{steps} ({run.status})"
+        for quantity, drift in run.measured:
+            name, unit = DRIFTS[quantity]
+            found = (drift.largest, drift.per_s, drift.straight, drift.apart)
+            cells = [f"{name} [{unit}]", steps, *map(number, found), drift.verdict]
+            rows.append([run.integrator, *cells])
+        if not run.measured:
+            rows.append([run.integrator, "-", steps, *map(number, [None] * 4), "-"])
+    head = ["integrator", "quantity", "steps", "largest", "per s", "line", "halves", "drift"]
+    return Table("Largest drift, and its trend", head, rows, note=_NOTE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +20,16 @@ def whole(cell: str) -> int:
     """How many characters of a cell stand before the point of its number, all if it has none."""
     found = _WHOLE.match(cell)
     return found.end() if found else len(cell)
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, plain where that is short; a dash for no value."""
+    if value is None or not math.isfinite(value):
+        return NO_VALUE
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        rounded = float(f"{value:.3g}")
+        return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
+    return f"{value:.3g}"
 
 
 def formatted(value: float | None, form: str, nothing: str = NO_VALUE) -> str:

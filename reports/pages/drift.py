@@ -1,20 +1,21 @@
-"""drift.html: long runs as a chapter of the report, and as a page of its own."""
+"""Long runs as a chapter of the report, and as a page of its own, drift.html."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.drift import LongRun, scenes_of
+from bench.results.drift import DRIFTS, Drift, LongRun, drift_table, scenes_of
 from bench.results.table import Table
 from problems.whole_files import put
-from reports.charts.drift import drift_chart
-from reports.charts.rendering import pictures
-from reports.names import scene_name
-from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.charts import vega_lite as vl
+from reports.charts.line_styles import line_styles
+from reports.charts.over_time import TIME, note_lines
+from reports.formatting import number, words
+from reports.names import scene_name, short_names
+from reports.pages.captioned_charts import CaptionedCharts, captioned, drawn
 from reports.pages.templating import html
-from reports.text.drift_table import drift_sentences, drift_table
 
 FILE = "drift.html"
 _CAPTION = (
@@ -24,6 +25,15 @@ _CAPTION = (
     "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
     "run is ahead of the closed form or behind it."
 )
+
+
+#: Verdicts in the order in which a sentence tells them, with its words.
+_VERDICTS = {
+    "none": "does not drift with",
+    "bounded": "stays bounded with",
+    "linear": "drifts linearly with",
+    "neither": "drifts otherwise with",
+}
 
 
 @dataclass
@@ -46,9 +56,8 @@ def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> list[DriftS
 def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     """Write drift.html into a folder."""
     sections = drift_chapter(runs, interactive=False)
-    charts = {n: c for s in sections if s.figure for n, c in s.figure.charts.items()}
-    drawn = {name: picture.svg for name, picture in pictures(charts).items()}
-    put(folder / FILE, html("drift_page.html.j2", sections=sections, pictures=drawn))
+    pictures = drawn(s.figure for s in sections)
+    put(folder / FILE, html("drift_page.html.j2", sections=sections, pictures=pictures))
     return folder / FILE
 
 
@@ -62,3 +71,75 @@ def _section(anchor: str, own: list[LongRun], interactive: bool) -> DriftSection
         figure=captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)}),
         table=drift_table(own),
     )
+
+
+# ---- sentences ---------------------------------------------------------------------------
+def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
+    """A sentence for each quantity: which methods hold it, and how others drift."""
+    names = short_names(run.integrator for run in runs)
+    for quantity, (name, unit) in DRIFTS.items():
+        found = [(names[r.integrator], r.drifts[quantity]) for r in runs if quantity in r.drifts]
+        parts = [
+            f"{said} {words(f'{one} ({_size(drift, unit)})' for one, drift in own)}"
+            for verdict, said in _VERDICTS.items()
+            if (own := [(one, drift) for one, drift in found if drift.verdict == verdict])
+        ]
+        if parts:
+            yield f"The {name} {'; it '.join(parts)}."
+    for run in runs:
+        if run.status != "ok":
+            yield f"{names[run.integrator]} ended as {run.status}: {run.message}"
+
+
+def _size(drift: Drift, unit: str) -> str:
+    unit = "" if unit == "1" else f" {unit}"
+    if drift.verdict == "linear":
+        return f"{number(drift.per_s)}{unit} per s"
+    return f"at most {number(drift.largest)}{unit}"
+
+
+# ---- the chart ---------------------------------------------------------------------------
+def drift_chart(runs: Sequence[LongRun], interactive: bool) -> vl.Spec | None:
+    """Draw a panel per quantity: absolute values in each part of the run, a band per integrator.
+
+    Its upper edge, the largest value, is a line in the integrator's colour and dashes; the lower
+    one is the least value, or the end of the axis.
+    """
+    options = vl.ChartOptions(line_styles(r.integrator for r in runs), interactive=interactive)
+    quantities = [name for name in DRIFTS if any(map(len, _highs(runs, name)))]
+    ends = {name: min(map(min, filter(None, _highs(runs, name)))) for name in quantities}
+    data = vl.Dataset("long_runs", [row for run in runs for row in _rows(run, ends)])
+    panels = []
+    for name in quantities:
+        line = note_lines(data, name, options, first=not panels)
+        for channel in ("color", "strokeDash"):  # the legend shows lines, not the faint bands
+            line["encoding"][channel]["legend"] |= {"symbolOpacity": 1, "symbolStrokeWidth": 1.4}
+        encoding = {key: line["encoding"][key] for key in ("x", "y", "color")}
+        band = {
+            "data": data.source,
+            "transform": line["transform"],
+            "mark": {"type": "area", "clip": True},
+            "encoding": encoding
+            | {"y2": {"field": f"{name}_low"}, "opacity": options.opacity(0.15)},
+        }
+        panels.append({"layer": [band, line]})
+    return vl.arrange(panels, [data], min(2, len(panels)), height=210)
+
+
+def _highs(runs: Sequence[LongRun], name: str) -> list[list[float]]:
+    """The largest values that a logarithmic axis can show, of each run."""
+    known = [run.drifts[name].high for run in runs if name in run.drifts]
+    return [[shown for value in high if (shown := vl.short(value))] for high in known]
+
+
+def _rows(run: LongRun, ends: dict[str, float]) -> list[dict[str, float | str | None]]:
+    """A row for each part of a run; ``ends`` are those of the axes."""
+    rows: list[dict[str, float | str | None]] = []
+    for k, t in enumerate(run.t):
+        row: dict[str, float | str | None] = {"series": run.integrator, TIME[0]: vl.short(t)}
+        for name, end in ends.items():
+            if name in run.drifts:
+                low, high = run.drifts[name].low[k], run.drifts[name].high[k]
+                row |= {name: vl.short(high), f"{name}_low": vl.short(max(low or end, end))}
+        rows.append(row)
+    return rows

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from bench.results.experiments import ExperimentResult
+from bench.results.experiments import ExperimentResult, spared
 from bench.results.records import Damping
 from bench.results.table import Table
 from reports.formatting import number
 from reports.names import BUILT_IN
-from reports.text.atlas_tables import spared
 from reports.text.damping_table import ROUNDING
 
 
