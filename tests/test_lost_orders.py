@@ -6,7 +6,6 @@ from planted import planted
 
 from bench.atlas.experiments import built_in_experiments
 from bench.results.records import IntegratorFacts
-from reports.ranking import rank
 from reports.series import series_of
 from reports.text.measured_orders import PATTERN, TRANSIENT, UNDAMPED, lost_orders_table
 from reports.text.observations import observations
@@ -41,7 +40,7 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
         ],
     ]
     assert table.links == {(1, 5): ["atlas-undamped_index3"]}  # the other is not on the page
-    row = integrators_table(held, rank(held), known).rows[0]
+    row = integrators_table(held, known).rows[0]
     assert row[2] == "q 2, a 2, lam 2"
     assert row[3] == ("q 2.00; a 1.00, after the start transient 2.00; lam none on pendulum")
     # Uneven steps have an experiment of their own; without constraints there is none.

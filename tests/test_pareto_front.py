@@ -10,18 +10,13 @@ import random
 import altair
 import pytest
 import vl_convert
-from planted import Document, everything, plant, planted, whole_markdown, whole_report
+from planted import everything, planted
 
 from bench.results.quantities import NORMS
-from bench.results.store import Store
 from reports.charts.line_styles import line_styles
 from reports.charts.pareto_front import pareto_chart
-from reports.names import short_names
-from reports.pages.html_report import write_html_report
-from reports.pages.markdown_report import write_markdown_report
 from reports.pareto_front import pareto_front
 from reports.series import series_of
-from reports.text.ranking_tables import pareto_table
 
 
 def run(name, error, residuals, scene="one", floor=1e-15, **changes):
@@ -111,28 +106,3 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
 def test_a_scene_with_one_integrator_has_no_front():
     alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
     assert pareto_chart(alone, styles([run("a", 1, 1)]), True) is None
-    assert pareto_table(alone, {}, {}) is None
-
-
-def test_both_pages_name_whose_runs_are_on_the_front(tmp_path):
-    plant(tmp_path, everything())
-    write_html_report(tmp_path)
-    page = Document(whole_report(tmp_path))
-    paper = whole_markdown(write_markdown_report(tmp_path).parent)
-    rows = page.rows("Not beaten in acceleration and cost at once")
-    assert [row["scene"] for row in rows] == ["spring_mass", "pendulum"]
-    with Store(tmp_path) as store:
-        records = list(store.records().values())
-    series = series_of(r for r in records if r.problem == "pendulum")
-    names = short_names(r.integrator for r in records)
-    runs = pareto_front(series, "a", "residuals")
-    cell = rows[1]["fewest residual evaluations"]
-    for name in {r.integrator for r in runs}:
-        said = f"{names[name]} ({sum(r.integrator == name for r in runs)})"
-        assert said in cell
-        assert said.replace("[", "\\[").replace("]", "\\]").replace("_", "\\_") in paper
-    assert cell.count("(") == len({r.integrator for r in runs})
-    # One link per run that is on the front.
-    assert cell.count("[1]") == 1
-    assert f"[{len(runs)}]" in cell
-    assert "report_figures/overview-front.svg" in paper

@@ -36,7 +36,7 @@ from reports.text.measurement import (
     state_sentence,
 )
 from reports.text.order_table import order_tables
-from reports.text.ranking_tables import integrators_table, pareto_table, winners_table
+from reports.text.ranking_tables import integrators_table, winners_table
 from reports.text.run_tables import failures_table, timing_table, unsupported_table
 from reports.text.winners import verdicts
 
@@ -58,7 +58,6 @@ class Report:
     answer: Answer
     words: Words
     overview: list[CaptionedCharts]
-    pareto: Table | None
     scenes: list[SceneChapter]
     integrators: Table | None
     damping: Table | None
@@ -143,9 +142,8 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *_overview(ranking, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
         ],
-        pareto=pareto_table(series, ids, words.names),
         scenes=chapters,
-        integrators=integrators_table(series, ranking, facts),
+        integrators=integrators_table(series, facts),
         damping=damping_table(
             {name: known[name] for name in facts if name in known},
             list(described.items()),

@@ -63,10 +63,13 @@ class Verdict:
         said = named(firsts)
         if len(firsts) > 1:
             said += f" tie ({shown})"
-        elif self.second:
-            said += f" ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
         else:
-            said += f" ({shown})" if self.unknown else f" alone reaches it ({shown})"
+            run = self.first[0].run
+            shown += f" at {run.resolution}" if run else ""
+            if self.second:
+                said += f" ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
+            else:
+                said += f" ({shown})" if self.unknown else f" alone reaches it ({shown})"
         if self.unknown:
             said += f"; not measured: {named(map(name_of, self.unknown))}"
         return said
