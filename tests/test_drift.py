@@ -216,9 +216,9 @@ def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     site = Site(report)
     linked = [page.path for _, below in site.contents for page in below]
     assert linked.count("report/drift.html") == 1
-    (section,) = report.long_runs
-    assert site.address(section.anchor, "report.html") == "report/drift.html#drift-1"
-    bare = Site(replace(report, long_runs=[]))
+    (chapter,) = report.chapters
+    assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
+    bare = Site(replace(report, chapters=[]))
     assert "report/drift.html" not in [page.path for page in bare.pages]
 
 

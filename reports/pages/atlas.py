@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.experiments import (
@@ -14,61 +13,53 @@ from bench.results.experiments import (
     predicted_counts,
 )
 from bench.results.table import Table
-from problems.whole_files import put
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
-from reports.pages.captioned_charts import CaptionedCharts, captioned, drawn
-from reports.pages.templating import html
+from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.chapter import Chapter, Section, write_chapter
 
-FILE = "atlas.html"
 #: Numbers that differ by more than this factor stand on a logarithmic axis.
 _DECADES = 100
 
 
-@dataclass
-class ExperimentSection:
-    """One experiment, with a table and a figure for each of its parts."""
-
-    result: ExperimentResult
-    verdict: str
-    parts: list[tuple[Table, CaptionedCharts | None]]
-
-    @property
-    def figures(self) -> list[CaptionedCharts]:
-        """The figures of all parts."""
-        return [figure for _, figure in self.parts if figure]
-
-
-@dataclass
-class AtlasChapter:
-    """All experiments: a table of verdicts, and a section for each."""
-
-    summary: Table
-    experiments: list[ExperimentSection]
-
-
-def atlas_chapter(found: Sequence[ExperimentResult]) -> AtlasChapter | None:
-    """The chapter on these experiments; None if there are none."""
-    return AtlasChapter(experiments_table(found), [_section(f) for f in found]) if found else None
+def atlas_chapter(found: Sequence[ExperimentResult]) -> Chapter:
+    """The chapter on these experiments, a section for each."""
+    return Chapter(
+        "atlas.html",
+        "Failure atlas",
+        "Experiments that show where time integrators fail, and what helps. Each number has an "
+        "interval in which it is expected: from theory or a publication where they give one, else "
+        "from an earlier measurement.",
+        "Where methods fail, and what helps: each experiment shows one failure, with the numbers "
+        "that were predicted and found.",
+        [_section(f) for f in found],
+        experiments_table(found),
+    )
 
 
 def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
     """Write atlas.html into a folder."""
-    chapter = atlas_chapter(found)
-    figures = (f for e in (chapter.experiments if chapter else []) for f in e.figures)
-    put(folder / FILE, html("atlas_page.html.j2", atlas=chapter, pictures=drawn(figures)))
-    return folder / FILE
+    return write_chapter(atlas_chapter(found), folder)
 
 
-def _section(f: ExperimentResult) -> ExperimentSection:
-    parts = []
+def _section(f: ExperimentResult) -> Section:
+    parts: list[Table | CaptionedCharts] = []
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
         figure = captioned(caption, {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)})
-        parts.append((part_table(part), figure))
-    return ExperimentSection(f, f"{f.verdict.capitalize()}: {predicted_counts(f)} numbers.", parts)
+        parts += [part_table(part), *([figure] if figure else [])]
+    return Section(
+        f"atlas-{f.name}",
+        f.title,
+        parts,
+        f.number,
+        claim=" ".join(f.claim.split()),
+        verdict=f"{f.verdict.capitalize()}: {predicted_counts(f)} numbers.",
+        good=f.as_predicted,
+        facts={"What helps": " ".join(f.remedy.split()), "Source": f.source},
+    )
 
 
 # ---- charts ------------------------------------------------------------------------------

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from reports.charts.rendering import pictures
 from reports.charts.vega_lite import Spec
 
 
@@ -28,9 +27,3 @@ def captioned(
     """The charts that hold something, with a caption; None if none does."""
     drawn = {name: chart for name, chart in charts.items() if chart is not None}
     return CaptionedCharts(caption, drawn, topic) if drawn else None
-
-
-def drawn(figures: Iterable[CaptionedCharts | None]) -> dict[str, str]:
-    """The charts of figures as SVG, by name."""
-    charts = {name: chart for f in figures if f for name, chart in f.charts.items()}
-    return {name: picture.svg for name, picture in pictures(charts).items()}

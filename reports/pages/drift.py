@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from bench.results.drift import DRIFTS, Drift, LongRun, drift_table, scenes_of
-from bench.results.table import Table
-from problems.whole_files import put
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
 from reports.formatting import number, words
 from reports.names import scene_name, short_names
-from reports.pages.captioned_charts import CaptionedCharts, captioned, drawn
-from reports.pages.templating import html
+from reports.pages.captioned_charts import captioned
+from reports.pages.chapter import Chapter, Section, write_chapter
 
-FILE = "drift.html"
 _CAPTION = (
     "Absolute values over time, from the least (or the end of the axis) to the largest in each of "
     "up to 200 parts of the run. Energy: its change, relative to the largest kinetic one. "
@@ -36,41 +32,34 @@ _VERDICTS = {
 }
 
 
-@dataclass
-class DriftSection:
-    """Long runs of one scene with the same steps."""
-
-    anchor: str
-    title: str
-    rows: str
-    sentences: list[str]
-    figure: CaptionedCharts | None
-    table: Table
-
-
-def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> list[DriftSection]:
-    """The sections on these long runs."""
-    return [_section(f"drift-{k}", own, interactive) for k, own in enumerate(scenes_of(runs), 1)]
+def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> Chapter:
+    """The chapter on these long runs: a section for each scene with the same steps."""
+    sections = []
+    for k, own in enumerate(scenes_of(runs), 1):
+        first, anchor = own[0], f"drift-{k}"
+        figure = captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)})
+        sections.append(
+            Section(
+                anchor,
+                f"{scene_name(first.problem)}: {first.asked} steps of {first.h:g} s",
+                [*([figure] if figure else []), drift_table(own)],
+                sentences=list(drift_sentences(own)),
+                note=f"Measured at {max(run.rows for run in own)} rows of each run.",
+            )
+        )
+    return Chapter(
+        "drift.html",
+        "Long runs",
+        "What drifts off over many steps: energy, momentum, constraints and phase.",
+        "What drifts off over many steps: symplectic methods let the energy swing and bring it "
+        "back, conserving ones hold it, damped ones lose it. Each line is one method.",
+        sections,
+    )
 
 
 def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     """Write drift.html into a folder."""
-    sections = drift_chapter(runs, interactive=False)
-    pictures = drawn(s.figure for s in sections)
-    put(folder / FILE, html("drift_page.html.j2", sections=sections, pictures=pictures))
-    return folder / FILE
-
-
-def _section(anchor: str, own: list[LongRun], interactive: bool) -> DriftSection:
-    first = own[0]
-    return DriftSection(
-        anchor=anchor,
-        title=f"{scene_name(first.problem)}: {first.asked} steps of {first.h:g} s",
-        rows=f"Measured at {max(run.rows for run in own)} rows of each run.",
-        sentences=list(drift_sentences(own)),
-        figure=captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)}),
-        table=drift_table(own),
-    )
+    return write_chapter(drift_chapter(runs, interactive=False), folder)
 
 
 # ---- sentences ---------------------------------------------------------------------------

@@ -114,6 +114,5 @@ def _figures(report: Report) -> Iterator[CaptionedCharts]:
     for scene in report.scenes:
         yield from [scene.picture] if scene.picture else []
         yield from (figure for study in scene.studies for figure in study.figures)
-    yield from (section.figure for section in report.long_runs if section.figure)
-    for experiment in report.atlas.experiments if report.atlas else ():
-        yield from experiment.figures
+    for chapter in report.chapters:
+        yield from chapter.figures

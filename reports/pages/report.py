@@ -15,9 +15,10 @@ from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
-from reports.pages.atlas import AtlasChapter, atlas_chapter
+from reports.pages.atlas import atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
-from reports.pages.drift import DriftSection, drift_chapter
+from reports.pages.chapter import Chapter
+from reports.pages.drift import drift_chapter
 from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
@@ -65,12 +66,11 @@ class Report:
     unsupported: Table | None
     lost_orders: Table | None
     orders: list[Table]
-    long_runs: list[DriftSection]
+    chapters: list[Chapter]
     timing: Table | None
     noise: str
     environments: list[tuple[int, Environment]]
     method: list[str]
-    atlas: AtlasChapter | None
     methods: list[MethodChapter]
     failed: int
     series: dict[str, list[Series]]
@@ -127,6 +127,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
     described = {names[k]: scenes[k] for k in keys if k in scenes}
     words = words_of(series, {name: scene.tags for name, scene in described.items()})
     first = answer(series, FIRST)
+    found = drift_chapter(long_runs, interactive), atlas_chapter(experiments)
     return Report(
         title=plan.heading(runs) if plan else "Results",
         mine=plan.mine if plan else "",
@@ -152,12 +153,11 @@ def read_report(folder: Path, interactive: bool) -> Report:
         unsupported=unsupported_table(runs),
         lost_orders=lost_orders_table(series, facts, {e.name for e in experiments}),
         orders=order_tables(plan, records),
-        long_runs=drift_chapter(long_runs, interactive),
+        chapters=[chapter for chapter in found if chapter.sections],
         timing=timing_table(series_of(runs)),
         noise=noise_sentence(runs),
         environments=list(environments.items()),
         method=method_of_measurement(plan),
-        atlas=atlas_chapter(experiments),
         methods=method_chapters(series, facts, known, described, first, words, experiments),
         names=dict(words.names),
         failed=sum(r.status not in {"ok", *NOT_TRIED} for r in runs),

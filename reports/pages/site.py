@@ -138,12 +138,9 @@ def _pages(report: Report) -> Iterator[Page]:
     yield Page("failures.html", "failures", "Failures", "Answer", report.failed)
     if report.orders:
         yield Page("orders.html", "orders", "Orders", "Why")
-    if report.long_runs:
-        anchors = [section.anchor for section in report.long_runs]
-        yield Page("drift.html", "drift", "Long runs", "Why", anchors=anchors)
-    if report.atlas:
-        anchors = [f"atlas-{e.result.name}" for e in report.atlas.experiments]
-        yield Page("atlas.html", "atlas", "Failure atlas", "Why", anchors=anchors)
+    for chapter in report.chapters:
+        values, anchors = {"chapter": chapter}, [section.anchor for section in chapter.sections]
+        yield Page(chapter.file, "chapter", chapter.title, "Why", values=values, anchors=anchors)
     yield Page("measured.html", "measured", "How it was measured", "Why")
     terms, anchors = {"terms": TERMS}, [term.anchor for term in TERMS]
     yield Page("glossary.html", "glossary", "Glossary", "Why", values=terms, anchors=anchors)
