@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
 from bench.results.records import Rows
 from problems.spec import SpecError, suggest
-from reports.charts.error_panels import error_data, error_panel, floor_rule, slope_guides
+from reports.charts.error_panels import ACROSS, error_panel, run_rows
 from reports.charts.line_styles import paper_line_styles
 from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, wide_rows
 from reports.charts.paper_style import FORMATS, file_content, on_paper
@@ -144,32 +144,23 @@ def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Sp
     known = [c for c in COSTS if c == "seconds" or any(cost_of(r, c) is not None for r in runs)]
     if cost not in known:
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
-    return _errors(chosen, chosen.series, error, cost, COSTS[cost].title)
+    return _errors(chosen, chosen.series, error, cost)
 
 
 def _convergence(chosen: Selection, error: str = "q") -> Spec:
-    constant_steps = [s for s in chosen.series if s.controls == "step"]
-    return _errors(chosen, constant_steps, error, "h", "step size h in s", slope_guides)
+    return _errors(chosen, [s for s in chosen.series if s.controls == "step"], error, "h")
 
 
-def _errors(
-    chosen: Selection,
-    series: Sequence[Series],
-    error: str,
-    field: str,
-    title: str,
-    guides: Callable[[Sequence[Series], Dataset, ChartOptions], list[Spec]] | None = None,
-) -> Spec:
+def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str) -> Spec:
     group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
     options = ChartOptions(paper_line_styles(s.label for s in series), norm)
-    counts = [COST] if field in ("h", "seconds", COST) else [COST, field]
-    data = error_data(series, group, options, counts)
-    behind = floor_rule(series, data, options) + (guides(series, data, options) if guides else [])
-    panel = error_panel(data, (field, title), options, True, behind) if data.rows else None
+    columns = dict.fromkeys([across, "seconds", COST])
+    data = Dataset("runs", run_rows(series, [group], [norm], [*columns]))
+    panel = error_panel(series, data, group, across, options, first=True)
     if panel is None:
         raise SpecError(
             f"No chosen run on {chosen.name} has both an error of {group} ({norm}) and "
-            f"{title}: nothing to draw."
+            f"{ACROSS[across]}: nothing to draw."
         )
     return on_paper(panel, [data])
 

@@ -12,11 +12,15 @@ import pytest
 from planted import curves, everything, plant, planted
 
 from bench.results.csv_text import csv_export, csv_text
-from reports.charts.errors import acceleration_accuracy, convergence, work_precision
+from reports.charts.errors import (
+    acceleration_accuracy,
+    convergence,
+    work_precision,
+    work_precision_with_menus,
+)
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory
 from reports.charts.pareto_front import pareto_chart
-from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.series import series_of
 
 

@@ -55,8 +55,8 @@ def rows(figure: dict, name: str) -> list[dict[str, str]]:
 def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, group, norm, cost):
     chart = work_precision(folder, scene="pendulum", error=error, cost=cost)
     assert isinstance(chart, altair.LayerChart)
-    figure = chart.to_dict()
-    shown = {(r["series"], r["run"], float(r["error"]), r[cost]) for r in rows(figure, group)}
+    figure, error = chart.to_dict(), f"{group}_{norm}"
+    shown = {(r["series"], r["run"], float(r[error]), r[cost]) for r in rows(figure, "runs")}
     expected = set()
     for record in stored(folder, "pendulum"):
         value = median(record.run_s) if cost == "seconds" else record.work.get(cost)
@@ -67,12 +67,12 @@ def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, g
     points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
     assert points["encoding"]["x"]["field"] == cost
     assert points["encoding"]["x"]["title"] == COSTS[cost].title
-    assert figure["encoding"]["y"]["field"] == "error"
+    assert points["encoding"]["y"]["field"] == error
 
 
 def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
     figure = convergence(folder, scene="pendulum", error="a:settled").to_dict()
-    shown = {(r["series"], float(r["h"]), float(r["error"])) for r in rows(figure, "a")}
+    shown = {(r["series"], float(r["h"]), float(r["a_settled"])) for r in rows(figure, "runs")}
     assert shown == {
         (r.integrator, float(f"{r.h:.5g}"), float(f"{r.errors['a']['settled']:.5g}"))
         for r in stored(folder, "pendulum")
@@ -127,7 +127,7 @@ def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
 def test_integrators_are_chosen_by_name_or_spec_in_the_order_given(folder):
     def names(*integrators):
         chart = work_precision(folder, scene="pendulum", integrators=integrators).to_dict()
-        return list(dict.fromkeys(row["series"] for row in rows(chart, "q")))
+        return list(dict.fromkeys(row["series"] for row in rows(chart, "runs")))
 
     assert names("adaptive", "good[rho_inf=0.5]") == ["adaptive", "good[rho_inf=0.5]"]
     assert names("good") == ["good[rho_inf=0.8]", "good[rho_inf=0.5]"]
@@ -145,7 +145,7 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
         work_precision(tmp_path)
     for scene in (None, "pendulum", "pendulum[l=2]"):
         figure = work_precision(tmp_path, scene=scene, t_end=5.0).to_dict()
-        assert float(rows(figure, "q")[0]["error"]) == pytest.approx(0.05)
+        assert float(rows(figure, "runs")[0]["q_max"]) == pytest.approx(0.05)
 
 
 # ---- paper -------------------------------------------------------------------------------

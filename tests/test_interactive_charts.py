@@ -12,10 +12,9 @@ from bench.results.quantities import NORMS
 from bench.results.records import Rows
 from bench.results.store import Store
 from reports import sampling
-from reports.charts.errors import acceleration_accuracy
+from reports.charts.errors import acceleration_accuracy, work_precision_with_menus
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import ERRORS, histories, trajectory
-from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.pages.report import read_report
 from reports.series import series_of
 
@@ -62,23 +61,23 @@ def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles
 
 def test_a_reference_that_is_near_is_drawn_as_a_floor(series, styles):
     chart = work_precision_with_menus(series, ["q"], styles)
-    assert "floors" not in chart["datasets"]  # 1e-15, far below
+    assert "datum.seen" not in str(chart)  # 1e-15, far below
     for record in series[0].records:
         record.reference_error["q"]["max"] = 1e-4
     chart = work_precision_with_menus(series, ["q"], styles)
-    floors = table(chart["datasets"]["floors"])
-    assert [row for row in floors if row["seen"] == "1"] == [
-        {"group": "q", "norm": "max", "floor": "0.0001", "seen": "1"}
+    floors = chart["layer"][0]["data"]["values"]
+    assert [row for row in floors if row["seen"]] == [
+        {"group": "q", "norm": "max", "floor": 1e-4, "seen": 1}
     ]
     # Elsewhere an unseen line that widens no axis.
-    assert [row["norm"] for row in floors if row["seen"] == "0"] == ["end", "rms", "settled"]
+    assert [row["norm"] for row in floors if not row["seen"]] == ["end", "rms", "settled"]
     lowest = min(r.errors["q"]["rms"] for s in series for r in s.ok)
-    assert {float(row["floor"]) for row in floors if row["seen"] == "0"} == {float(f"{lowest:.5g}")}
+    assert {row["floor"] for row in floors if not row["seen"]} == {float(f"{lowest:.5g}")}
 
 
 def test_acceleration_stands_beside_position(series, styles):
     chart = acceleration_accuracy(series, styles, "max")
-    points = {(float(r["q"]), float(r["a"])) for r in table(chart["datasets"]["accuracy"])}
+    points = {(float(r["q_max"]), float(r["a_max"])) for r in table(chart["datasets"]["accuracy"])}
     wanted = {
         (float(f"{r.errors['q']['max']:.5g}"), float(f"{r.errors['a']['max']:.5g}"))
         for s in series

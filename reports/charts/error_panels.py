@@ -1,8 +1,9 @@
-"""Panels of errors: a group's error against step size or cost, with guides to the eye."""
+"""Panels of errors: a group's error against steps or costs, with guides to the eye."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORMS
@@ -13,11 +14,15 @@ from reports.series import (
     error_of,
     ok_runs,
     reference_error,
-    seconds_of,
     step_or_tolerance,
     whole_order,
 )
 
+#: Titles of what errors are shown against.
+ACROSS = {name: cost.title for name, cost in COSTS.items()} | {
+    "h": "step size h in s",
+    "rtol": "relative tolerance",
+}
 #: A reference's error is drawn if it lies less than this factor below the errors.
 _DEEP = 1e3
 #: Number formats of an axis by its field; counts have a suffix.
@@ -25,30 +30,42 @@ _FORMATS = {"h": "~g", "seconds": ".0e"}
 #: A guide to the eye runs this factor above the errors.
 _CLEAR = 2.0
 
+Rows = list[dict[str, Any]]
 
-def error_data(
-    series: Sequence[Series],
-    group: str,
-    options: vl.ChartOptions,
-    counts: Sequence[str] = (COST,),
-) -> vl.Dataset:
-    """One row per run and norm with an error above zero, named after the group."""
-    rows: list[dict[str, Any]] = []
+
+def run_rows(
+    series: Sequence[Series], groups: Sequence[str], norms: Sequence[str], across: Sequence[str]
+) -> Rows:
+    """A row per run that has an error: what it is shown against, and a column per error.
+
+    The column of an error has the name of its group and norm, such as "a_max". An error of zero
+    has no place on a logarithmic axis.
+    """
+    rows = []
     for s in series:
-        for record in s.ok:
-            run = {
-                "h": vl.short(step_or_tolerance(record)),
-                "run": record.resolution,
-                "seconds": vl.short(seconds_of(record)),
-                "fastest": vl.short(min(record.run_s, default=None)),
-                "slowest": vl.short(max(record.run_s, default=None)),
-                **{name: cost_of(record, name) for name in counts},
+        for r in s.ok:
+            row: dict[str, Any] = {"series": s.label, "run": r.resolution}
+            for name in across:
+                value = getattr(r, name) if name in ("h", "rtol") else cost_of(r, name)
+                row[name] = value if isinstance(value, int) else vl.short(value)
+            if "seconds" in across:
+                row["fastest"] = vl.short(min(r.run_s, default=None))
+                row["slowest"] = vl.short(max(r.run_s, default=None))
+            errors = {
+                f"{group}_{norm}": error
+                for group in groups
+                for norm in norms
+                if (error := vl.short(error_of(r, group, norm)))
             }
-            for norm in options.norms:
-                error = vl.short(error_of(record, group, norm))
-                if error is not None and error > 0:
-                    rows.append({"series": s.label, "norm": norm, "error": error, **run})
-    return vl.Dataset(group, rows)
+            rows += [row | errors] if errors else []
+    return rows
+
+
+def errors_by_norm(
+    rows: Sequence[Mapping[str, Any]], group: str, norms: Sequence[str]
+) -> dict[str, list[float]]:
+    """The errors of a group in rows of `run_rows`."""
+    return {n: [row[f"{group}_{n}"] for row in rows if f"{group}_{n}" in row] for n in norms}
 
 
 def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str:
@@ -61,63 +78,66 @@ def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str
 
 
 def error_panel(
+    series: Sequence[Series],
     data: vl.Dataset,
-    across: tuple[str, str],
+    group: str,
+    across: str,
     options: vl.ChartOptions,
     first: bool,
-    behind: Sequence[vl.Spec] = (),
 ) -> vl.Spec | None:
-    """Error against ``across`` (field, title), log-log, in front of the layers ``behind``.
+    """Error of a group against one of `ACROSS`, log-log; None if there is nothing to draw.
 
-    None if there is nothing to draw. ``first``: the panel handles clicks on the shared legend.
+    ``data`` are the `run_rows` of the series. ``first``: the panel handles clicks on the shared
+    legend.
     """
-    field, title = across
-    rows = [row for row in data.rows if row.get(field)]
-    if not rows:
+    rows = [row for row in data.rows if row.get(across)]
+    errors = errors_by_norm(rows, group, options.norms)
+    if not any(errors.values()):
         return None
-    zoomed = f"zoom_{field}_{data.name}" if options.interactive else ""
+    zoomed = f"zoom_{across}_{group}" if options.interactive else ""
+    field = "error" if options.interactive else f"{group}_{options.norm}"
     x_axis = vl.log_axis(
-        [row[field] for row in rows], _FORMATS.get(field, "~s"), zoomed and f"{zoomed}.{field}"
+        [row[across] for row in rows], _FORMATS.get(across, "~s"), zoomed and f"{zoomed}.{across}"
     )
-    y_axis = vl.log_axis([row["error"] for row in rows], ".0e", zoomed and f"{zoomed}.error")
-    x = vl.log_quantity(field, title=title, axis=x_axis)
-    y_title = f"relative error in {ERROR_NAMES[data.name]}"
-    y = vl.log_quantity("error", title=y_title, axis=y_axis | {"minExtent": 38})
-    tooltip = vl.run_tooltip(
-        vl.quantity("error", title=f"error in {data.name}", format=".3g"),
-        vl.quantity("seconds", title="median s", format=".3g"),
-        vl.quantity(COST, title=COSTS[COST].title, format=".3s"),
-    )
-    layers = error_lines(options, {"x": x}, "h", tooltip, size=55)
-    if field == "seconds":
-        fastest = vl.log_quantity("fastest", title=title)
-        ends = {"x": fastest, "x2": {"field": "slowest"}, "opacity": options.opacity(0.45)}
-        ends |= {"color": options.colors()}
-        layers.append({"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends})
-    filters = [f"datum.{field} > 0"]
-    if options.interactive:
-        filters.append("datum.norm == norm")
-        # The shared legend works only with a selection of the first layer.
-        layers[0]["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
-    return {
-        "data": data.source,
-        "transform": [{"filter": text} for text in filters],
-        "encoding": {"y": y},
-        "layer": [*behind, *layers],
+    y_axis = vl.log_axis([*chain(*errors.values())], ".0e", zoomed and f"{zoomed}.error")
+    place = {
+        "x": vl.log_quantity(across, title=ACROSS[across], axis=x_axis),
+        "y": vl.log_quantity(
+            field, title=f"relative error in {ERROR_NAMES[group]}", axis=y_axis | {"minExtent": 38}
+        ),
     }
+    costs = [name for name in ("seconds", COST) if name in data.columns]
+    tooltip = vl.run_tooltip(
+        vl.quantity(field, title=f"error in {group}", format=".3g"), *cost_tooltip(costs)
+    )
+    lines = error_lines(options, place, tooltip, size=55)
+    transform: list[vl.Spec] = [{"filter": f"datum['{field}'] > 0 && datum.{across} > 0"}]
+    if options.interactive:
+        transform.insert(0, {"calculate": f"datum['{group}_' + norm]", "as": "error"})
+        # The shared legend works only with a selection of the first layer.
+        lines[0]["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
+    if across == "seconds":
+        lines.append(times_layer(options, place["y"]))
+    behind = floor_layer(floors(series, {group: errors}), options)
+    behind += _slope_guides(series, group, errors, data, options) if across == "h" else []
+    return {"data": data.source, "transform": transform, "layer": [*behind, *lines]}
+
+
+def cost_tooltip(costs: Sequence[str]) -> list[vl.Spec]:
+    """Texts at a point: its costs."""
+    return [vl.quantity(name, title=ACROSS[name], format=".3g") for name in costs]
 
 
 def error_lines(
-    options: vl.ChartOptions, place: vl.Spec, order: str, tooltip: list[vl.Spec], size: int = 60
+    options: vl.ChartOptions, place: vl.Spec, tooltip: list[vl.Spec], size: int = 60
 ) -> list[vl.Spec]:
-    """The layers of lines and points at ``place`` (the channels x, y), in the order of a field."""
+    """The layers of lines and points at ``place`` (the channels x, y), from coarse to fine."""
     bright = place | {"color": options.colors(), "opacity": options.opacity()}
-    dashes = {"strokeDash": options.dashes_without_legend(), "order": vl.quantity(order)}
     return [
         {
             "transform": [vl.COPIED],
-            "mark": {"type": "line", "strokeWidth": 1.8},
-            "encoding": bright | dashes,
+            "mark": {"type": "line", "strokeWidth": 1.8, "order": False},  # that of the rows
+            "encoding": bright | {"strokeDash": options.dashes_without_legend()},
         },
         {
             "mark": {"type": "point", "filled": True, "size": size},
@@ -126,57 +146,67 @@ def error_lines(
     ]
 
 
-def floor_row(floor: float, lowest: float) -> dict[str, float | int | None]:
-    """A row with the reference's own error, hidden if it lies far below all errors.
+def times_layer(options: vl.ChartOptions, y: vl.Spec) -> vl.Spec:
+    """A bar from the fastest to the slowest sample of each run."""
+    ends = {"x": vl.log_quantity("fastest"), "x2": {"field": "slowest"}, "y": y}
+    looks = {"color": options.colors(), "opacity": options.opacity(0.45)}
+    return {"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | looks}
 
-    The hidden line stands at the lowest error: Vega warns of a scale without values.
+
+# ---- the reference's own error ------------------------------------------------------------
+def floors(series: Sequence[Series], errors: Mapping[str, Mapping[str, Sequence[float]]]) -> Rows:
+    """The reference's own error by group and norm; no rows if none can be seen.
+
+    It is hidden if it lies far below all ``errors``, which are by group and norm. The hidden line
+    stands at the lowest error: Vega warns of a scale without values.
     """
-    seen = floor > 0 and floor * _DEEP >= lowest
-    return {"floor": vl.short(floor if seen else lowest), "seen": int(seen)}
+    rows = []
+    for group, by_norm in errors.items():
+        for norm, found in by_norm.items():
+            if found:
+                floor, lowest = reference_error(ok_runs(series), group, norm), min(found)
+                seen = floor > 0 and floor * _DEEP >= lowest
+                row = {"floor": vl.short(floor if seen else lowest), "seen": int(seen)}
+                rows.append({"group": group, "norm": norm, **row})
+    return rows if any(row["seen"] for row in rows) else []
 
 
-def floor_layer() -> vl.Spec:
-    """A dashed line at the reference's own error."""
-    return {
-        "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
-        "encoding": {
-            "y": vl.log_quantity("floor"),
-            "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
-            "tooltip": vl.quantity("floor", title="reference's own error", format=".2g"),
-        },
-    }
-
-
-def floor_rule(
-    series: Sequence[Series], data: vl.Dataset, options: vl.ChartOptions
-) -> list[vl.Spec]:
-    """A line at the reference's own error, if it can be seen in any norm of the panel."""
-    runs, rows = ok_runs(series), []
-    for norm in options.norms:
-        errors = [row["error"] for row in data.rows if row["norm"] == norm]
-        if errors:
-            rows.append(
-                {"norm": norm} | floor_row(reference_error(runs, data.name, norm), min(errors))
-            )
-    if not any(row["seen"] for row in rows):
+def floor_layer(rows: Rows, options: vl.ChartOptions, group: str = "") -> list[vl.Spec]:
+    """A dashed line at the reference's own error in the norm shown, and in a group of a menu."""
+    if not rows:
         return []
-    layer = {"data": {"values": rows}} | floor_layer()
-    if options.interactive:
-        layer["transform"] = [{"filter": "datum.norm == norm"}]
-    return [layer]
+    chosen = " && ".join(
+        [f"datum.norm === {options.shown_norm}", *([f"datum.group === {group}"] if group else [])]
+    )
+    return [
+        {
+            "data": {"values": rows},
+            "transform": [{"filter": chosen}],
+            "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
+            "encoding": {
+                "y": vl.log_quantity("floor"),
+                "opacity": {"condition": {"test": "datum.seen", "value": 1}, "value": 0},
+                "tooltip": vl.quantity("floor", title="reference's own error", format=".2g"),
+            },
+        }
+    ]
 
 
-def slope_guides(
-    series: Sequence[Series], data: vl.Dataset, options: vl.ChartOptions
+# ---- guides ------------------------------------------------------------------------------
+def _slope_guides(
+    series: Sequence[Series],
+    group: str,
+    errors: Mapping[str, Sequence[float]],
+    data: vl.Dataset,
+    options: vl.ChartOptions,
 ) -> list[vl.Spec]:
     """A thin line for each whole order found, above the errors that were fitted by it."""
-    found = {norm: list(_guides(series, data.name, norm)) for norm in options.norms}
+    found = {norm: list(_guides(series, group, norm)) for norm in errors}
     if not any(found.values()):
         return []
-    rows = [row for norm, guides in found.items() for row in guides or _no_guide(data, norm)]
+    rows = [row for n, guides in found.items() for row in guides or _no_guide(data, group, n)]
     layer: vl.Spec = {"data": {"values": rows}}
-    if options.interactive:
-        layer["transform"] = [{"filter": "datum.norm == norm"}]
+    layer["transform"] = [{"filter": f"datum.norm === {options.shown_norm}"}]
     x, y = vl.log_quantity("h"), vl.log_quantity("error")
     ends = {"x": x, "y": y, "x2": {"field": "h2"}, "y2": {"field": "error2"}}
     rule = {"type": "rule", "color": vl.GREY, "strokeWidth": 1}
@@ -185,11 +215,13 @@ def slope_guides(
     return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
 
 
-def _no_guide(data: vl.Dataset, norm: str) -> list[dict[str, Any]]:
+def _no_guide(data: vl.Dataset, group: str, norm: str) -> Rows:
     """A guide of no length: Vega warns of a scale without values."""
-    points = [(row["h"], row["error"]) for row in data.rows if row["norm"] == norm]
-    ends = ({"h": h, "error": error, "h2": h, "error2": error} for h, error in points[:1])
-    return [{"norm": norm, "name": ""} | end for end in ends]
+    points = [(row["h"], e) for row in data.rows if (e := row.get(f"{group}_{norm}"))]
+    return [
+        {"norm": norm, "name": "", "h": h, "error": error, "h2": h, "error2": error}
+        for h, error in points[:1]
+    ]
 
 
 def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, GROUP_NAMES, NORM, NORMS, whole
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
-    error_data,
+    ACROSS,
+    cost_tooltip,
     error_lines,
     error_panel,
-    floor_rule,
+    errors_by_norm,
+    floor_layer,
+    floors,
     full_norm,
-    slope_guides,
+    run_rows,
+    times_layer,
 )
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.formatting import order_text
-from reports.series import Series, error_of, step_or_tolerance
+from reports.series import Series, ok_runs
+
+#: What the menu of a chart offers.
+_MENU = [name for name in ACROSS if name not in ("solves", "rejected")]
 
 
 def convergence(
@@ -34,19 +42,10 @@ def convergence(
     constant_steps = [s for s in series if s.controls == "step" and s.ok]
     if interactive:
         norm = full_norm(constant_steps, groups, norm)
-    norms = tuple(NORMS) if interactive else (norm,)
+    norms = NORMS if interactive else (norm,)
     notes = {n: {s.label: _orders(s, groups, n) for s in constant_steps} for n in norms}
     options = vl.ChartOptions(styles_of(constant_steps, styles), norm, interactive, notes)
-    data, panels = [error_data(constant_steps, group, options) for group in groups], []
-    for table in data:
-        behind = [
-            *floor_rule(constant_steps, table, options),
-            *slope_guides(constant_steps, table, options),
-        ]
-        panel = error_panel(table, ("h", "step size h in s"), options, not panels, behind)
-        panels += [panel] if panel else []
-    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
-    return vl.arrange(panels, data, columns, params=options.norm_buttons)
+    return _panels(constant_steps, groups, ["h"], options)
 
 
 def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
@@ -57,9 +56,7 @@ def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
 
 
 def work_precision(
-    series: Sequence[Series],
-    groups: Sequence[str],
-    styles: Mapping[str, LineStyle],
+    series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
 ) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.
 
@@ -67,16 +64,90 @@ def work_precision(
     """
     series = [s for s in series if s.ok]
     options = vl.ChartOptions(styles_of(series, styles))
-    data, panels, columns = [error_data(series, group, options) for group in groups], [], 1
-    for across in [(cost, COSTS[cost].title) for cost in ("seconds", "residuals")]:
-        before = len(panels)
-        for table in data:
-            panel = error_panel(
-                table, across, options, not panels, floor_rule(series, table, options)
-            )
+    return _panels(series, groups, ["seconds", "residuals"], options)
+
+
+def _panels(
+    series: Sequence[Series], groups: Sequence[str], across: Sequence[str], options: vl.ChartOptions
+) -> vl.Spec | None:
+    shown = dict.fromkeys([*across, "seconds", COST])
+    data = vl.Dataset("runs", run_rows(series, groups, options.norms, [*shown]))
+    panels: list[vl.Spec] = []
+    for name in across:
+        for group in groups:
+            panel = error_panel(series, data, group, name, options, first=not panels)
             panels += [panel] if panel else []
-        columns = max(columns, len(panels) - before)
-    return vl.arrange(panels, data, columns)
+    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
+    return vl.arrange(panels, [data], columns, params=options.norm_buttons)
+
+
+def work_precision_with_menus(
+    series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
+) -> vl.Spec | None:
+    """Error against cost; menus choose group, norm and cost. None if there is nothing to draw."""
+    series = [s for s in series if s.ok]
+    options = vl.ChartOptions(styles_of(series, styles), interactive=True)
+    known = {name for r in ok_runs(series) for name in r.errors}
+    errors_of = [name for name in (*groups, *map(whole, groups)) if name in known]
+    data = vl.Dataset("runs", run_rows(series, errors_of, options.norms, _MENU))
+    if not data.rows:
+        return None
+    costs = {c: ACROSS[c] for c in _MENU if any(row.get(c) for row in data.rows)}
+    first, cost = "a" if "a" in groups else groups[0], COST if COST in costs else next(iter(costs))
+    params = [
+        vl.menu("group", first, {name: ERROR_NAMES[name] for name in errors_of}, "error in "),
+        vl.menu("norm", NORM, NORMS, " taken "),
+        vl.menu("cost", cost, costs, " against "),
+    ]
+    # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
+    place = {
+        channel: vl.log_quantity(field, title=None, axis=vl.log_axis((1, 50), text, minExtent=40))
+        for channel, field, text in (("x", "across", "~g"), ("y", "error", ".0e"))
+    }
+    tooltip = vl.run_tooltip(
+        vl.quantity("error", title="error", format=".3g"),
+        *cost_tooltip([c for c in costs if c in COSTS]),
+    )
+    lines = error_lines(options, place, tooltip)
+    lines[0]["params"] = [vl.zoom("zoom_error"), vl.pick()]
+    errors = {group: errors_by_norm(data.rows, group, options.norms) for group in errors_of}
+    # A single view, not a grid of one: the titles need its width and height.
+    return {
+        "datasets": vl.datasets([data]),
+        "params": params,
+        "data": data.source,
+        "transform": [
+            {"calculate": "datum[group + '_' + norm]", "as": "error"},
+            {"calculate": "datum[cost]", "as": "across"},
+            {"filter": "datum.error > 0 && datum.across > 0"},
+            *(
+                {"calculate": f"cost === 'seconds' ? datum.{end} : datum.across", "as": end}
+                for end in ("fastest", "slowest")
+            ),
+        ],
+        "layer": [
+            *floor_layer(floors(series, errors), options, "group"),
+            *lines,
+            times_layer(options, vl.log_quantity("error")),
+            _title(f"{json.dumps(costs)}[cost]", x="width / 2", y="height + 34"),
+            _title(
+                f"'relative error in ' + {json.dumps(ERROR_NAMES)}[group]",
+                x="-56",
+                y="height / 2",
+                turn=270,
+            ),
+        ],
+        "width": 620,
+        "height": 340,
+        "config": vl.config(),
+    }
+
+
+def _title(text: str, x: str, y: str, turn: int = 0) -> vl.Spec:
+    """An axis title that depends on a menu; titles of Vega-Lite cannot."""
+    mark = {"type": "text", "text": {"expr": text}, "color": vl.GREY, "fontSize": 12, "angle": turn}
+    place = {"x": {"expr": x}, "y": {"expr": y}, "clip": False}
+    return {"data": {"values": [{}]}, "mark": mark | place}
 
 
 def acceleration_accuracy(
@@ -91,43 +162,36 @@ def acceleration_accuracy(
     """
     series = [s for s in series if s.ok]
     options = vl.ChartOptions(styles_of(series, styles), norm, interactive)
-    rows = [
-        {
-            "series": s.label,
-            "run": r.resolution,
-            "norm": n,
-            "q": q,
-            "a": a,
-            "h": vl.short(step_or_tolerance(r)),
-        }
-        for s in series
-        for r in s.ok
-        for n in options.norms
-        if (q := vl.short(error_of(r, "q", n))) and (a := vl.short(error_of(r, "a", n)))
-    ]
-    if not rows:
+    rows = run_rows(series, "qa", options.norms, ())
+    norms = [n for n in options.norms if any({f"q_{n}", f"a_{n}"} <= row.keys() for row in rows)]
+    if not norms:
         return None
     data = vl.Dataset("accuracy", rows)
-    ends = [f([row[g] for row in rows for g in "qa"]) for f in (min, max)]
+    values = {g: [e for row in rows for n in norms if (e := row.get(f"{g}_{n}"))] for g in "qa"}
+    ends = [f(f(errors) for errors in values.values()) for f in (min, max)]
     line: vl.Spec = {
         "data": {"values": [{"q": e, "a": e} for e in ends]},
         "mark": {"type": "line", "color": vl.GREY, "strokeWidth": 1, "strokeDash": [5, 5]},
         "encoding": {g: vl.log_quantity(f) for g, f in (("x", "q"), ("y", "a"))},
     }
-    tooltip = vl.run_tooltip(
-        *(vl.quantity(group, title=f"error in {group}", format=".3g") for group in "qa")
-    )
     place = {
         channel: vl.log_quantity(
             group,
             title=f"relative error in {GROUP_NAMES[group]}",
-            axis=vl.log_axis([row[group] for row in rows], ".0e"),
+            axis=vl.log_axis(values[group], ".0e"),
         )
         for channel, group in (("x", "q"), ("y", "a"))
     }
-    layers = error_lines(options, place, "h", tooltip)
-    panel: vl.Spec = {"data": data.source, "layer": [line, *layers]}
+    tooltip = [vl.quantity(group, title=f"error in {group}", format=".3g") for group in "qa"]
+    layers = error_lines(options, place, vl.run_tooltip(*tooltip))
+    panel: vl.Spec = {
+        "data": data.source,
+        "transform": [
+            *({"calculate": f"datum['{g}_' + {options.shown_norm}]", "as": g} for g in "qa"),
+            {"filter": "datum.q > 0 && datum.a > 0"},
+        ],
+        "layer": [line, *layers],
+    }
     if interactive:
         layers[0]["params"] = [vl.zoom("zoom_a"), vl.pick()]
-        panel["transform"] = [{"filter": "datum.norm == norm"}]
     return vl.arrange([panel], [data], 1, height=340, params=options.norm_buttons)

@@ -24,8 +24,8 @@ _THIN: dict[str, Spec] = {
 
 def on_paper(panel: Spec, data: Sequence[Dataset]) -> Spec:
     """A chart as wide as a column from one panel; the panel's lines and points get thinner."""
-    panel.get("encoding", {}).get("y", {}).get("axis", {}).pop("minExtent", None)
     for layer in panel["layer"]:
+        layer["encoding"]["y"].get("axis", {}).pop("minExtent", None)
         mark = layer["mark"]
         # A broad line behind the others stays broader.
         mark |= {"strokeWidth": 3} if mark.get("strokeWidth", 0) > 3 else _THIN[mark["type"]]

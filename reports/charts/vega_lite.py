@@ -28,7 +28,6 @@ _LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
 _DIGITS = ((0.7, range(1, 10)), (2.0, (1, 2, 5)), (math.inf, (1,)))
 
-
 #: The transform of a layer whose dashes are not in the legend.
 COPIED: Spec = {"calculate": "'line of ' + datum.series", "as": "dashed"}
 
@@ -47,6 +46,11 @@ class ChartOptions:
     def norms(self) -> tuple[str, ...]:
         """The norms that the chart holds."""
         return tuple(NORMS) if self.interactive else (self.norm,)
+
+    @property
+    def shown_norm(self) -> str:
+        """The Vega expression of the norm that is shown."""
+        return "norm" if self.interactive else json.dumps(self.norm)
 
     @property
     def norm_buttons(self) -> list[Spec]:
@@ -89,8 +93,7 @@ class ChartOptions:
         """A channel by series; all panels have one domain, so they share a legend."""
         name = short_label(self.styles)
         if self.notes:
-            norm = "norm" if self.interactive else json.dumps(self.norm)
-            note = f"{json.dumps(self.notes)}[{norm}][datum.value]"
+            note = f"{json.dumps(self.notes)}[{self.shown_norm}][datum.value]"
             # One column, as the lines are long; not cut at the usual width.
             legend |= {"labelExpr": f"{name} + {note}", "labelLimit": 0, "columns": 1}
         elif name != "datum.value":

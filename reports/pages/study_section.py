@@ -14,10 +14,14 @@ from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from bench.results.table import Table
 from reports.charts.bills import bills
-from reports.charts.errors import acceleration_accuracy, convergence, work_precision
+from reports.charts.errors import (
+    acceleration_accuracy,
+    convergence,
+    work_precision,
+    work_precision_with_menus,
+)
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import ERRORS, MOST_COMPONENTS, histories, trajectory
-from reports.charts.work_precision_with_menus import work_precision_with_menus
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.sampling import before_divergence, groups_with_values, thinned
