@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import Damping
-from reports.text.nearest_method import atlas_beside, nearest, stability_beside
+from reports.text.nearest_method import atlas_beside, nearest
 
 
 def damping(*ratios):
@@ -27,14 +27,6 @@ def test_the_nearest_is_built_in_and_of_the_own_family_if_that_has_one():
     assert nearest("mine", KNOWN, families) == "newmark"
     assert nearest("hht[alpha=0.1]", KNOWN, {}) == "newmark"
     assert nearest("ida", KNOWN, {}) == ""
-
-
-def test_both_stand_beside_each_other_at_each_step():
-    table = stability_beside("mine", "newmark", KNOWN, {"newmark": "Newmark"})
-    assert table.caption == "Its stability beside Newmark"
-    assert table.head[1:3] == ["radius, mine", "radius, Newmark"]
-    assert table.head[3:] == ["damping, mine", "damping, Newmark"]
-    assert table.rows == [["0.1", "0.9", "1", "0.1", "0"], ["0.2", "0.8", "1", "0.2", "–"]]  # noqa: RUF001
 
 
 def test_the_atlas_counts_the_parts_that_spare_each():

@@ -19,7 +19,7 @@ from reports.questions.words import Words
 from reports.ranking import GROUP, TARGET, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.nearest_method import atlas_beside, nearest, stability_beside
+from reports.text.nearest_method import atlas_beside, nearest
 from reports.text.run_tables import failures_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
@@ -38,7 +38,6 @@ class MethodChapter:
     facts: list[tuple[str, str]]
     scenes: Table
     orders: Table | None
-    damping: Table | None
     beside: list[Table]
     failures: Table | None
     unsupported: Table | None
@@ -73,7 +72,6 @@ def method_chapters(
         facts = known.get(name)
         files = facts.files if facts else []
         plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
-        analysed = {name: damping[name]} if name in damping else {}
         found.append(
             MethodChapter(
                 label=label,
@@ -83,8 +81,7 @@ def method_chapters(
                 facts=_facts(name, first, facts),
                 scenes=_scenes_table(label, by_scene, answer),
                 orders=_orders_table(by_scene, facts.orders if facts else {}),
-                damping=_own(damping_table(analysed, list(records.items())), "Its damping"),
-                beside=_beside(name, damping, families, experiments, words.names),
+                beside=_beside(name, damping, families, records, experiments, words.names),
                 failures=_own(failures_table(runs), "Its runs that did not reach the end"),
                 unsupported=_own(unsupported_table(runs), "Scenes that it does not support"),
                 plugins=plugins,
@@ -100,13 +97,15 @@ def _beside(
     name: str,
     damping: Mapping[str, Damping],
     families: Mapping[str, str],
+    records: Mapping[str, SceneRecord],
     experiments: Sequence[ExperimentResult],
     names: Mapping[str, str],
 ) -> list[Table]:
-    """Stability and verdicts of the atlas beside the nearest built-in method."""
+    """Damping and verdicts of the atlas beside those of the nearest built-in method."""
     other = nearest(name, damping, families) if name in damping else ""
+    both = {label: damping[label] for label in (name, other) if label in damping}
     tables = [
-        stability_beside(name, other, damping, names) if other else None,
+        damping_table(both, list(records.items())),
         atlas_beside(name, other, experiments, names),
     ]
     return [table for table in tables if table]

@@ -1,4 +1,4 @@
-"""A method beside the built-in one that is nearest to it: stability, and the failure atlas."""
+"""The built-in method that is nearest to another one, and the failure atlas of both."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.experiments import ExperimentResult, spared
 from bench.results.records import Damping
 from bench.results.table import Table
-from reports.formatting import number
 from reports.names import BUILT_IN
-from reports.text.damping_table import ROUNDING
 
 
 def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:
@@ -33,32 +31,6 @@ def _distance(one: Damping, other: Damping) -> float:
         if mine is not None and (theirs := ratios.get(at)) is not None
     ]
     return sum(apart) / len(apart) if apart else math.inf
-
-
-def stability_beside(
-    name: str, other: str, known: Mapping[str, Damping], names: Mapping[str, str]
-) -> Table:
-    """Spectral radius and damping ratio of both at every step; ``names`` are short names."""
-    pair = {k: names.get(k, k) for k in (name, other)}
-    head = [f"{what}, {short}" for what in ("radius", "damping") for short in pair.values()]
-    rows = []
-    for at in sorted({at for k in pair for at in known[k].omega_h}):
-        columns = [column for of in ("radius", "ratio") for column in _at(at, of, pair, known)]
-        rows.append([number(at), *columns])
-    return Table(
-        f"Its stability beside {pair[other]}",
-        ["omega h", *head],
-        rows,
-        code=(),
-        note="Spectral radius of a step, and numerical damping ratio, on the undamped oscillator "
-        "at the fastest oscillation of each scene and its nominal step. A radius above 1 grows.",
-    )
-
-
-def _at(at: float, of: str, pair: Mapping[str, str], known: Mapping[str, Damping]) -> list[str]:
-    columns = (dict(zip(known[k].omega_h, getattr(known[k], of), strict=False)) for k in pair)
-    values = (column.get(at) for column in columns)
-    return [number(0.0 if v is not None and abs(v) < ROUNDING else v) for v in values]
 
 
 def atlas_beside(
