@@ -50,8 +50,10 @@ def test_every_term_is_one_sentence_and_is_found_in_texts():
     for term in TERMS:
         assert re.fullmatch(r"[A-Z].*[a-z0-9%)]\.", term.definition)
         assert not re.search(r"\. [A-Z]", term.definition)
-        for form in term.forms:
+        for form in (term.name, term.name.lower(), f"{term.name}s"):
             assert [t for _, _, t in terms_in(f"the {form}, then")] == [term]
+    found = terms_in("modified Newton on index 3, in the last quarter")
+    assert [t.name for _, _, t in found] == ["Newton iteration", "Index", "Settled"]
     assert list(terms_in("reordered in the normal border by order statistics")) == []
 
 
