@@ -9,7 +9,7 @@ from bench.results.quantities import COST, COSTS
 from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord, endings
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
 from reports.formatting import number
-from reports.series import error_of, timing_spread
+from reports.series import timing_spread
 
 #: Timing samples that spread further than this, relative to their median, are noisy.
 NOISY = 0.5
@@ -32,66 +32,49 @@ def missing_data(
     environments: Mapping[int, Environment],
 ) -> list[str]:
     """Sentences about missing plans, runs, scenes, errors and times."""
-    sentences = []
-    if plan is None:
-        sentences.append("The store holds no plan: all runs of a scene are shown together.")
     planned = _planned_keys(plan)
     waiting = len(planned - set(records))
-    if waiting:
-        sentences.append(
-            f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in "
-            "work, load this page again later; if it was stopped, the same command goes on."
-        )
-    if not records:
-        sentences.append("The store holds no finished run.")
-    for problem, t_end in keys:
-        if (problem, t_end) not in scenes:
-            sentences.append(
-                f"The scene {problem} (t_end={number(t_end)} s) has no description, picture "
-                "and reference curve."
-            )
     ok = [r for r in records.values() if r.status == "ok"]
-    if records and not ok:
-        sentences.append("No run reached the end: there are no errors, orders and times to show.")
-    if _noisy(_spreads(ok)):
-        sentences.append(noise_sentence(ok))
-    untimed = sum(not r.run_s for r in ok)
-    if untimed:
-        sentences.append(
-            f"{untimed} of {len(ok)} runs that reached the end have no timing samples."
-        )
-    # Long runs are timed less often on purpose.
     samples = plan.samples if plan else 0
+    untimed = sum(not r.run_s for r in ok)
+    # Long runs are timed less often on purpose.
     short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
-    if short:
-        sentences.append(f"{short} runs have fewer than the {samples} timing samples planned.")
-    if any(error_of(r, g, n) is None for r in ok for g in r.errors for n in r.errors[g]):
-        sentences.append(
-            "Some errors of runs that reached the end are not finite; they are not drawn."
-        )
+    not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
     used = {r.environment: environments.get(r.environment) for r in ok if r.run_s}
     machines = {(e.cpu, e.cores, tuple(e.versions.items())) for e in used.values() if e}
-    if len(machines) > 1:
-        numbers = ", ".join(map(str, sorted(used)))
-        sentences.append(
-            f"The times come from different machines or versions (environments {numbers}): "
-            "do not compare them."
-        )
-    return sentences
+    sentences = {
+        "The store holds no plan: all runs of a scene are shown together.": plan is None,
+        f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in work, "
+        "load this page again later; if it was stopped, the same command goes on.": waiting,
+        "The store holds no finished run.": not records,
+        **{
+            f"The scene {problem} (t_end={number(t_end)} s) has no description, picture and "
+            "reference curve.": (problem, t_end) not in scenes
+            for problem, t_end in keys
+        },
+        "No run reached the end: there are no errors, orders and times.": records and not ok,
+        noise_sentence(ok): _noisy(_spreads(ok)),
+        f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
+        f"{short} runs have fewer than the {samples} timing samples planned.": short,
+        "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
+        "The times come from different machines or versions (environments "
+        f"{', '.join(map(str, sorted(used)))}): do not compare them.": len(machines) > 1,
+    }
+    return [sentence for sentence, holds in sentences.items() if holds]
 
 
 def noise_sentence(records: Sequence[Record]) -> str:
     """Whether the machine was quiet enough to compare times."""
     spreads = _spreads(records)
-    instead = "operations" if any(r.operations for r in records) else "counts"
     if not spreads:
         return "No run has two timing samples: the noise of the machine is not known."
-    noisy = sum(x > NOISY for x in spreads)
+    instead = "operations" if any(r.operations for r in records) else "counts"
     verdict = (
         f"The machine was noisy: judge by {instead}, or time again on a quiet one"
         if _noisy(spreads)
         else "The machine was quiet enough to tell larger differences"
     )
+    noisy = sum(x > NOISY for x in spreads)
     return (
         f"{verdict} ({noisy} of {len(spreads)} timed runs spread by more than {NOISY:.0%} of "
         f"their median)."
