@@ -133,9 +133,9 @@ def without_processes(monkeypatch):
         except SpecError as error:
             raise SpecError(f"{said(error)}.") from None
 
-    def run_here(self, groups, working=lambda text: None):
+    def run_here(self, groups):
         for task in (task for group in groups for task in group):
-            working(task.label)
+            self.progress.working(task.label)
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
                 yield task, task.job(state, *task.arguments)

@@ -23,6 +23,7 @@ from bench.atlas.runs import run_experiments
 from bench.results.experiments import bounds
 from bench.results.store import Store
 from bench.running.inventory import Inventory
+from bench.running.progress import Progress
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
@@ -68,18 +69,8 @@ def _short_ones_run_in_this_process(request):
         request.getfixturevalue("without_processes")
 
 
-class Quiet:
-    """Nobody waits."""
-
-    def phase(self, name: str, total: int) -> None: ...
-    def working(self, text: str) -> None: ...
-    def advance(self) -> None: ...
-    def found(self, text: str) -> None: ...
-    def note(self, text: str) -> None: ...
-
-
 def run(experiments, *added, plugins=()):
-    found = run_experiments(experiments, added, Inventory(plugins), 1, 60.0, Quiet())
+    found = run_experiments(experiments, added, Inventory(plugins), 1, 60.0, Progress())
     return {result.name: result for result in found}
 
 

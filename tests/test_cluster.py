@@ -133,7 +133,7 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    needed = Sources(frozenset({str(plugin)}))
+    needed = Sources({str(plugin)})
     tasks = [measure_task(cell, needed) for cell in cells("slow", 0.1, 0.05)]
     with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as runner:
         answers = dict(runner.run([tasks]))
@@ -184,7 +184,7 @@ def test_budgets_hold_on_a_cluster(cluster):
 
 @pytest.mark.long
 def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
-    missing = Sources(frozenset({str(tmp_path / "missing.py")}))
+    missing = Sources({str(tmp_path / "missing.py")})
     tasks = [measure_task(cell, missing) for cell in cells("newmark", 0.1)]
     with ClusterRunner(cluster.scheduler_address, Limits(30.0, 4.0)) as runner:
         ((_, answer),) = runner.run([tasks])

@@ -124,20 +124,6 @@ def test_frequencies_of_another_suite_are_asked_for_again(folder):
     assert asked == (*again, 5.0)
 
 
-class Silent:
-    """Progress that nobody watches."""
-
-    def phase(self, name, total): ...
-
-    def working(self, text): ...
-
-    def advance(self): ...
-
-    def found(self, text): ...
-
-    def note(self, text): ...
-
-
 def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path):
     shutil.copytree(folder / "out", tmp_path / "out")
     registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
@@ -145,7 +131,7 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
 
     def complete(store, budget_s):
         with Runner(1, Limits(budget_s, 4.0)) as runner:
-            analysis.complete(suite, store, registry, runner, Silent())
+            analysis.complete(suite, store, registry, runner)
         return store.damping()
 
     with Store(tmp_path / "out", create=True) as store:
@@ -165,13 +151,13 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
 
 def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_path, monkeypatch):
     shutil.copytree(folder / "out", tmp_path / "out")
-    registry, runner = Inventory(), Mock(run=lambda groups, working: [])
+    registry, runner = Inventory(), Mock(run=lambda groups: [])
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
     with Store(tmp_path / "out", create=True) as store:
-        analysis.complete(suite, store, registry, runner, Silent())
+        analysis.complete(suite, store, registry, runner)
         assert len(store.damping()) == 2
         monkeypatch.setattr(analysis, "fingerprint", lambda made: "other")
-        analysis.complete(suite, store, registry, runner, Silent())
+        analysis.complete(suite, store, registry, runner)
         assert store.damping() == {}
 
 

@@ -85,9 +85,10 @@ def test_built_in_profiles_name_only_what_there_is(name):
 def test_progress_counts_the_cells_that_the_suite_has(tmp_path, capsys):
     suite, registry = suite_of(tmp_path, STUDY), Inventory()
     lost = NoAnswer(status="crashed", message="Lost.")
-    runner = Mock(run=lambda groups, tell: ((task, lost) for group in groups for task in group))
+    runner = Mock(run=lambda groups: ((task, lost) for group in groups for task in group))
+    runner.progress = RunProgress()
     with Store(tmp_path, create=True) as store:
-        measure_suite(suite, store, registry, runner, RunProgress())
+        measure_suite(suite, store, registry, runner)
         RunProgress().advance()  # before a phase there is nothing to count
     said = re.findall(r"(?m)^.*: \d+ of \d+$", capsys.readouterr().err)
     assert said == ["measuring: 0 of 16", "measuring: 16 of 16"]

@@ -178,5 +178,5 @@ def test_processes_without_plugins_keep_references_of_scenes_in_the_registry(mon
         ("reference", "making the reference of pendulum"),
     ]
     monkeypatch.setattr(inventory, "Registry", lambda *_: None)
-    inventory.load_registry(lambda *phase: None, Sources(files=frozenset({"mine.py"})))
+    inventory.load_registry(lambda *phase: None, Sources({"mine.py"}))
     assert given[1][0] is None

@@ -6,14 +6,13 @@ import importlib
 import logging
 import os
 import sys
-from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bench.running.session import teller
+from bench.running.progress import Progress
 from integrators import Integrator, Steps, Tolerances
 from integrators.adapters import diffrax_adaptive, packed_functions
 from integrators.adapters.diffrax_methods import ImplicitEuler
@@ -151,11 +150,11 @@ def test_a_trial_that_something_else_ends_is_no_verdict(monkeypatch, tmp_path, f
 
 
 def test_the_same_line_of_several_workers_is_told_once():
-    progress = Mock()
-    teller(progress)("one run", "slow\nno compiler")
-    teller(progress)("another run", "no compiler\nslow")  # by another runner of the command
-    teller(progress)("a third", "slow\nof its own")
-    told = [call.args[0] for call in progress.note.call_args_list]
+    progress, told = Progress(), []
+    progress.note = told.append
+    progress.printed("one run", "slow\nno compiler")
+    progress.printed("another run", "no compiler\nslow")
+    progress.printed("a third", "slow\nof its own")
     assert told == ["one run printed: slow\nno compiler", "a third printed: of its own"]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import pytest
 from small_stores import NO_ROWS, a_record
@@ -126,7 +125,7 @@ def test_the_rounds_that_are_missing_are_taken_once(tmp_path, taken):
             store.add_sample(cell.key, number, 1e-3, first)
         second = store.save_environment(environment())
         for _ in range(2):
-            time_suite(suite, store, registry, runner, Mock())
+            time_suite(suite, store, registry, runner)
         (found,) = store.records().values()
     missing = set(range(5)) - set(taken)
     assert found.rounds == sorted(

@@ -22,8 +22,9 @@ from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import INTERRUPTED
 from bench.results.store import Store
 from bench.running.inventory import Inventory
+from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task
-from bench.running.session import Progress, result_of, teller
+from bench.running.session import result_of
 from bench.running.worker import Worker
 from bench.stability.damping import linear_response
 from problems.spec import SpecError
@@ -85,7 +86,7 @@ def run_experiments(
         If a name or an option is not known, or a case does not fit its integrator.
     """
     progress.phase("failure atlas", len(experiments))
-    with Runner(jobs, Limits(budget_s, memory_gib), teller(progress)) as runner:
+    with Runner(jobs, Limits(budget_s, memory_gib), progress) as runner:
         for experiment in experiments:
             progress.working(experiment.title)
             yield _run(experiment, added, registry, runner)

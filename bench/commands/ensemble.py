@@ -142,7 +142,6 @@ def _run(
     from bench.guard.limits import Limits, cores
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
-    from bench.running.session import teller
     from bench.sweeps.parts import KeptParts, TemporaryParts
     from bench.sweeps.shards import ShardRun
 
@@ -151,15 +150,14 @@ def _run(
     # A shard watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * request.sweep.budget, processors=threads)
     with _threads(threads), RunProgress() as progress:
-        printed = teller(progress)
-        with Runner(workers, limits, printed) as here:
+        with Runner(workers, limits, progress) as here:
             run = ShardRun(here, request, sources, progress)
             about = run.about | {"sources": fingerprint}
             parts = KeptParts(folder, about) if folder else TemporaryParts()
             if not cluster:
                 run.complete(here, parts, threads)
                 return run, parts
-        with ClusterRunner(cluster, replace(limits, processors=1), printed) as there:
+        with ClusterRunner(cluster, replace(limits, processors=1), progress) as there:
             missing = run.plan.shards - len(parts.numbers())
             run.complete(there, parts, 1, there.together(missing))
     return run, parts

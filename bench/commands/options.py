@@ -20,6 +20,7 @@ from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
+from bench.running.progress import OnStandardError, Progress
 from integrators.contract import Tolerances
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
@@ -116,7 +117,7 @@ def not_nan(
 
 def inventory(plugins: Sequence[str]) -> Inventory:
     """List all plugins, usable or not."""
-    return Inventory(plugins, lambda text: say_printed("The loading of plugins", text))
+    return Inventory(plugins, OnStandardError())
 
 
 def usable_registry(plugins: Sequence[str]) -> Inventory:
@@ -146,15 +147,10 @@ def end_time(scene: SceneFacts, t_end: float | None) -> float:
     return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
 
 
-def say_printed(label: str, text: str) -> None:
-    """Show on the standard error what a run printed."""
-    click.echo(f"{label} printed: {text}", err=True)
-
-
-def waiting() -> AbstractContextManager[Callable[[str], None]]:
-    """Give a function that is told of the work in hand, which a terminal shows meanwhile."""
+def waiting() -> AbstractContextManager[Progress]:
+    """Give what is told of the work in hand, which a terminal shows meanwhile."""
     if not sys.stderr.isatty():
-        return nullcontext(lambda text: None)
+        return nullcontext(OnStandardError())
     from bench.commands import terminal
 
     return terminal.waiting()

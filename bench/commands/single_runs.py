@@ -93,10 +93,8 @@ def solve(
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    with options.waiting() as working:
-        ((record, rows),), names = solve_cells(
-            [cell], registry, 7, budget, printed=options.say_printed, working=working
-        )
+    with options.waiting() as progress:
+        ((record, rows),), names = solve_cells([cell], registry, 7, budget, progress=progress)
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:
@@ -216,10 +214,8 @@ def order(
     cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.running.session import solve_cells
 
-    with options.waiting() as working:
-        results, _ = solve_cells(
-            cells, registry, 0, budget, printed=options.say_printed, working=working
-        )
+    with options.waiting() as progress:
+        results, _ = solve_cells(cells, registry, 0, budget, progress=progress)
     records = [record for record, _ in results]
     orders = summary.orders(records)
     failed = [record for record in records if record.status != "ok"]

@@ -94,10 +94,10 @@ def run_suite(
         options.tell_set_aside(store, "What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
-        measured = measure_suite(suite, store, registry, runner, progress)
-        damping.complete(suite, store, registry, runner, progress)
+        measured = measure_suite(suite, store, registry, runner)
+        damping.complete(suite, store, registry, runner)
         with page.at_rest():
-            time_suite(suite, store, registry, runner, progress)
+            time_suite(suite, store, registry, runner)
         runner.end_workers()
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib

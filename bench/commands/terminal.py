@@ -21,10 +21,12 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.segment import Segment
+from rich.status import Status
 from rich.text import Text
 
 from bench.commands.standard_streams import behind
 from bench.results.table import Table
+from bench.running import progress
 from problems.plain_text import visible
 
 #: Tables are never narrower, in characters, however small COLUMNS is.
@@ -88,11 +90,22 @@ def say(line: Text | str, cut: bool = False) -> None:
     _PlainConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
+class _StatusLine(progress.OnStandardError):
+    """The work in hand on a line of its own."""
+
+    def __init__(self, line: Status) -> None:
+        super().__init__()
+        self._line = line
+
+    def working(self, text: str) -> None:
+        self._line.update(escape(text))
+
+
 @contextmanager
-def waiting() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal the work that is waited for; gives a function that is told of it."""
+def waiting() -> Iterator[progress.Progress]:
+    """Show on a terminal the work that is waited for; gives what is told of it."""
     with _PlainConsole(sys.stderr).status("") as line:
-        yield lambda text: line.update(escape(text))
+        yield _StatusLine(line)
 
 
 class _Bar(Progress):
@@ -106,7 +119,7 @@ class _Bar(Progress):
             yield Text(self.found, style="dim", no_wrap=True, overflow="ellipsis")
 
 
-class RunProgress:
+class RunProgress(progress.Progress):
     """A progress bar with the cell in work and the last result; plain lines without a terminal.
 
     Attributes
@@ -116,6 +129,7 @@ class RunProgress:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.after_step: Callable[[], None] = lambda: None
         self._console = _PlainConsole(sys.stderr)
         self._bar = _Bar(

@@ -21,6 +21,7 @@ from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite, resolution
 from bench.running.profiles import read_profile
+from bench.running.progress import OnStandardError
 from bench.running.session import solve_cells
 from problems.spec import SpecError
 
@@ -85,7 +86,7 @@ def solve(
     taken = resolution(scene, method, step, fractions, rtol, atol)
     cell = Cell(scene.spec, method.spec, options.end_time(scene, t_end), taken)
     ((record, rows),), names = solve_cells(
-        [cell], registry, samples, budget_s=budget, printed=options.say_printed
+        [cell], registry, samples, budget_s=budget, progress=OnStandardError()
     )
     return Solution(
         problem=record.problem,
@@ -138,7 +139,7 @@ def order(
     _check(budget=budget)
     registry, scene, method = _asked(problem, integrator, parameters, plugins)
     cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
-    results, _ = solve_cells(cells, registry, 0, budget_s=budget, printed=options.say_printed)
+    results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=OnStandardError())
     records = [record for record, _ in results]
     return Orders(**summary.orders(records), _records=records)
 

@@ -16,29 +16,8 @@ from problems.system import GROUPS
 
 #: Paragraphs of a plugin's documentation that are told.
 _MOST_PARAGRAPHS = 20
-
-
-class Sources(msgspec.Struct, frozen=True, order=True):
-    """Files and packages from outside of this project that a process has to load."""
-
-    files: frozenset[str] = frozenset()
-    packages: frozenset[str] = frozenset()
-
-    def __or__(self, other: Sources) -> Sources:
-        return Sources(self.files | other.files, self.packages | other.packages)
-
-    def __bool__(self) -> bool:
-        return bool(self.files or self.packages)
-
-    @property
-    def names(self) -> list[str]:
-        """The files and packages."""
-        return [*sorted(self.files), *sorted(self.packages)]
-
-    def each(self) -> list[Sources]:
-        """Return each file and package by itself."""
-        files = [Sources(files=frozenset({file})) for file in sorted(self.files)]
-        return files + [Sources(packages=frozenset({name})) for name in sorted(self.packages)]
+#: Files, by their absolute paths, and packages from outside of this project that a process loads.
+Sources = frozenset[str]
 
 
 class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,15 +73,7 @@ def plugin_facts(plugin: Plugin) -> PluginFacts:
         description=[tidy(paragraph) for paragraph in plugin.paragraphs[1:_MOST_PARAGRAPHS]],
         options=plugin.options,
         reason=plugin.reason,
-        sources=sources_of(plugin),
-    )
-
-
-def sources_of(plugin: Plugin) -> Sources:
-    """Return the files and packages that a plugin needs; a part of this project needs none."""
-    return Sources(
-        frozenset({plugin.file} if plugin.file else ()),
-        frozenset({plugin.package} if plugin.package else ()),
+        sources=plugin.sources,
     )
 
 
@@ -130,7 +101,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         nominal_step=step(scene.nominal_step),
         constrained=scene.has("constraint"),
         fingerprint=fingerprint(type(scene)),
-        sources=sources_of(registry.problems[scene.name]),
+        sources=registry.problems[scene.name].sources,
     )
 
 
@@ -151,7 +122,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
         source=stated.source,
         calls=stated.calls,
         fingerprint=fingerprint(type(method)),
-        sources=sources_of(plugin),
+        sources=plugin.sources,
         fault=fault,
     )
 

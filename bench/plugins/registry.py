@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -46,14 +47,18 @@ class Found(NamedTuple):
 class Plugin:
     """A name with the function that finds its class.
 
-    ``file`` or ``package`` is its source, unless it is a part of this project.
+    ``source`` is its file or package, unless it is a part of this project.
     """
 
     name: str
     origin: str
     found: Callable[[], Found]
-    file: str = ""
-    package: str = ""
+    source: str = ""
+
+    @property
+    def sources(self) -> frozenset[str]:
+        """What a process has to load for it."""
+        return frozenset({self.source} if self.source else ())
 
     @property
     def cls(self) -> type | None:
@@ -97,7 +102,8 @@ class Registry:
     paths
         Python files, or folders of them, that define scenes or integrators.
     packages
-        Installed packages of others whose entry points are loaded, too; all if None.
+        Installed packages of others whose entry points are loaded, too; all if None. Files among
+        them are passed over.
     loading
         Told the file or the package that is loaded next.
     without
@@ -169,7 +175,7 @@ class Registry:
         plugins = getattr(self, kind)
         if plugin.name in plugins:
             name, reason = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
-            plugin = _unusable(name, plugin.origin, reason, plugin.file, plugin.package)
+            plugin = _unusable(name, plugin.origin, reason, plugin.source)
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
@@ -192,11 +198,11 @@ class Registry:
     def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
         origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value
         if reason := self._without.get(package):
-            return _unusable(entry.name, origin, reason, package=package)
+            return _unusable(entry.name, origin, reason, package)
         find = cache(partial(found_class, kind, entry.name, entry.load))
         if package:  # what is from outside loads now; our own at the first use, as it takes long
             find()
-        return Plugin(entry.name, origin, find, package=package)
+        return Plugin(entry.name, origin, find, package)
 
 
 def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
@@ -204,8 +210,13 @@ def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
     return f"{name} ({origin})", f"the name {name!r} is taken by {owner}; give it another name."
 
 
-def _unusable(name: str, origin: str, reason: str, file: str = "", package: str = "") -> Plugin:
-    return Plugin(name, origin, lambda: Found(None, reason), file, package)
+def _unusable(name: str, origin: str, reason: str, source: str) -> Plugin:
+    return Plugin(name, origin, lambda: Found(None, reason), source)
+
+
+def files_of(sources: Collection[str]) -> list[str]:
+    """List the files among files and packages."""
+    return sorted(filter(os.path.isabs, sources))
 
 
 def plugin_files(paths: Sequence[str | Path]) -> list[str]:

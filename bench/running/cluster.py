@@ -15,7 +15,8 @@ from typing import Any
 from bench.guard import wire
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
-from bench.plugins.registry import plugin_files
+from bench.plugins.registry import files_of, plugin_files
+from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
 from problems.plain_text import named, said
 from problems.spec import SpecError
@@ -39,7 +40,7 @@ class ClusterRunner(Runner):
     address
         Of the scheduler, such as tcp://host:8786. Its workers must find plugin files under the
         same names.
-    limits, printed
+    limits, progress
         As in Runner.
 
     Raises
@@ -48,12 +49,7 @@ class ClusterRunner(Runner):
         If dask.distributed is not installed, or no scheduler answers.
     """
 
-    def __init__(
-        self,
-        address: str,
-        limits: Limits,
-        printed: Callable[[str, str], None] = lambda label, text: None,
-    ) -> None:
+    def __init__(self, address: str, limits: Limits, progress: Progress | None = None) -> None:
         try:
             from distributed import Client
         except ImportError:
@@ -69,7 +65,7 @@ class ClusterRunner(Runner):
                 f"No dask scheduler answers at {address!r} ({said(error)}); start one by "
                 f"'dask scheduler' and give its address, such as tcp://host:8786."
             ) from None
-        super().__init__(1, limits, printed)
+        super().__init__(1, limits, progress)
 
     def __exit__(self, *details: object) -> None:
         self._client.close()
@@ -86,16 +82,14 @@ class ClusterRunner(Runner):
         groups = max(1, _FEWEST_GROUPS * sum(threads.values()))
         return max(1, min(_MOST_TOGETHER, count // groups))
 
-    def run(
-        self, groups: Iterable[list[Task]], working: Callable[[str], None] = lambda text: None
-    ) -> Iterator[tuple[Task, Any]]:
+    def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as the groups are finished."""
         from distributed import as_completed
 
         sent, due = {}, {id(group): group for group in groups if group}
         try:
             for group in due.values():
-                working(group[0].label)
+                self.progress.working(group[0].label)
                 # Runs are repeatable, but not pure in dask's sense: nothing may be taken from
                 # an earlier session of the same scheduler, whose code may be another.
                 sent[self._client.submit(_run_group, group, self._limits, pure=False)] = group
@@ -118,7 +112,7 @@ class ClusterRunner(Runner):
             answers = []
             for task, (label, printed, done, content) in zip(group, future.result(), strict=True):
                 if printed:
-                    self._printed(label, printed)
+                    self.progress.printed(label, printed)
                 kind = wire.answer_type(task.job) if done else NoAnswer
                 answers.append((task, wire.decode(content, kind)))
             return answers
@@ -155,17 +149,28 @@ def _require_certificates(address: str) -> None:
         )
 
 
+class _Printed(Progress):
+    """What tasks printed, kept by their labels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: dict[str, str] = {}
+
+    def printed(self, label: str, text: str) -> None:
+        self.texts[label] = text
+
+
 def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, bytes]]:
     """Answer a group of tasks, in order, in a worker of the cluster: answers are msgspec data."""
     for task in group:
-        plugin_files(sorted(task.sources.files))  # says what is missing; a child would die of it
-    printed: dict[str, str] = {}
-    with Runner(1, limits, printed.__setitem__, _wanted()) as runner:
+        plugin_files(files_of(task.sources))  # says what is missing; a child would die of it
+    kept = _Printed()
+    with Runner(1, limits, kept, _wanted()) as runner:
         answers = dict(runner.run([group]))
     return [
         (
             task.label,
-            printed.get(task.label, ""),
+            kept.texts.get(task.label, ""),
             not isinstance(answers[task], NoAnswer),
             wire.encode(answers[task]),
         )

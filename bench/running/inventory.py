@@ -22,8 +22,17 @@ from bench.plugins import facts
 from bench.plugins.facts import MethodFacts, PluginFacts, SceneFacts, Sources
 from bench.plugins.fingerprint import reference_file
 from bench.plugins.reasons import PluginError
-from bench.plugins.registry import KINDS, PROJECT, Registry, package_of, plugin_files, taken_name
+from bench.plugins.registry import (
+    KINDS,
+    PROJECT,
+    Registry,
+    files_of,
+    package_of,
+    plugin_files,
+    taken_name,
+)
 from bench.results.records import INTERRUPTED
+from bench.running.progress import Progress
 from problems import spec
 from problems.reference import keep_references
 from problems.spec import SpecError
@@ -59,7 +68,7 @@ class Inventory:
     ----------
     paths
         Python files, or folders of them, that define scenes or integrators.
-    printed
+    progress
         Told what plugins print while they are loaded.
 
     Raises
@@ -68,17 +77,13 @@ class Inventory:
         If a path is empty or not there.
     """
 
-    def __init__(
-        self,
-        paths: Sequence[str | Path] = (),
-        printed: Callable[[str], None] = lambda text: None,
-    ) -> None:
-        self._printed = printed
+    def __init__(self, paths: Sequence[str | Path] = (), progress: Progress | None = None) -> None:
+        self._progress = progress or Progress()
         self.files = plugin_files(paths)
         packages = {
             package_of(entry) for kind in KINDS for entry in entry_points(group=f"stepbench.{kind}")
         }
-        self._sources = Sources(frozenset(self.files), frozenset(packages - {PROJECT}))
+        self._sources = frozenset(packages - {PROJECT}).union(self.files)
         self._own = Registry(packages=())
         self._outside: GuardedProcess | None = None
         self._loaded = self._sources
@@ -171,22 +176,21 @@ class Inventory:
     def _listing(self) -> dict[str, dict[str, PluginFacts]]:
         """Own plugins, and those from outside: in one process if all of them let it live."""
         listed = facts.listing(self._own)
-        each = self._sources.each()
-        answer = self._answer(self._sources, facts.listing) if each else listed
+        answer = self._answer(self._sources, facts.listing) if self._sources else listed
         if self._outside and (text := self._outside.printed()):
-            self._printed(text)
-        suspects = each
+            self._progress.printed("The loading of plugins", text)
+        suspects = self._sources
         if isinstance(answer, NoAnswer):
             self._apart = True
         else:
-            listed = answer
-            faulty = [f.sources for known in answer.values() for f in known.values() if f.reason]
-            suspects = [source for source in each if len(each) > 1 and source in faulty]
+            every = [f for known in answer.values() for f in known.values()]
+            faulty = frozenset().union(*(f.sources for f in every if f.reason))
+            suspects = faulty if len(self._sources) > 1 else frozenset()
             for kind, known in answer.items():
-                listed[kind] = {n: f for n, f in known.items() if f.sources not in suspects}
-        for source, alone in zip(suspects, _listed_alone(suspects), strict=True):
+                listed[kind] = {n: f for n, f in known.items() if f.sources.isdisjoint(suspects)}
+        for source, alone in zip(sorted(suspects), _listed_alone(sorted(suspects)), strict=True):
             for kind, known in alone.items():
-                _add(listed[kind], [f for f in known.values() if f.sources == source])
+                _add(listed[kind], [f for f in known.values() if source in f.sources])
         return listed
 
     def _ask(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:
@@ -236,24 +240,23 @@ def _unusable(plugin: PluginFacts) -> str:
     return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
 
 
-def _listed_alone(each: Sequence[Sources]) -> list[dict[str, dict[str, PluginFacts]]]:
+def _listed_alone(each: Sequence[str]) -> list[dict[str, dict[str, PluginFacts]]]:
     """List plugins by sources, each in a process of its own, several side by side."""
-    found: dict[Sources, dict[str, dict[str, PluginFacts]]] = {}
+    found: dict[str, dict[str, dict[str, PluginFacts]]] = {}
     due, asked = deque(each), {}
     while due or asked:
         while due and len(asked) < _SIDE_BY_SIDE:
             source = due.popleft()
-            asked[source] = GuardedProcess(load_registry, (source,), _LIMITS)
+            asked[source] = GuardedProcess(load_registry, (frozenset({source}),), _LIMITS)
             asked[source].start(facts.listing)
         wait_for_any(asked.values())
         for source, process in list(asked.items()):
             if (answer := process.take()) is not None:
                 asked.pop(source).end()
                 if isinstance(answer, NoAnswer):
-                    reasons = dict.fromkeys(source.names, answer.message)
-                    answer = facts.listing(
-                        Registry(sorted(source.files), source.packages, without=reasons)
-                    )
+                    without = {source: answer.message}
+                    alone = Registry(files_of([source]), [source], without=without)
+                    answer = facts.listing(alone)
                 found[source] = answer
     return [found[source] for source in each]
 
@@ -274,7 +277,7 @@ def load_registry(notify: Notify, sources: Sources) -> Registry:
     reads is not known, and may change.
     """
     loading = partial(notify, LOADING)
-    registry = Registry(sorted(sources.files), sources.packages, loading)
+    registry = Registry(files_of(sources), sources, loading)
 
     def told(doing: str, scene: MechatronicSystem) -> None:
         phase = REFERENCE if doing == "making" else WAITING

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
+from bench.plugins.registry import files_of
 from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, PluginFailed
@@ -221,7 +222,7 @@ def _facts(registry: Inventory, text: str) -> IntegratorFacts:
         orders=method.orders,
         formulation=method.formulation,
         source=method.source,
-        files=[Path(file).name for file in sorted(method.sources.files)],
+        files=[Path(file).name for file in files_of(method.sources)],
     )
 
 

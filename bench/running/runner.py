@@ -14,6 +14,7 @@ from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
 from bench.plugins.facts import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
+from bench.running.progress import Progress
 from bench.running.worker import Worker, start_worker
 
 #: Help for whoever has a run that was stopped.
@@ -46,7 +47,7 @@ class Task:
     arguments: tuple
     label: str = ""
     scene: str | None = None
-    sources: Sources = Sources()  # noqa: RUF009 - it is frozen
+    sources: Sources = frozenset()
 
 
 def measure_task(cell: Cell, sources: Sources, errors: bool = True) -> Task:
@@ -62,10 +63,6 @@ def time_task(cell: Cell, sources: Sources) -> Task:
 def scene_task(problem: str, t_end: float, sources: Sources) -> Task:
     """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
     return Task(Worker.scene, (problem, t_end), f"reference of {problem}", problem, sources)
-
-
-def _tell(working: Callable[[str], None], label: str, phase: str, words: str) -> None:
-    working(words if phase in (REFERENCE, WAITING) else label)
 
 
 class _WorkerProcess(GuardedProcess):
@@ -92,8 +89,8 @@ class Runner:
         Most processes in work at a time. Timing is always done by one alone.
     limits
         The most that one task may take.
-    printed
-        Told what a task printed: its label, and the text.
+    progress
+        Told which task is in work, and what tasks print.
     wanted
         Whether anybody waits for the answers still; else ``run`` ends.
     """
@@ -102,11 +99,11 @@ class Runner:
         self,
         jobs: int,
         limits: Limits,
-        printed: Callable[[str, str], None] = lambda label, text: None,
+        progress: Progress | None = None,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         self._jobs, self._limits = jobs, replace(limits, advice=_ADVICE)
-        self._printed, self._wanted = printed, wanted
+        self.progress, self._wanted = progress or Progress(), wanted
         self.workers: list[_WorkerProcess] = []
         self._owner: dict[str, _WorkerProcess] = {}
         self._lacking: dict[str, str] = {}
@@ -128,16 +125,11 @@ class Runner:
         for group in groups[: self._jobs - len(self.workers)]:
             self._spawn(group[0].sources)
 
-    def run(
-        self, groups: Iterable[list[Task]], working: Callable[[str], None] = lambda text: None
-    ) -> Iterator[tuple[Task, Any]]:
-        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together.
-
-        ``working`` is told the label of a task in work, and the reference that it needs meanwhile.
-        """
+    def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
+        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
         queue = deque(deque(group) for group in groups if group)
         while (queue or self._busy()) and self._wanted():
-            self._feed(queue, working)
+            self._feed(queue)
             wait_for_any(worker for worker in self.workers if worker.task)
             for worker in list(self.workers):
                 task = worker.task
@@ -193,7 +185,7 @@ class Runner:
         fit = (w for w in self.workers if w.sources == task.sources)
         return next(fit, None) or self._spawn(task.sources)
 
-    def _feed(self, queue: deque[deque[Task]], working: Callable[[str], None]) -> None:
+    def _feed(self, queue: deque[deque[Task]]) -> None:
         for worker in self.workers:
             if not worker.busy and self._busy() < self._jobs:
                 worker.group = self._next(queue, worker)
@@ -203,11 +195,15 @@ class Runner:
         for worker in self.workers:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
-                working(task.label)
-                worker.told = partial(_tell, working, task.label)
+                self.progress.working(task.label)
+                worker.told = partial(self._tell, task.label)
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
                 worker.start(task.job, *task.arguments, **named)
+
+    def _tell(self, label: str, phase: str, words: str) -> None:
+        """Tell the reference that a task needs, while it is made, or the task."""
+        self.progress.working(words if phase in (REFERENCE, WAITING) else label)
 
     def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
         """The first group of a scene that the worker has had, else of one that no other has: else
@@ -232,7 +228,7 @@ class Runner:
         if answer is None or task is None:
             return None
         if text := worker.printed():
-            self._printed(task.label, text)
+            self.progress.printed(task.label, text)
         worker.task = None
         if isinstance(answer, NoAnswer):
             if answer.phase == REFERENCE and answer.status != "interrupted" and task.scene:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
-from typing import Protocol
+from collections.abc import Mapping
 
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
@@ -16,6 +14,7 @@ from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
+from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
@@ -24,49 +23,10 @@ from bench.running.worker import CellResult, Worker
 OTHER_ANSWER = "Its answer is about something else than it was asked."
 
 
-class Progress(Protocol):
-    """Messages to the person who waits."""
-
-    def phase(self, name: str, total: int) -> None:
-        """Say that a phase begins, with its number of steps."""
-
-    def working(self, text: str) -> None:
-        """Say that this is in work."""
-
-    def advance(self) -> None:
-        """Say that one step is done."""
-
-    def found(self, text: str) -> None:
-        """Tell a result, the first numbers of a run among others."""
-
-    def note(self, text: str) -> None:
-        """Say that something went wrong that costs no cell."""
-
-
 def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
     """Make the runner of a suite, on this machine or by the address of a cluster."""
     limits = Limits(suite.plan.budget_s, suite.memory_gib)
-    printed = teller(progress)
-    return ClusterRunner(cluster, limits, printed) if cluster else Runner(jobs, limits, printed)
-
-
-@cache  # several runners of a command tell their tasks' lines by the same
-def teller(progress: Progress) -> Callable[[str, str], None]:
-    """Return a function that tells what a task printed, each line once."""
-    return _each_line_once(lambda label, text: progress.note(f"{label} printed: {text}"))
-
-
-def _each_line_once(printed: Callable[[str, str], None]) -> Callable[[str, str], None]:
-    """Tell what no task has printed before: a library's fault is the same in every worker."""
-    told: set[str] = set()
-
-    def tell(label: str, text: str) -> None:
-        lines = [line for line in text.splitlines() if line not in told]
-        told.update(lines)
-        if lines:
-            printed(label, "\n".join(lines))
-
-    return tell
+    return ClusterRunner(cluster, limits, progress) if cluster else Runner(jobs, limits, progress)
 
 
 def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
@@ -102,9 +62,7 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
 
 
-def measure_suite(
-    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
-) -> int:
+def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> int:
     """Measure every cell and describe every scene that the store lacks.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
@@ -126,7 +84,7 @@ def measure_suite(
         record.environment = number
         record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         store.save(record, rows)
-        progress.found(_in_words(record))
+        runner.progress.found(_in_words(record))
 
     sound, count = [], len(cells)
     for cell in cells:
@@ -143,8 +101,9 @@ def measure_suite(
         runner.expect(groups)
         # Scenes are counted if there is nothing else to do: people ask for cells.
         counted = Worker.measure if cells else Worker.scene
+        progress = runner.progress
         progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
-        for task, answer in runner.run(groups, progress.working):
+        for task, answer in runner.run(groups):
             if task.job is Worker.scene:
                 if record := _described(task, answer, progress):
                     record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
@@ -156,9 +115,7 @@ def measure_suite(
     return count
 
 
-def time_suite(
-    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
-) -> None:
+def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
     """Take the timing samples that the store lacks, of the cells that reached the end."""
     records = store.records()
     due = _samples_due(suite, records)
@@ -169,11 +126,11 @@ def time_suite(
     have = {cell.key: _samples_of(records[cell.key]) for cell in cells}
     invocation = max(store.environments(), default=0)  # kept as there were samples to be taken
     tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
-    progress.phase("timing, one run at a time", due)
+    runner.progress.phase("timing, one run at a time", due)
     for task, sample, seconds in runner.time(tasks, suite.plan.samples, have):
-        progress.working(task.label)
+        runner.progress.working(task.label)
         store.add_sample(task.label, sample, seconds, invocation)
-        progress.advance()
+        runner.progress.advance()
 
 
 def solve_cells(
@@ -182,8 +139,7 @@ def solve_cells(
     samples: int,
     budget_s: float,
     memory_gib: float = 4.0,
-    printed: Callable[[str, str], None] = lambda label, text: None,
-    working: Callable[[str], None] = lambda text: None,
+    progress: Progress | None = None,
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
@@ -196,8 +152,8 @@ def solve_cells(
     sources = cells[0].sources(registry)
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
-    with Runner(1, Limits(budget_s, memory_gib), _each_line_once(printed)) as runner:
-        for task, answer in runner.run([tasks], working):
+    with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
+        for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)
             elif not isinstance(answer, NoAnswer):
@@ -216,8 +172,8 @@ def describe_scenes(
     records = {}
     groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
     progress.phase("references", len(groups))
-    with Runner(2, Limits(budget_s, memory_gib=4.0), teller(progress)) as runner:
-        for task, answer in runner.run(groups, progress.working):
+    with Runner(2, Limits(budget_s, memory_gib=4.0), progress) as runner:
+        for task, answer in runner.run(groups):
             if record := _described(task, answer, progress):
                 records[record.problem] = record
             progress.advance()

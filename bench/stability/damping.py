@@ -16,7 +16,6 @@ from bench.running.errors import finite
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite
 from bench.running.runner import Runner, Task
-from bench.running.session import Progress
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices, steppable
 from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
@@ -24,9 +23,7 @@ from bench.stability.systems import Oscillator
 from problems.spec import SpecError
 
 
-def complete(
-    suite: Suite, store: Store, registry: Inventory, runner: Runner, progress: Progress
-) -> None:
+def complete(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
     """Find the damping that the store lacks; that of another source is forgotten."""
     known = store.damping()
     for name in suite.plan.integrators:
@@ -36,11 +33,11 @@ def complete(
     due = missing(suite, known, store.scenes(), store.records(), registry)
     if not due:
         return
-    progress.phase("damping of methods at constant steps", len(due))
+    runner.progress.phase("damping of methods at constant steps", len(due))
     groups: dict[Sources, list[Task]] = {}
     for task in due:
         groups.setdefault(task.sources, []).append(task)
-    for task, answer in runner.run(groups.values(), progress.working):
+    for task, answer in runner.run(groups.values()):
         name, omega_h = task.arguments
         if isinstance(answer, NoAnswer):
             if answer.status == INTERRUPTED:
@@ -48,7 +45,7 @@ def complete(
             answer = Damping(omega_h=list(omega_h), message=answer.message)
         found = msgspec.structs.replace(answer, fingerprint=_made_by(name, registry))
         store.save_damping(name, found)
-        progress.advance()
+        runner.progress.advance()
 
 
 def _made_by(name: str, registry: Inventory) -> str:

@@ -17,8 +17,9 @@ import numpy as np
 from bench.guard.process import NoAnswer, Refused
 from bench.plugins.facts import Sources
 from bench.plugins.fingerprint import fingerprint
+from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
-from bench.running.session import OTHER_ANSWER, Progress
+from bench.running.session import OTHER_ANSWER
 from bench.sweeps.ensemble import Ensemble
 from bench.sweeps.jobs import EnsemblePlan, EnsembleRequest, plan_job, shard_job
 from bench.sweeps.parts import Columns, Parts, TemporaryParts, read_part
