@@ -11,8 +11,8 @@ import numpy as np
 from integrators.adapters.engines import Engine, EngineRun
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
 from integrators.native.endings import Ending
-from problems.engines.agreement import check_start
-from problems.engines.exudyn_models import MODELS, engine, exudyn_model
+from problems.engines.agreement import check_agreement
+from problems.engines.exudyn_models import EXUDYN_MODELS, load_exudyn
 from problems.system import MechatronicSystem
 
 
@@ -55,7 +55,7 @@ class Exudyn(Engine):
     )
 
     def scenes(self) -> Collection[type[MechatronicSystem]]:
-        return MODELS
+        return EXUDYN_MODELS
 
     @property
     def formulation(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -75,8 +75,9 @@ class _ExudynRun(EngineRun):
         self, method: Exudyn, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
         super().__init__(method, scene, t_end, resolution)
-        self._exudyn, _ = engine()
-        model = exudyn_model(scene, np.asarray(self.start.q), np.asarray(self.start.v))
+        self._exudyn, _ = load_exudyn()
+        q, v = np.asarray(self.start.q), np.asarray(self.start.v)
+        model = EXUDYN_MODELS[type(scene)](scene, q, v)
         self._system, self._multipliers = model.system, model.multipliers
         kind = self._exudyn.ConfigurationType.Reference
         self._reference = model.system.systemData.GetODE2Coordinates(kind)
@@ -96,7 +97,7 @@ class _ExudynRun(EngineRun):
         trapezoidal = method.method == "trapezoidal_index2"
         time.generalizedAlpha.useNewmark = time.generalizedAlpha.useIndex2Constraints = trapezoidal
         a, lam = self._beginning()
-        check_start("exudyn", scene, self.start, a=a, lam=lam)
+        check_agreement("exudyn", scene, self.start, a=a, lam=lam)
 
     def _beginning(self) -> tuple[np.ndarray, np.ndarray]:
         """a and lam of exudyn at the start.

@@ -13,8 +13,8 @@ from integrators.adapters.engines import Engine, EngineRun
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
 from integrators.native.endings import Ending
-from problems.engines.agreement import check_start
-from problems.engines.mujoco_models import LOOPS, MODELS, engine, hard_acceleration, mujoco_model
+from problems.engines.agreement import check_agreement
+from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.
@@ -56,7 +56,7 @@ class Mujoco(Engine):
     )
 
     def scenes(self) -> Collection[type[MechatronicSystem]]:
-        return MODELS
+        return MUJOCO_MODELS
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         smooth = self.integrator == "rk4" and not isinstance(scene, LOOPS)
@@ -71,8 +71,11 @@ class _MujocoRun(EngineRun):
         self, method: Mujoco, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
         super().__init__(method, scene, t_end, resolution)
-        self._method, self._mujoco = method, engine()
-        self._stated = mujoco_model(scene, np.asarray(self.start.q), np.asarray(self.start.v))
+        import mujoco
+
+        self._method, self._mujoco = method, mujoco
+        q, v = np.asarray(self.start.q), np.asarray(self.start.v)
+        self._stated = MUJOCO_MODELS[type(scene)](scene, q, v)
         self._model = model = self._stated.model
         model.opt.timestep = (self.t[-1] - self.t[0]) / self.steps
         kind = f"mjINT_{method.integrator.upper()}"
@@ -84,7 +87,7 @@ class _MujocoRun(EngineRun):
             self._reset()
             q, v = self._stated.motion(self._data.qpos[None], self._data.qvel[None])
             a = self._stated.acceleration(hard_acceleration(model, self._data))
-            check_start("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
+            check_agreement("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
 
     @contextlib.contextmanager
     def _quiet(self) -> Iterator[None]:

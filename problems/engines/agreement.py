@@ -44,7 +44,7 @@ def why_not(
     return None
 
 
-def check_start(
+def check_agreement(
     engine: str, scene: MechatronicSystem, start: Variables, **theirs: Float[np.ndarray, " n"]
 ) -> None:
     """Compare what an engine computes at the start with the scene's own equations.

@@ -8,11 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Our multipliers ``(k, nl)`` from q, v ``(k, nq)`` and exudyn's algebraic coordinates.
 Multipliers = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -38,7 +34,7 @@ class ExudynModel:
 
 
 @cache
-def engine() -> tuple[Any, Any]:
+def load_exudyn() -> tuple[Any, Any]:
     """The modules exudyn, in its build without range checks, and exudyn.itemInterface."""
     sys.exudynFast = True  # pyright: ignore[reportAttributeAccessIssue] - how exudyn is asked
     with contextlib.redirect_stdout(io.StringIO()):  # it tells of the build
@@ -51,7 +47,7 @@ class _Builder:
     """A system in work: it makes the items of exudyn that several scenes need."""
 
     def __init__(self) -> None:
-        exudyn, self.items = engine()
+        exudyn, self.items = load_exudyn()
         self.system = exudyn.SystemContainer().AddSystem()
         self.ground = self.system.AddObject(self.items.ObjectGround())
 
@@ -152,27 +148,10 @@ def _heavy_top(s: HeavyTop, q: np.ndarray, v: np.ndarray) -> ExudynModel:
     return build.model(multipliers)
 
 
-#: How a scene becomes a model.
-MODELS: dict[type[MechatronicSystem], Callable[..., ExudynModel]] = {
+#: How a scene becomes a model, from its q and v at the start ``(nq,)``.
+EXUDYN_MODELS: dict[type[MechatronicSystem], Callable[..., ExudynModel]] = {
     Pendulum: _points,
     SliderCrank: _slider_crank,
     Chain: _points,
     HeavyTop: _heavy_top,
 }
-
-
-def exudyn_model(
-    scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nq"]
-) -> ExudynModel:
-    """State a scene of `MODELS` in exudyn.
-
-    Parameters
-    ----------
-    scene
-        Scene with its parameters.
-    q, v
-        Coordinates and velocities at the start.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return MODELS[type(scene)](scene, np.asarray(q), np.asarray(v))

@@ -26,13 +26,6 @@ if TYPE_CHECKING:
 _POINT = 1e-14
 
 
-def engine() -> Any:
-    """The module mujoco."""
-    import mujoco
-
-    return mujoco
-
-
 @dataclass(frozen=True)
 class MujocoModel:
     """A compiled model of MuJoCo, its start, and its coordinates as ours.
@@ -77,6 +70,8 @@ def _slope(function: Callable[[float], np.ndarray], speed: np.ndarray) -> np.nda
 
 def _compiled(g: tuple[float, float, float], bodies: str, rest: str = "") -> Any:
     """A model of MuJoCo under gravity; inertias of points are set to zero."""
+    import mujoco
+
     text = f"""<mujoco>
       <option gravity="{_text(g)}" jacobian="dense"><flag contact="disable" autoreset="disable"/>
       </option>
@@ -84,7 +79,7 @@ def _compiled(g: tuple[float, float, float], bodies: str, rest: str = "") -> Any
       <worldbody>{bodies}</worldbody>{rest}
     </mujoco>"""
     try:
-        model = engine().MjModel.from_xml_string(text)
+        model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         raise SpecError(f"MuJoCo does not take these parameters: {error}") from error
     model.body_inertia[model.body_inertia == _POINT] = 0.0
@@ -179,33 +174,14 @@ def _heavy_top(s: HeavyTop, q: np.ndarray, v: np.ndarray) -> MujocoModel:
 
 #: Scenes whose model has a soft loop.
 LOOPS = (SliderCrank,)
-#: How a scene becomes a model.
-MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
+#: How a scene becomes a model, from its q and v at the start ``(nq,)``; a SpecError says that MuJoCo
+#: does not take the parameters, as it has no body without mass.
+MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
     Pendulum: _links,
     Chain: _links,
     SliderCrank: _slider_crank,
     HeavyTop: _heavy_top,
 }
-
-
-def mujoco_model(
-    scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nq"]
-) -> MujocoModel:
-    """State a scene of `MODELS` in MuJoCo.
-
-    Parameters
-    ----------
-    scene
-        Scene with its parameters.
-    q, v
-        Coordinates and velocities at the start.
-
-    Raises
-    ------
-    SpecError
-        If MuJoCo does not take the parameters; it has no body without mass, for example.
-    """
-    return MODELS[type(scene)](scene, np.asarray(q), np.asarray(v))
 
 
 def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:
@@ -219,7 +195,8 @@ def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:
     model, data
         ``MjModel`` and ``MjData`` with the state.
     """
-    mujoco = engine()
+    import mujoco
+
     mujoco.mj_forward(model, data)
     if not data.nefc:
         return data.qacc.copy()
