@@ -14,7 +14,7 @@ from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
 from integrators.native.endings import Ending
 from problems.engines.agreement import check_agreement
-from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration
+from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, load_mujoco
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.
@@ -71,9 +71,7 @@ class _MujocoRun(EngineRun):
         self, method: Mujoco, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
         super().__init__(method, scene, t_end, resolution)
-        import mujoco
-
-        self._method, self._mujoco = method, mujoco
+        self._method, self._mujoco = method, load_mujoco()
         q, v = np.asarray(self.start.q), np.asarray(self.start.v)
         self._stated = MUJOCO_MODELS[type(scene)](scene, q, v)
         self._model = model = self._stated.model

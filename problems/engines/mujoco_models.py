@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 _POINT = 1e-14
 
 
+def load_mujoco() -> Any:
+    """The module mujoco, which does not state its types."""
+    import mujoco
+
+    return mujoco
+
+
 @dataclass(frozen=True)
 class MujocoModel:
     """A compiled model of MuJoCo, its start, and its coordinates as ours.
@@ -70,8 +77,6 @@ def _slope(function: Callable[[float], np.ndarray], speed: np.ndarray) -> np.nda
 
 def _compiled(g: tuple[float, float, float], bodies: str, rest: str = "") -> Any:
     """A model of MuJoCo under gravity; inertias of points are set to zero."""
-    import mujoco
-
     text = f"""<mujoco>
       <option gravity="{_text(g)}" jacobian="dense"><flag contact="disable" autoreset="disable"/>
       </option>
@@ -79,7 +84,7 @@ def _compiled(g: tuple[float, float, float], bodies: str, rest: str = "") -> Any
       <worldbody>{bodies}</worldbody>{rest}
     </mujoco>"""
     try:
-        model = mujoco.MjModel.from_xml_string(text)
+        model = load_mujoco().MjModel.from_xml_string(text)
     except ValueError as error:
         raise SpecError(f"MuJoCo does not take these parameters: {error}") from error
     model.body_inertia[model.body_inertia == _POINT] = 0.0
@@ -174,8 +179,8 @@ def _heavy_top(s: HeavyTop, q: np.ndarray, v: np.ndarray) -> MujocoModel:
 
 #: Scenes whose model has a soft loop.
 LOOPS = (SliderCrank,)
-#: How a scene becomes a model, from its q and v at the start ``(nq,)``; a SpecError says that MuJoCo
-#: does not take the parameters, as it has no body without mass.
+#: How a scene becomes a model, from its q and v at the start ``(nq,)``; a SpecError says that
+#: MuJoCo does not take the parameters, as it has no body without mass.
 MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
     Pendulum: _links,
     Chain: _links,
@@ -195,8 +200,7 @@ def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:
     model, data
         ``MjModel`` and ``MjData`` with the state.
     """
-    import mujoco
-
+    mujoco = load_mujoco()
     mujoco.mj_forward(model, data)
     if not data.nefc:
         return data.qacc.copy()
