@@ -18,20 +18,17 @@ import pickle
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from problems.runtime import CACHE, jax, jnp, users_settings
 from problems.whole_files import keep, kept
-
-if TYPE_CHECKING:
-    from jax.export import Exported
 
 T = TypeVar("T")
 
@@ -83,13 +80,17 @@ def exported(
     made = cache(make)
 
     def program(*arguments: Any) -> Any:
+        from jax import export
+
         leaves, tree = jax.tree.flatten(arguments)
         shapes = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in leaves]
         # Whatever goes wrong here costs time alone: the function itself is traced instead.
         try:
             file = _file(*about(), str(tree), [(s.shape, str(s.dtype)) for s in shapes])
-            form, found = _read(file) or _written(file, made(), tree, shapes, calls)
-            return jax.tree.unflatten(jax.tree.structure(form), found.call(*leaves))
+            trace = partial(_traced, made, tree, shapes, calls)
+            form, found = _kept_or_found(file, trace, tuple[Any, bytes])
+            results = export.deserialize(bytearray(found)).call(*leaves)
+            return jax.tree.unflatten(jax.tree.structure(_formed(form)), results)
         except Exception:
             return made()(*arguments)
 
@@ -112,11 +113,16 @@ def found_once(find: Callable[[], T], about: Callable[[], Sequence[Any]], kind: 
         file = _file(kind, *about())
     except Exception:  # it is not ours
         return find()
+    return _kept_or_found(file, find, kind)
+
+
+def _kept_or_found(file: Path, find: Callable[[], T], kind: type[T]) -> T:
+    """What a file keeps, if it is sound; else what is found now, which it keeps from now on."""
     with suppress(msgspec.DecodeError):
         return msgspec.msgpack.decode(kept(file) or b"", type=kind)
     found = find()
-    with suppress(OSError):
-        if _sources.__wrapped__() == _sources():
+    with suppress(OSError):  # a full disk, or a folder that cannot be written
+        if _sources.__wrapped__() == _sources():  # else the sources are not those that were traced
             keep(file, msgspec.msgpack.encode(found))
     return found
 
@@ -154,46 +160,33 @@ def _sources() -> str:
     return digest.hexdigest()
 
 
-def _read(file: Path) -> tuple[Any, Exported] | None:
-    """The form of a program's results, and the program, if there is a sound file of it."""
-    from jax import export
-
-    try:
-        form, program = msgspec.msgpack.decode(kept(file) or b"", type=tuple[Any, bytes])
-        return _formed(form), export.deserialize(bytearray(program))
-    except Exception:  # there is none, or it is broken
-        return None
-
-
-def _written(
-    file: Path, function: Callable, tree: Any, shapes: Sequence[Any], calls: Sequence[str]
-) -> tuple[Any, Exported]:
-    """Trace a function of leaves, write it to its file, and return what `_read` would.
+def _traced(
+    make: Callable[[], Callable], tree: Any, shapes: Sequence[Any], calls: Sequence[str]
+) -> tuple[Any, bytes]:
+    """Trace a function of arguments with this tree of leaves: the form of its results, as data, and
+    the program of the leaves.
 
     Raises
     ------
     Exception
         If results are nested otherwise than by dictionaries and tuples.
     """
+    from jax import export
+
     form: Any = None
 
     def flat(*leaves: Any) -> list[Any]:
         nonlocal form
-        results, of_results = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves)))
+        results, of_results = jax.tree.flatten(make()(*jax.tree.unflatten(tree, leaves)))
         form = jax.tree.unflatten(of_results, range(len(results)))
         return results
 
-    from jax import export
-
     allowed = [export.DisabledSafetyCheck.custom_call(name) for name in calls]
-    found = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
+    program = export.export(jax.jit(flat), disabled_checks=allowed)(*shapes)
     plain = _plain(form)
     if jax.tree.structure(_formed(plain)) != jax.tree.structure(form):
         raise TypeError(f"{form} cannot be written down")
-    with suppress(OSError):  # a full disk, or a folder that cannot be written
-        if _sources.__wrapped__() == _sources():  # else the sources are not those that were traced
-            keep(file, msgspec.msgpack.encode((plain, bytes(found.serialize()))))
-    return form, found
+    return plain, bytes(program.serialize())
 
 
 def _plain(form: Any) -> Any:
