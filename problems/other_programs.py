@@ -19,7 +19,7 @@ _IDLE, _COMPUTING = 5.0, 90.0
 _BETWEEN = 0.5
 
 
-def asked(command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[bytes]:
+def run_program(command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[bytes]:
     """Run a program, and end it with all that it started if it hangs or this process ends.
 
     Parameters

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from problems.canary import wrong_functions
-from problems.other_programs import asked
+from problems.other_programs import run_program
 from problems.whole_files import keep, kept
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
@@ -259,7 +259,7 @@ def _start_of_xla(flags: str) -> str | None:
     """The last line that XLA writes if it ends itself at these flags, nothing if it starts; None if
     something else ended it, or it hangs."""
     try:
-        done = asked([sys.executable, "-c", _START_XLA], XLA_FLAGS=flags, JAX_PLATFORMS="cpu")
+        done = run_program([sys.executable, "-c", _START_XLA], XLA_FLAGS=flags, JAX_PLATFORMS="cpu")
     except OSError:
         return None
     if done.returncode < 0 and done.returncode != -signal.SIGABRT:

@@ -15,7 +15,7 @@ from pathlib import Path
 import platformdirs
 
 from integrators.lowering.graph import NotLowered
-from problems.other_programs import asked
+from problems.other_programs import run_program
 from problems.whole_files import keep, kept
 
 _COMPILER = "cc"
@@ -69,7 +69,7 @@ def _compile(compiler: str, source: str) -> bytes:
         text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
         text.write_text(source, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
-        done = asked(command, LC_ALL="C", TMPDIR=folder)
+        done = run_program(command, LC_ALL="C", TMPDIR=folder)
         if done.returncode:
             words = done.stderr.decode(errors="replace").strip().splitlines()
             raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
@@ -85,4 +85,4 @@ def compiler_version(compiler: str = _COMPILER) -> str:
     OSError
         If there is none, or it hangs.
     """
-    return asked([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
+    return run_program([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
