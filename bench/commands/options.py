@@ -7,7 +7,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
-from bench.running.progress import OnStandardError, Progress
+from bench.running.progress import OnStandardError
 from integrators.contract import Tolerances
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
@@ -145,15 +144,6 @@ def end_time(scene: SceneFacts, t_end: float | None) -> float:
         If it does not lie after the start.
     """
     return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-
-
-def waiting() -> AbstractContextManager[Progress]:
-    """Give what is told of the work in hand, which a terminal shows meanwhile."""
-    if not sys.stderr.isatty():
-        return nullcontext(OnStandardError())
-    from bench.commands import terminal
-
-    return terminal.waiting()
 
 
 def guarded(

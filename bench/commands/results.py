@@ -1,25 +1,32 @@
-"""The commands for stored results: `export`, `compare`, `merge`, `open`, pictures and a guide."""
+"""The commands for stored results: flat rows, comparisons, histories, pictures and a guide."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
+import msgspec
 
 from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
+from bench.results.compare import compare, read_limits, regressions
 from bench.results.csv_text import csv_export
+from bench.results.history import History, history
+from bench.results.merge import merge
 from bench.results.quantities import RANKED_COSTS
 from bench.results.records import flatten
 from bench.results.store import Store
+from bench.results.table import Table
 from problems.spec import SpecError
 
 #: The page in a folder of results.
 _PAGE = "report.html"
-#: Most regressions that are named on the screen.
-_NAMED = 10
+#: Most regressions that are named on the screen, and lines of a history.
+_NAMED, _LINES = 10, 40
 
 
 @click.command()
@@ -53,12 +60,10 @@ def _tell(text: str, out: Path | None, done: str) -> None:
 def _limits(
     context: click.Context, parameter: click.Parameter, text: str | None
 ) -> dict[str, float]:
-    from bench.results.compare import read_limits
-
     return read_limits(text) if text is not None else {}
 
 
-@click.command()
+@click.command("compare")
 @click.argument("old", type=PathName("folder"))
 @click.argument("new", type=PathName("folder"))
 @click.option(
@@ -77,7 +82,7 @@ def _limits(
     help="Folder for comparison.html and comparison.md; no pages if not given.",
 )
 @options.with_as_json
-def compare(
+def compare_(
     old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
 ) -> None:
     """Compare the results in OLD and NEW, run by run.
@@ -92,21 +97,16 @@ def compare(
       stepbench compare before after --fail-on error:1.1,work:1.05,time:1.5
       stepbench compare before after --json > changes.json
     """
-    import msgspec
+    from bench.commands.terminal import show
 
-    from bench.commands.terminal import say
-    from bench.results.compare import compare as compare_folders
-    from bench.results.compare import regressions
-
-    comparison = compare_folders(old, new)
+    comparison = compare(old, new)
     worse = regressions(comparison, limits)
     options.tell_set_aside_of(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
     else:
-        for line in [*comparison.state(), *comparison.summary()]:
-            say(line)
+        show(*comparison.state(), *comparison.summary())
     if out:
         for page in view("comparison")(comparison, worse, out):
             click.echo(f"Comparison: {page}", err=as_json)
@@ -116,10 +116,61 @@ def compare(
         raise click.ClickException(f"{len(worse)} beyond the limits:\n{named}{more}")
 
 
-@click.command()
+@click.command("history")
+@click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
+@click.option("--csv", "form", flag_value="csv", help="Print a row for each cell and folder.")
+@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
+def history_(folders: tuple[Path, ...], form: str | None) -> None:
+    """Follow errors and costs over several versions.
+
+    The folders are named from the oldest to the newest, such as those of several versions of a
+    method; errors, operations and seconds of the same cells are compared with those of the folder
+    before, as by 'stepbench compare'. Errors are the largest over time. The table shows what
+    changed; CSV and JSON have all cells.
+
+    \b
+    Examples:
+      stepbench history results-v1 results-v2 results-v3
+      stepbench history monday tuesday --csv > days.csv
+    """
+    from bench.commands.terminal import show
+
+    found = history(folders)
+    options.tell_set_aside_of(*folders)
+    if form == "csv":
+        click.echo(csv_export(found.rows()), nl=False)
+        return
+    if form == "json":
+        plain = msgspec.json.encode(msgspec.structs.asdict(found))
+        click.echo(msgspec.json.format(plain.decode(), indent=2))
+        return
+    for comparison in found.comparisons:  # their state; the table has the rest
+        state = (f"  {line}" for line in comparison.state())
+        show(f"{comparison.old} -> {comparison.new}", *state)
+    if found.changed:
+        show(_changes(found))
+
+
+def _changes(found: History) -> Table:
+    """The lines in which something changed, a column per folder."""
+    rows = []
+    for run, line in found.changed[:_LINES]:
+        values = (f"{v:.4g}" if isinstance(v, float) else str(v or "-") for v in line.values)
+        pairs = zip(values, line.changed, strict=True)
+        rows.append([str(run), line.quantity, *("\n".join(filter(None, pair)) for pair in pairs)])
+    left = len(found.changed) - len(rows)
+    return Table(
+        f"What changed of {len(found.cells)} runs",
+        ["run", "quantity", *(store.folder for store in found.stores)],
+        rows,
+        note=f"... and {left} more lines; --csv prints all." if left else "",
+    )
+
+
+@click.command("merge")
 @click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
 @click.option("--out", required=True, type=PathName("folder"), help="A new folder.")
-def merge(folders: tuple[Path, ...], out: Path) -> None:
+def merge_(folders: tuple[Path, ...], out: Path) -> None:
     """Put results of several folders into one.
 
     Each record keeps the machine that measured it. Of a run that several folders have, the one
@@ -129,9 +180,7 @@ def merge(folders: tuple[Path, ...], out: Path) -> None:
     Examples:
       stepbench merge laptop-results cluster-results --out all-results
     """
-    from bench.results.merge import merge as merge_stores
-
-    merged = merge_stores(folders, out)
+    merged = merge(folders, out)
     options.tell_set_aside_of(*folders)
     click.echo(
         f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
@@ -189,17 +238,7 @@ def open_(folder: Path) -> None:
 @options.with_file(
     "File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given."
 )
-def figure(
-    folder: Path,
-    kind: str,
-    scene: str | None,
-    error: str | None,
-    cost: str | None,
-    component: str | None,
-    integrators: tuple[str, ...],
-    t_end: float | None,
-    out: Path | None,
-) -> None:
+def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
     """Write one figure for a paper.
 
     It is as wide as a column, and shows the results in FOLDER. KIND is work_precision, convergence,
@@ -212,12 +251,7 @@ def figure(
           -i newmark -i hht -o orders.pdf
       stepbench figure stepbench-results trajectory --scene pendulum --component a:Y -o a.png
     """
-    given = {"error": error, "cost": cost, "component": component}
-    more = {name: value for name, value in given.items() if value is not None}
-    more |= {"scene": scene, "integrators": integrators, "t_end": t_end}
-    written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **more)
-    options.tell_set_aside_of(folder)
-    click.echo(f"Figure: {written}")
+    _draw("figure", folder, out or Path(f"{kind}.svg"), question, kind)
 
 
 @click.command()
@@ -231,14 +265,7 @@ def figure(
 @click.option("--cost", metavar="|".join(RANKED_COSTS), help="operations if not given.")
 @click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
 @options.with_file("File that ends in .svg or .png; card.svg if not given.")
-def card(
-    folder: Path,
-    group: str | None,
-    target: float | None,
-    cost: str | None,
-    scenes: str | None,
-    out: Path | None,
-) -> None:
+def card(folder: Path, out: Path | None, **question: Any) -> None:
     """Write a summary card of results.
 
     It answers a question on the results in FOLDER by three sentences and a chart, for a slide or a
@@ -249,11 +276,15 @@ def card(
       stepbench card stepbench-results -o card.png
       stepbench card --group lam --target 1e-6 --cost seconds --scenes constrained
     """
-    given = {"group": group, "target": target, "cost": cost, "scenes": scenes}
-    more = {name: value for name, value in given.items() if value is not None}
-    written = view("card")(folder, out or Path("card.svg"), **more)
+    _draw("card", folder, out or Path("card.svg"), question)
+
+
+def _draw(kind: str, folder: Path, out: Path, question: Mapping[str, Any], *more: str) -> None:
+    """Draw results into a file; what the question leaves open, the writer decides."""
+    asked = {name: value for name, value in question.items() if value is not None}
+    written = view(kind)(*more, folder, out, **asked)
     options.tell_set_aside_of(folder)
-    click.echo(f"Card: {written}")
+    click.echo(f"{kind.capitalize()}: {written}")
 
 
 @click.command()

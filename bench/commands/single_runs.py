@@ -90,16 +90,15 @@ def solve(
                 f"{used:.9g} s are taken.",
                 err=True,
             )
+    from bench.commands.terminal import show, waiting
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    with options.waiting() as progress:
+    with waiting() as progress:
         ((record, rows),), names = solve_cells([cell], registry, 7, budget, progress=progress)
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
     else:
-        from bench.commands.terminal import show
-
         show(_end_values(record, rows, names), *_facts(record))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
@@ -212,9 +211,10 @@ def order(
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
     cells = order_cells(scene, method, steps, pattern, t_end)
+    from bench.commands.terminal import show, waiting
     from bench.running.session import solve_cells
 
-    with options.waiting() as progress:
+    with waiting() as progress:
         results, _ = solve_cells(cells, registry, 0, budget, progress=progress)
     records = [record for record, _ in results]
     orders = summary.orders(records)
@@ -223,8 +223,6 @@ def order(
     if as_json:
         click.echo(json.dumps(orders, indent=2))
     elif len(failed) < len(records):
-        from bench.commands.terminal import show
-
         show(*_order_tables(records, orders))
     if refused:
         reason = records[0].message
