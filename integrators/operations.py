@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.lowering.known import on_numbers
+from integrators.lowering.moves import MOVES
+from integrators.lowering.operators import ELEMENTARY, OPERATORS
 from integrators.programs import Body, Follower, Program, Step, program
 from problems.compiled import compiled
 from problems.named_equations import EQUATIONS, INDEX1
@@ -29,28 +31,18 @@ if TYPE_CHECKING:
     from integrators.contract import Trajectory
     from problems.system import MechatronicSystem
 
-#: Operations of an elementary function, such as sin or exp; about what their polynomials take.
-ELEMENTARY = 10
 #: Turns of loops that are counted at all.
 _MOST_TURNS = 100_000
 #: Operations for each entry of the result, by the names of StableHLO.
-_EACH = {
-    **dict.fromkeys(("add", "subtract", "multiply", "divide", "remainder", "sqrt", "square"), 1),
-    **dict.fromkeys((
-        "sine", "cosine", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
-        "acosh", "atanh", "exponential", "exponential_minus_one", "log", "log_plus_one", "power",
-        "logistic", "erf", "erfc", "erf_inv", "rsqrt", "cbrt",
-    ), ELEMENTARY),
-    **dict.fromkeys((
-        "constant", "iota", "convert", "broadcast_in_dim", "reshape", "transpose", "slice",
-        "concatenate", "pad", "reverse", "select", "compare", "and", "or", "not", "xor",
-        "is_finite", "negate", "abs", "sign", "floor", "ceil", "round_nearest_even", "maximum",
-        "round_nearest_afz", "minimum", "clamp", "reduce_precision", "gather", "dynamic_slice",
-        "dynamic_update_slice", "sort", "optimization_barrier", "shift_left", "AllocateBuffer",
-        "shift_right_logical", "shift_right_arithmetic", "bitcast_convert", "real",
-        "imag",
-    ), 0),
-}  # fmt: skip
+_EACH = {name: operator.cost for name, operator in OPERATORS.items()} | {
+    "square": 1,
+    **dict.fromkeys(("rsqrt", "logistic", "erf", "erfc"), ELEMENTARY),
+    **dict.fromkeys(MOVES, 0),
+    **dict.fromkeys(("gather", "dynamic_slice", "dynamic_update_slice", "sort"), 0),
+    **dict.fromkeys(("constant", "iota", "convert", "bitcast_convert", "reduce_precision"), 0),
+    **dict.fromkeys(("compare", "clamp", "round_nearest_afz", "AllocateBuffer"), 0),
+    "optimization_barrier": 0,
+}
 
 
 class NotCounted(Exception):

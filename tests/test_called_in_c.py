@@ -128,15 +128,15 @@ class AtAZero(Probe):
 def test_functions_that_differ_at_the_start_alone_are_not_used(forgotten, monkeypatch):
     assert not run(BDF(), AtAZero()).why
     in_c.cache_clear()
-    flipped = operators.OPERATORS["eq"]._replace(c="{} > {} + 9")
-    monkeypatch.setitem(operators.OPERATORS, "eq", flipped)
+    flipped = operators.OPERATORS["EQ"]._replace(c="{} > {} + 9")
+    monkeypatch.setitem(operators.OPERATORS, "EQ", flipped)
     assert run(BDF(), AtAZero()).why
     assert any("in C are not those of JAX" in text for text in forgotten.messages)
 
 
 def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):
-    flipped = operators.OPERATORS["sub"]._replace(c="{} + {}")
-    monkeypatch.setitem(operators.OPERATORS, "sub", flipped)
+    flipped = operators.OPERATORS["subtract"]._replace(c="{} + {}")
+    monkeypatch.setitem(operators.OPERATORS, "subtract", flipped)
     assert run(Radau(), Pendulum()).measure().status == "ok"
     assert any("in C are not those of JAX" in text for text in forgotten.messages)
 

@@ -81,7 +81,7 @@ def test_products_with_zeros_disappear_whatever_their_sign():
 
     program = lowered(function, (2,))
     nodes = program.graph.needed(program.results)
-    assert [program.graph.nodes[node][0] for node in nodes] == ["neg"]
+    assert [program.graph.nodes[node][0] for node in nodes] == ["negate"]
     assert both(function)[0](np.ones(2)).tolist() == [0.0, -1.0, 0.0]
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from integrators.adapters.packed_functions import PackedFunction
+from integrators.lowering.operators import ELEMENTARY
 from integrators.native.dependencies import pattern
 from integrators.native.discrete_gradients import discrete_gradient
 from integrators.native.small_matrices import without_products
-from integrators.operations import ELEMENTARY, operations
+from integrators.operations import operations
 from problems import jax, jnp
 
 

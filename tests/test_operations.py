@@ -19,10 +19,11 @@ from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
 from integrators.contract import Work
+from integrators.lowering.operators import ELEMENTARY
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native.step_operations import StepCosts, step_costs
 from integrators.native.step_program import _at_rest
-from integrators.operations import ELEMENTARY, NotCounted, dense, operations, sparse
+from integrators.operations import NotCounted, dense, operations, sparse
 from problems import jax, jnp
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum

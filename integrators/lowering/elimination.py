@@ -79,18 +79,18 @@ def _eliminated(
         for i in range(k + 1, n):
             if rows[i][k] in graph.zeros:
                 continue
-            factor = graph.apply("div", rows[i][k], rows[k][k])
+            factor = graph.apply("divide", rows[i][k], rows[k][k])
             for j in range(k + 1, n + m):
-                product = graph.apply("mul", factor, rows[k][j])
-                rows[i][j] = graph.apply("sub", rows[i][j], product)
+                product = graph.apply("multiply", factor, rows[k][j])
+                rows[i][j] = graph.apply("subtract", rows[i][j], product)
     x = np.empty((n, m), int)
     for k in reversed(range(n)):
         for column in range(m):
             left = rows[k][n + column]
             for j in range(k + 1, n):
-                product = graph.apply("mul", rows[k][j], int(x[j, column]))
-                left = graph.apply("sub", left, product)
-            x[k, column] = graph.apply("div", left, rows[k][k])
+                product = graph.apply("multiply", rows[k][j], int(x[j, column]))
+                left = graph.apply("subtract", left, product)
+            x[k, column] = graph.apply("divide", left, rows[k][k])
     return x
 
 
@@ -102,8 +102,8 @@ def _bring_up_the_larger(graph: Graph, rows: list[list[int]], k: int, i: int) ->
         rows[k], rows[i] = rows[i], rows[k]
         return
     sizes = (graph.apply("abs", rows[at][k]) for at in (i, k))
-    exchanged = graph.apply("gt", *sizes)
+    exchanged = graph.apply("GT", *sizes)
     for j in range(k, len(rows[k])):
         upper, lower = rows[k][j], rows[i][j]
-        rows[k][j] = graph.apply("choose", exchanged, lower, upper)
-        rows[i][j] = graph.apply("choose", exchanged, upper, lower)
+        rows[k][j] = graph.apply("select", exchanged, lower, upper)
+        rows[i][j] = graph.apply("select", exchanged, upper, lower)

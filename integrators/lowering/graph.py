@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.operators import OPERATORS
+from integrators.lowering.operators import OPERATORS, TO_FLOAT
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -44,11 +44,12 @@ class Unknown(NamedTuple):
     name: str
 
 
-_ARITHMETIC = {"neg", "add", "sub", "mul", "div"}
+_ARITHMETIC = {"negate", "add", "subtract", "multiply", "divide"}
 #: Operators on whole numbers, which C keeps as floats: as counters they stay exact.
-_COUNT = {"add", "sub", "max", "min", "number", "choose", "eq", "ne", "lt", "le", "gt", "ge"}
+_COUNT = {"add", "subtract", "maximum", "minimum", TO_FLOAT, "select"}
+_COUNT |= {"EQ", "NE", "LT", "LE", "GT", "GE"}
 _LARGEST_COUNT = 10**6
-_COMMUTE = {"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"}
+_COMMUTE = {"add", "multiply", "maximum", "minimum", "EQ", "NE", "and", "or", "xor"}
 
 
 class Graph:
@@ -182,11 +183,11 @@ class Graph:
         return known
 
     def _simplest(self, operator: str, given: tuple[int, ...], key: Any) -> int:
-        if operator == "choose" and given[1] == given[2]:
+        if operator == "select" and given[1] == given[2]:
             return given[1]
-        if operator == "choose" and given[1] in self.zeros and given[2] in self.zeros:
+        if operator == "select" and given[1] in self.zeros and given[2] in self.zeros:
             return self._nothing
-        if operator == "choose" and self.is_constant(given[0]):
+        if operator == "select" and self.is_constant(given[0]):
             return given[1] if self.value(given[0]) else given[2]
         kinds = [self._kinds[node] for node in given]
         # JAX wraps whole numbers that are too large for their type.
@@ -197,10 +198,10 @@ class Graph:
         simple = self._signed(operator, *given) if operator in _ARITHMETIC else None
         if simple is not None:
             return simple
-        kind = kinds[1] if operator == "choose" else OPERATORS[operator].kind
+        kind = kinds[1] if operator == "select" else OPERATORS[operator].kind
         if wraps:
             return self.unknown("'arithmetic of whole numbers'", "i", given)
-        if "i" in kinds and (operator in _ARITHMETIC or operator in ("max", "min")):
+        if "i" in kinds and (operator in _ARITHMETIC or operator in ("maximum", "minimum")):
             kind = "i"
         return self._node(key, operator, given, kind)
 
@@ -217,32 +218,32 @@ class Graph:
     def _signed(self, operator: str, a: int, b: int = -1) -> int | None:
         """A simpler node for -a, a + b, a - b, a b or a / b, or None."""
         minus_a, minus_b = self._negated(a), self._negated(b)
-        if operator == "neg":
+        if operator == "negate":
             return minus_a
         if operator == "add":
             if self._is_zero(a) or self._is_zero(b):
                 return b if self._is_zero(a) else a
             if minus_b is not None:
-                return self.apply("sub", a, minus_b)
-            return None if minus_a is None else self.apply("sub", b, minus_a)
-        if operator == "sub":
+                return self.apply("subtract", a, minus_b)
+            return None if minus_a is None else self.apply("subtract", b, minus_a)
+        if operator == "subtract":
             if self._is_zero(b):
                 return a
             if a == self._nothing:
-                return self.apply("neg", b)
+                return self.apply("negate", b)
             if minus_b is None or self._is_zero(a):
                 return None
             return self.apply("add", a, minus_b)
-        if a in self.zeros or (operator == "mul" and b in self.zeros):
+        if a in self.zeros or (operator == "multiply" and b in self.zeros):
             return self._nothing
-        if b == self.one or (operator == "mul" and a == self.one):
+        if b == self.one or (operator == "multiply" and a == self.one):
             return a if b == self.one else b
         if minus_a is None and minus_b is None:
             return None
         product = self.apply(
             operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b)))
         )
-        return self.apply("neg", product) if None in (minus_a, minus_b) else product
+        return self.apply("negate", product) if None in (minus_a, minus_b) else product
 
     def _is_zero(self, node: int) -> bool:
         """Whether it is a constant float, 0 or -0."""
@@ -250,7 +251,7 @@ class Graph:
 
     def _negated(self, node: int) -> int | None:
         """-x if x is a node with a minus sign, else None."""
-        if node < 0 or self.nodes[node][0] != "neg":
+        if node < 0 or self.nodes[node][0] != "negate":
             return None
         return self.nodes[node][1][0]
 

@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from integrators.lowering.moves import MOVES
-from integrators.lowering.operators import OPERATORS
-from integrators.lowering.rules import operator
+from integrators.lowering.operators import OPERATORS, operator
 from integrators.programs import Step
-
-
-def _erf_inv(x: np.ndarray) -> np.ndarray:
-    from scipy.special import erfinv
-
-    return erfinv(x)
-
-
-#: Functions of numbers that have no form in C; random numbers need them.
-_OF_NUMBERS: dict[str, Callable[..., np.ndarray]] = {
-    "real": np.real, "imag": np.imag, "erf_inv": _erf_inv, "shift_left": np.left_shift,
-    "shift_right_arithmetic": np.right_shift,
-    "shift_right_logical": lambda x, by: (x.view(f"u{x.itemsize}") >> by.view(f"u{x.itemsize}")),
-}  # fmt: skip
 
 
 def on_numbers(step: Step, *given: np.ndarray) -> list[np.ndarray] | None:
@@ -57,8 +40,7 @@ def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
     if name == "divide" and made.dtype.kind in "iu":
         return (given[0] - np.fmod(*given)) // given[1]
     by = operator(step)
-    function = _OF_NUMBERS.get(name) if by is None else OPERATORS[by].numpy
-    return None if function is None else function(*given)
+    return OPERATORS[by].numpy(*given) if by else None
 
 
 def _converted(x: np.ndarray, dtype: np.dtype) -> np.ndarray:

@@ -1,4 +1,7 @@
-"""Operations on numbers: how C and NumPy write each, and the kind of its result."""
+"""Operations on numbers, by the names of StableHLO: how C and NumPy write each, and what it costs.
+
+Comparisons go by their directions. `TO_FLOAT` and `TO_COUNT` convert what is true or false.
+"""
 
 from __future__ import annotations
 
@@ -7,76 +10,112 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from integrators.programs import Step
+
+#: Floating-point operations of an elementary function, such as sin or exp; about what their
+#: polynomials take.
+ELEMENTARY = 10
+TO_FLOAT, TO_COUNT = "to_float", "to_count"
+
 
 class Operator(NamedTuple):
-    """An operation on numbers: how C and NumPy write it, and the kind of its result.
+    """An operation on numbers.
 
-    ``kind`` is "f" for a float, "b" for true or false, "i" for a whole number.
+    Attributes
+    ----------
+    c
+        How C writes it; empty if it has no form in C.
+    numpy
+        The function of arrays.
+    cost
+        Its floating-point operations.
+    kind
+        The kind of its result: "f" for a float, "b" for true or false, "i" for a whole number.
     """
 
     c: str
     numpy: Callable[..., Any]
+    cost: int = 0
     kind: str = "f"
 
 
-def _like_c(name: str, numpy: Any = None, arguments: int = 1) -> Operator:
-    places = ", ".join(["{}"] * arguments)
-    return Operator(f"{name}({places})", numpy or getattr(np, name))
+def _erf_inv(x: np.ndarray) -> np.ndarray:
+    from scipy.special import erfinv
+
+    return erfinv(x)
 
 
-OPERATORS = {
-    "add": Operator("{} + {}", np.add),
-    "sub": Operator("{} - {}", np.subtract),
-    "mul": Operator("{} * {}", np.multiply),
-    "div": Operator("{} / {}", np.divide),
-    "rem": _like_c("fmod", arguments=2),
-    "neg": Operator("-{}", np.negative),
-    "abs": _like_c("fabs", np.abs),
-    # As in JAX, NaN wins, and -0 is less than 0.
-    "max": Operator(
-        "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}", np.maximum
-    ),
-    "min": Operator(
-        "{0} < {1} || {0} != {0} || ({0} == {1} && signbit((double){0})) ? {0} : {1}", np.minimum
-    ),
-    "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
-    "sqrt": _like_c("sqrt"),
-    "cbrt": _like_c("cbrt"),
-    "pow": _like_c("pow", np.power, 2),
-    "atan2": _like_c("atan2", np.arctan2, 2),
-    "rint": _like_c("rint"),
-    "floor": _like_c("floor"),
-    "ceil": _like_c("ceil"),
-    "exp": _like_c("exp"),
-    "expm1": _like_c("expm1"),
-    "log": _like_c("log"),
-    "log1p": _like_c("log1p"),
-    "sin": _like_c("sin"),
-    "cos": _like_c("cos"),
-    "tan": _like_c("tan"),
-    "asin": _like_c("asin", np.arcsin),
-    "acos": _like_c("acos", np.arccos),
-    "atan": _like_c("atan", np.arctan),
-    "sinh": _like_c("sinh"),
-    "cosh": _like_c("cosh"),
-    "tanh": _like_c("tanh"),
-    "asinh": _like_c("asinh", np.arcsinh),
-    "acosh": _like_c("acosh", np.arccosh),
-    "atanh": _like_c("atanh", np.arctanh),
-    "eq": Operator("{} == {}", np.equal, "b"),
-    "ne": Operator("{} != {}", np.not_equal, "b"),
-    "lt": Operator("{} < {}", np.less, "b"),
-    "le": Operator("{} <= {}", np.less_equal, "b"),
-    "gt": Operator("{} > {}", np.greater, "b"),
-    "ge": Operator("{} >= {}", np.greater_equal, "b"),
-    "and": Operator("{} & {}", np.bitwise_and, "b"),
-    "or": Operator("{} | {}", np.bitwise_or, "b"),
-    "xor": Operator("{} ^ {}", np.bitwise_xor, "b"),
-    "not": Operator("!{}", np.invert, "b"),
-    "is_finite": Operator("isfinite({}) != 0", np.isfinite, "b"),
-    #: 1.0 for true, 0.0 for false.
-    "number": Operator("(double){}", np.float64),
-    "count": Operator("(double){}", np.int64, "i"),
-    #: The second value where the first is true, else the third.
-    "choose": Operator("{} ? {} : {}", np.where),
+def _shift_right_logical(x: np.ndarray, by: np.ndarray) -> np.ndarray:
+    return x.view(f"u{x.itemsize}") >> by.view(f"u{x.itemsize}")
+
+
+#: Functions that C and NumPy call alike, where StableHLO has other names.
+_RENAMED = {
+    "sine": "sin",
+    "cosine": "cos",
+    "exponential": "exp",
+    "exponential_minus_one": "expm1",
+    "log_plus_one": "log1p",
 }
+_ELEMENTARY = ("log", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
+_FUNCTIONS = {**_RENAMED, **{name: name for name in (*_ELEMENTARY, "atanh", "cbrt")}}
+_COMPARISONS = {
+    "EQ": ("==", np.equal),
+    "NE": ("!=", np.not_equal),
+    "LT": ("<", np.less),
+    "LE": ("<=", np.less_equal),
+    "GT": (">", np.greater),
+    "GE": (">=", np.greater_equal),
+}
+# As in JAX, NaN wins in maximum and minimum, and -0 is less than 0.
+_LARGER = "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}"
+_SMALLER = "{0} < {1} || {0} != {0} || ({0} == {1} && signbit((double){0})) ? {0} : {1}"
+OPERATORS = {
+    "add": Operator("{} + {}", np.add, 1),
+    "subtract": Operator("{} - {}", np.subtract, 1),
+    "multiply": Operator("{} * {}", np.multiply, 1),
+    "divide": Operator("{} / {}", np.divide, 1),
+    "remainder": Operator("fmod({}, {})", np.fmod, 1),
+    "sqrt": Operator("sqrt({})", np.sqrt, 1),
+    **{
+        name: Operator(f"{function}({{}})", getattr(np, function), ELEMENTARY)
+        for name, function in _FUNCTIONS.items()
+    },
+    "power": Operator("pow({}, {})", np.power, ELEMENTARY),
+    "atan2": Operator("atan2({}, {})", np.arctan2, ELEMENTARY),
+    "erf_inv": Operator("", _erf_inv, ELEMENTARY),
+    "negate": Operator("-{}", np.negative),
+    "abs": Operator("fabs({})", np.abs),
+    "maximum": Operator(_LARGER, np.maximum),
+    "minimum": Operator(_SMALLER, np.minimum),
+    "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
+    "round_nearest_even": Operator("rint({})", np.rint),
+    "floor": Operator("floor({})", np.floor),
+    "ceil": Operator("ceil({})", np.ceil),
+    **{
+        name: Operator(f"{{}} {sign} {{}}", function, kind="b")
+        for name, (sign, function) in _COMPARISONS.items()
+    },
+    "and": Operator("{} & {}", np.bitwise_and, kind="b"),
+    "or": Operator("{} | {}", np.bitwise_or, kind="b"),
+    "xor": Operator("{} ^ {}", np.bitwise_xor, kind="b"),
+    "not": Operator("!{}", np.invert, kind="b"),
+    "is_finite": Operator("isfinite({}) != 0", np.isfinite, kind="b"),
+    #: The second value where the first is true, else the third.
+    "select": Operator("{} ? {} : {}", np.where),
+    TO_FLOAT: Operator("(double){}", np.float64),
+    TO_COUNT: Operator("(double){}", np.int64, kind="i"),
+    # Random numbers need these, of constants alone.
+    "real": Operator("", np.real),
+    "imag": Operator("", np.imag),
+    "shift_left": Operator("", np.left_shift),
+    "shift_right_arithmetic": Operator("", np.right_shift),
+    "shift_right_logical": Operator("", _shift_right_logical),
+}
+
+
+def operator(step: Step) -> str:
+    """Return the operator of a step that computes entry by entry; empty if it is none."""
+    if step.name == "compare" and "TOTALORDER" not in step.attributes.get("compare_type", ""):
+        return step.attributes["comparison_direction"].split()[-1].rstrip(">")
+    return step.name if step.name in OPERATORS else ""

@@ -20,7 +20,8 @@ from integrators.lowering import moves
 from integrators.lowering.elimination import solve
 from integrators.lowering.graph import Graph, Loop, NotLowered, Program
 from integrators.lowering.known import on_numbers
-from integrators.lowering.rules import ENTRYWISE, RULES, entrywise, operator
+from integrators.lowering.operators import OPERATORS, operator
+from integrators.lowering.rules import RULES, entrywise
 from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
 
@@ -135,7 +136,7 @@ class _Follower(Follower[_Value]):
         if not _types(step) <= _TYPES:
             raise NotLowered
         by = operator(step)
-        if by is not None:
+        if by and OPERATORS[by].c:
             return [entrywise(self._graph, by, *nodes)]
         if "getrf" in name:
             return self._factors(step, *nodes)
@@ -152,9 +153,9 @@ class _Follower(Follower[_Value]):
             given = [given[0], given[2], given[1]]
         arrays, places = given[:count], map(self._numbers, given[count:])
         if step.name == "scatter" and step.operation != "second":
-            if step.operation not in ENTRYWISE:
+            if step.operation not in OPERATORS:
                 raise NotLowered("it scatters by other operations than sums")
-            combined = partial(entrywise, self._graph, ENTRYWISE[step.operation])
+            combined = partial(entrywise, self._graph, step.operation)
             return function(step, *map(self.nodes, arrays), *places, combined)
         if all(isinstance(array, _Known) for array in arrays):
             return _Known(function(step, *map(self._numbers, arrays), *places))
@@ -262,9 +263,9 @@ class _Follower(Follower[_Value]):
         if any(isinstance(operator, Loop) for operator, _ in graph.nodes[before:]):
             raise NotLowered("a loop of a branch that is not taken might go on for ever")
         for k, results in reversed([*enumerate(others)]):
-            taken = graph.apply("eq", index, graph.constant(k))
+            taken = graph.apply("EQ", index, graph.constant(k))
             pairs = zip(results, chosen, strict=True)
-            chosen = [entrywise(graph, "choose", taken, yes, no) for yes, no in pairs]
+            chosen = [entrywise(graph, "select", taken, yes, no) for yes, no in pairs]
         return chosen
 
     def _unknown(self, name: str, made: Type, given: Sequence[_Value]) -> np.ndarray:

@@ -11,30 +11,19 @@ from typing import Any
 import numpy as np
 
 from integrators.lowering.graph import Graph, NotLowered
+from integrators.lowering.operators import TO_COUNT, TO_FLOAT
 from integrators.programs import Step
 
-#: Operators of steps that compute entry by entry.
-ENTRYWISE = {
-    "subtract": "sub", "multiply": "mul", "divide": "div", "remainder": "rem", "negate": "neg",
-    "maximum": "max", "minimum": "min", "power": "pow", "exponential": "exp", "sine": "sin",
-    "exponential_minus_one": "expm1", "log_plus_one": "log1p", "cosine": "cos",
-    "round_nearest_even": "rint", "select": "choose",
-    **{name: name for name in (
-        "add", "abs", "sign", "sqrt", "cbrt", "atan2", "floor", "ceil", "log", "tan", "asin",
-        "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "and", "or", "xor",
-        "not", "is_finite",
-    )},
-}  # fmt: skip
 #: Results of folding nothing.
-_OF_NOTHING = {"add": 0.0, "mul": 1.0, "max": -np.inf, "min": np.inf, "and": True, "or": False}
+_OF_NOTHING = {
+    "add": 0.0,
+    "multiply": 1.0,
+    "maximum": -np.inf,
+    "minimum": np.inf,
+    "and": True,
+    "or": False,
+}
 RULES: dict[str, Callable[..., np.ndarray]] = {}
-
-
-def operator(step: Step) -> str | None:
-    """The operator of a step that computes entry by entry, if it is one."""
-    if step.name == "compare" and "TOTALORDER" not in step.attributes.get("compare_type", ""):
-        return step.attributes["comparison_direction"].split()[-1].rstrip(">").lower()
-    return ENTRYWISE.get(step.name)
 
 
 def entrywise(graph: Graph, operator: str, *given: Any) -> np.ndarray:
@@ -53,23 +42,23 @@ def _rule(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
 # ---- entry by entry --------------------------------------------------------------------
 @_rule
 def _square(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    return entrywise(graph, "mul", x, x)
+    return entrywise(graph, "multiply", x, x)
 
 
 @_rule
 def _rsqrt(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    return entrywise(graph, "div", graph.one, entrywise(graph, "sqrt", x))
+    return entrywise(graph, "divide", graph.one, entrywise(graph, "sqrt", x))
 
 
 @_rule
 def _logistic(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    decay = entrywise(graph, "exp", entrywise(graph, "neg", x))
-    return entrywise(graph, "div", graph.one, entrywise(graph, "add", graph.one, decay))
+    decay = entrywise(graph, "exponential", entrywise(graph, "negate", x))
+    return entrywise(graph, "divide", graph.one, entrywise(graph, "add", graph.one, decay))
 
 
 @_rule
 def _clamp(graph: Graph, step: Step, low: Any, x: np.ndarray, high: Any) -> np.ndarray:
-    return entrywise(graph, "min", entrywise(graph, "max", x, low), high)
+    return entrywise(graph, "minimum", entrywise(graph, "maximum", x, low), high)
 
 
 @_rule
@@ -78,11 +67,11 @@ def _convert(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
     if source == target:
         return x
     if target == "f":
-        return entrywise(graph, "number", x)
+        return entrywise(graph, TO_FLOAT, x)
     if (source, target) == ("b", "i"):
-        return entrywise(graph, "count", x)
+        return entrywise(graph, TO_COUNT, x)
     if (source, target) == ("f", "b"):
-        return entrywise(graph, "ne", x, graph.zero)
+        return entrywise(graph, "NE", x, graph.zero)
     raise NotLowered("whole numbers depend on the state")
 
 
@@ -96,7 +85,7 @@ def _reduce_precision(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
 # ---- several into one ------------------------------------------------------------------
 def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Fold the last axis away by the operation of a step, from the first entry to the last."""
-    by = ENTRYWISE.get(step.operation or "", "")
+    by = step.operation
     if by not in _OF_NOTHING:
         raise NotLowered("it folds arrays by other operations than sums")
     neutral = graph.is_constant(int(first)) and graph.value(int(first)) == _OF_NOTHING[by]
@@ -149,6 +138,6 @@ def _dot_general(graph: Graph, step: Step, a: np.ndarray, b: np.ndarray) -> np.n
     rows, columns = arranged(a, "lhs"), arranged(b, "rhs")
     result = np.full((len(rows), rows.shape[1], columns.shape[1]), graph.zero)
     for k in range(rows.shape[2]):
-        product = entrywise(graph, "mul", rows[:, :, None, k], columns[:, None, :, k])
+        product = entrywise(graph, "multiply", rows[:, :, None, k], columns[:, None, :, k])
         result = entrywise(graph, "add", result, product)
     return result

@@ -68,8 +68,8 @@ _ELEMENTARY: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
 }
 #: Operators without a jump, a kink or a pole near the real axis.
-_SMOOTH = {"add", "sub", "mul", "div", "neg", "exp", "expm1", "sin", "cos", "sinh", "cosh", "tanh"}
-_SMOOTH |= {"atan", "asinh"}
+_SMOOTH = {"add", "subtract", "multiply", "divide", "negate", "exponential", "sine", "cosine"}
+_SMOOTH |= {"exponential_minus_one", "sinh", "cosh", "tanh", "atan", "asinh"}
 #: Changes below this part of the distance are integrated: a secant would cancel digits.
 _CLOSE = 0.02
 
