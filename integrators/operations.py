@@ -37,10 +37,9 @@ _MOST_TURNS = 100_000
 _EACH = {name: operator.cost for name, operator in OPERATORS.items()} | {
     "square": 1,
     **dict.fromkeys(("rsqrt", "logistic", "erf", "erfc"), ELEMENTARY),
-    **dict.fromkeys(MOVES, 0),
-    **dict.fromkeys(("gather", "dynamic_slice", "dynamic_update_slice", "sort"), 0),
+    **dict.fromkeys(MOVES.keys() - {"scatter"}, 0),
     **dict.fromkeys(("constant", "iota", "convert", "bitcast_convert", "reduce_precision"), 0),
-    **dict.fromkeys(("compare", "clamp", "round_nearest_afz", "AllocateBuffer"), 0),
+    **dict.fromkeys(("compare", "clamp", "sort", "round_nearest_afz", "AllocateBuffer"), 0),
     "optimization_barrier": 0,
 }
 

@@ -9,7 +9,7 @@ import pytest
 from test_fixed_elimination import fallbacks  # noqa: F401 - a fixture
 
 from integrators.lowering.programs import lowered
-from integrators.lowering.side_by_side import evaluated
+from integrators.lowering.side_by_side import side_by_side
 from integrators.native import linear_solvers
 from integrators.native.fixed_elimination import Plan
 
@@ -101,5 +101,5 @@ def test_a_graph_of_every_operator_is_computed_side_by_side():
         return jnp.concatenate(parts)
 
     x = np.random.default_rng(0).normal(size=(2, 7))
-    found = np.array(evaluated(lowered(function, (2,)), list(jnp.asarray(x))).tolist())
+    found = np.array(side_by_side(lowered(function, (2,)))(*jnp.asarray(x)))
     assert found == pytest.approx(np.asarray(jax.jit(jax.vmap(function, 1, 1))(x)), rel=1e-14)

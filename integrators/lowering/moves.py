@@ -5,11 +5,12 @@ Indices are known beforehand. Source: https://openxla.org/stablehlo/spec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from integrators.lowering.graph import NotLowered
+from integrators.lowering.operators import OPERATORS
 from integrators.programs import Step
 
 
@@ -38,78 +39,82 @@ def _pad(step: Step, x: np.ndarray, value: np.ndarray) -> np.ndarray:
     return x
 
 
-#: Functions of a step and its arrays, all of one kind.
-MOVES: dict[str, Callable[..., np.ndarray]] = {
-    "broadcast_in_dim": _broadcast_in_dim,
-    "concatenate": lambda step, *x: np.concatenate(x, step.numbers("dimension")[0]),
-    "pad": _pad,
-    "reshape": lambda step, x: x.reshape(step.made[0].shape),
-    "reverse": lambda step, x: np.flip(x, step.numbers("dimensions")),
-    "slice": _slice,
-    "transpose": lambda step, x: np.transpose(x, step.numbers("permutation")),
-}
+def _dynamic_slice(step: Step, x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    return x[_window(x, np.array(starts, int), step.numbers("slice_sizes"))]
 
 
-def dynamic_slice(step: Step, x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """A window of x; its first index is moved until the window is inside."""
-    sizes = step.numbers("slice_sizes")
-    return x[_window(_inside(starts, x, sizes), sizes)]
-
-
-def dynamic_update_slice(
+def _dynamic_update_slice(
     step: Step, x: np.ndarray, update: np.ndarray, *starts: np.ndarray
 ) -> np.ndarray:
-    """x with another window, moved likewise."""
     x = x.copy()
-    x[_window(_inside(starts, x, update.shape), update.shape)] = update
+    x[_window(x, np.array(starts, int), update.shape)] = update
     return x
 
 
-def gather(step: Step, x: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Windows of x at indices, side by side."""
+def _gather(step: Step, x: np.ndarray, indices: np.ndarray) -> np.ndarray:
     numbers, sizes = step.fields("dimension_numbers"), step.numbers("slice_sizes")
-    shape = step.made[0].shape
-    dropped = {*numbers["collapsed_slice_dims"], *numbers["operand_batching_dims"]}
-    batch = [k for k in range(len(shape)) if k not in numbers["offset_dims"]]
-    kept = tuple(0 if k in dropped else slice(None) for k in range(x.ndim))
     pairs = numbers["operand_batching_dims"], numbers["start_indices_batching_dims"]
-    result = np.empty(shape, x.dtype)
-    for place, start in _starts(numbers, indices, numbers["start_index_map"], x.ndim, *pairs):
-        window = x[_window(_inside(start, x, sizes), sizes)]
-        result[_at(batch, place, len(shape))] = window[kept]
-    return result
+    starts = _starts(numbers, indices, numbers["start_index_map"], x.ndim, *pairs)
+    windows = np.array([x[_window(x, start, sizes)] for start in starts.reshape(-1, x.ndim)])
+    dropped = {*numbers["collapsed_slice_dims"], *numbers["operand_batching_dims"]}
+    kept = [size for k, size in enumerate(sizes) if k not in dropped]
+    windows = windows.astype(x.dtype).reshape(*starts.shape[:-1], *kept)
+    offsets = numbers["offset_dims"]
+    return np.moveaxis(windows, range(-len(offsets), 0), offsets)
 
 
-def scatter(
+def _combined(operator: str, *arrays: np.ndarray) -> np.ndarray:
+    return OPERATORS[operator].numpy(*arrays)
+
+
+def _scatter(
     step: Step,
     x: np.ndarray,
-    updates: np.ndarray,
     indices: np.ndarray,
-    combined: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda _, new: new,
+    updates: np.ndarray,
+    combined: Callable[..., np.ndarray] = _combined,
 ) -> np.ndarray:
-    """x with windows combined with updates, or replaced; windows outside are left out."""
+    by = step.operation or ""
+    if by not in OPERATORS and by != "second":
+        raise NotLowered("it scatters by other operations than sums")
     numbers = step.fields("scatter_dimension_numbers")
     dropped = {*numbers["inserted_window_dims"], *numbers["input_batching_dims"]}
-    window = [k for k in range(updates.ndim) if k in numbers["update_window_dims"]]
-    batch = [k for k in range(updates.ndim) if k not in window]
+    window = numbers["update_window_dims"]
     lengths = iter([updates.shape[k] for k in window])
     sizes = [1 if k in dropped else next(lengths) for k in range(x.ndim)]
-    axes, limits = numbers["scatter_dims_to_operand_dims"], np.subtract(x.shape, sizes)
     pairs = numbers["input_batching_dims"], numbers["scatter_indices_batching_dims"]
-    result = x.copy()
-    for place, start in _starts(numbers, indices, axes, x.ndim, *pairs):
-        if ((start >= 0) & (start <= limits)).all():
-            at, new = _window(start, sizes), updates[_at(batch, place, updates.ndim)]
-            result[at] = combined(result[at], new.reshape(sizes))
-    return result
+    starts = _starts(numbers, indices, numbers["scatter_dims_to_operand_dims"], x.ndim, *pairs)
+    starts = starts.reshape(-1, x.ndim)
+    news = np.moveaxis(updates, window, range(-len(window), 0)).reshape(len(starts), *sizes)
+    x = x.copy()
+    for start, new in zip(starts, news, strict=True):
+        # Windows that are not inside are left out.
+        if ((start >= 0) & (start <= np.subtract(x.shape, sizes))).all():
+            at = _window(x, start, sizes)
+            x[at] = new if by == "second" else combined(by, x[at], new)
+    return x
 
 
-#: Functions of a step, so many arrays of one kind, and indices.
-INDEXED: dict[str, tuple[Callable[..., np.ndarray], int]] = {
-    "dynamic_slice": (dynamic_slice, 1),
-    "dynamic_update_slice": (dynamic_update_slice, 2),
-    "gather": (gather, 1),
-    "scatter": (scatter, 2),
+#: Functions of a step and its arrays, all of one kind but for indices.
+MOVES: dict[str, Callable[..., np.ndarray]] = {
+    "broadcast_in_dim": _broadcast_in_dim,
+    "concatenate": lambda step, *x: np.concatenate(x, step.numbers("dimension")[0]),
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "gather": _gather,
+    "pad": _pad,
+    "reshape": lambda step, x: x.reshape(step.made[0].shape),
+    "reverse": lambda step, x: np.flip(x, step.numbers("dimensions")),
+    "scatter": _scatter,
+    "slice": _slice,
+    "transpose": lambda step, x: np.transpose(x, step.numbers("permutation")),
+}
+#: Places of indices among the arguments; those of `_scatter` may be combined by other functions.
+INDICES = {
+    "dynamic_slice": slice(1, None),
+    "dynamic_update_slice": slice(2, None),
+    "gather": slice(1, None),
+    "scatter": slice(1, 2),
 }
 
 
@@ -120,32 +125,21 @@ def _starts(
     ndim: int,
     own: list[int],
     theirs: list[int],
-) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
-    """Places among the indices, and the first index of the window that belongs to each.
+) -> np.ndarray:
+    """The first index of each window, along the last axis; the others are those of the indices.
 
     ``axes`` of the operand are indexed; ``own`` axes of it go with ``theirs`` of the indices.
     """
     (along,) = numbers["index_vector_dim"] or [0]
     indices = np.moveaxis(indices, along, -1) if along < indices.ndim else indices[..., None]
-    for place in np.ndindex(*indices.shape[:-1]):
-        start = np.zeros(ndim, int)
-        start[axes] = indices[place]
-        start[own] = [place[other] for other in theirs]
-        yield place, start
+    starts = np.zeros((*indices.shape[:-1], ndim), int)
+    starts[..., axes] = indices
+    for axis, other in zip(own, theirs, strict=True):
+        starts[..., axis] = np.indices(indices.shape[:-1])[other]
+    return starts
 
 
-def _inside(start: Any, x: np.ndarray, sizes: Any) -> np.ndarray:
-    """The first index of a window of x, moved inside."""
-    return np.clip(np.array(start, int), 0, np.subtract(x.shape, sizes))
-
-
-def _at(axes: list[int], place: tuple[int, ...], ndim: int) -> tuple[Any, ...]:
-    """The index of a place along some axes."""
-    index: list[Any] = [slice(None)] * ndim
-    for axis, number in zip(axes, place, strict=True):
-        index[axis] = number
-    return tuple(index)
-
-
-def _window(start: Any, sizes: Any) -> tuple[slice, ...]:
+def _window(x: np.ndarray, start: np.ndarray, sizes: Sequence[int]) -> tuple[slice, ...]:
+    """The slices of a window of x, which is moved until it is inside."""
+    start = np.clip(start, 0, np.subtract(x.shape, sizes))
     return tuple(slice(int(a), int(a) + n) for a, n in zip(start, sizes, strict=True))

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering import moves
 from integrators.lowering.elimination import solve
 from integrators.lowering.graph import Graph, Loop, NotLowered, Program
 from integrators.lowering.known import on_numbers
+from integrators.lowering.moves import INDICES, MOVES
 from integrators.lowering.operators import OPERATORS, operator
 from integrators.lowering.rules import RULES, entrywise
 from integrators.programs import Body, Follower, Step, Type, program
@@ -128,11 +128,9 @@ class _Follower(Follower[_Value]):
             found = on_numbers(step, *map(self._numbers, given))
             if found is not None:
                 return [_Known(one) for one in found]
-        if name in moves.INDEXED:
-            return [self._indexed(step, given)]
+        if name in MOVES:
+            return [self._moved(step, given)]
         nodes = [self.nodes(value) for value in given]
-        if name in moves.MOVES:
-            return [moves.MOVES[name](step, *nodes)]
         if not _types(step) <= _TYPES:
             raise NotLowered
         by = operator(step)
@@ -146,20 +144,17 @@ class _Follower(Follower[_Value]):
             return [RULES[name](self._graph, step, *nodes)]
         raise NotLowered
 
-    def _indexed(self, step: Step, given: list[_Value]) -> _Value:
-        """Entries at indices that are known beforehand."""
-        function, count = moves.INDEXED[step.name]
-        if step.name == "scatter":
-            given = [given[0], given[2], given[1]]
-        arrays, places = given[:count], map(self._numbers, given[count:])
-        if step.name == "scatter" and step.operation != "second":
-            if step.operation not in OPERATORS:
-                raise NotLowered("it scatters by other operations than sums")
-            combined = partial(entrywise, self._graph, step.operation)
-            return function(step, *map(self.nodes, arrays), *places, combined)
-        if all(isinstance(array, _Known) for array in arrays):
-            return _Known(function(step, *map(self._numbers, arrays), *places))
-        return function(step, *map(self.nodes, arrays), *places)
+    def _moved(self, step: Step, given: list[_Value]) -> _Value:
+        """Entries at other places; indices are known beforehand."""
+        places = range(len(given))[INDICES.get(step.name, slice(0))]
+        known = all(isinstance(x, _Known) for k, x in enumerate(given) if k not in places)
+        arrays = [
+            self._numbers(x) if known or k in places else self.nodes(x) for k, x in enumerate(given)
+        ]
+        if known:
+            return _Known(MOVES[step.name](step, *arrays))
+        combined = [partial(entrywise, self._graph)] if step.name == "scatter" else []
+        return MOVES[step.name](step, *arrays, *combined)
 
     # ---- linear systems ----------------------------------------------------------------
     def _factors(self, step: Step, matrices: np.ndarray) -> list[_Value]:

@@ -6,14 +6,13 @@ of many runs it decides anew for each entry which part of a program it comes fro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from integrators.lowering.graph import NotLowered
+from integrators.lowering.graph import NotLowered, Program
 from integrators.lowering.operators import OPERATORS
-from integrators.lowering.programs import Program
 from problems.runtime import jnp
 
 if TYPE_CHECKING:
@@ -21,46 +20,37 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def check(program: Program) -> None:
-    """Find out whether `evaluated` has a rule for all that a program needs.
+def side_by_side(program: Program) -> Callable[..., list]:
+    """Return a program of one vector as a function of its entries for k runs, arrays ``(k,)``.
+
+    Its results are such arrays, in lists of the shape of the program's result.
 
     Raises
     ------
     NotLowered
-        If it has a loop, a solve, or an operation that has no form.
+        If the program has a loop, a solve, or an operation that has no form.
     """
-    for node in program.graph.needed(program.results.ravel().tolist()):
-        if not isinstance(program.graph.nodes[node][0], str):
-            raise NotLowered("a loop or a solve of many runs side by side has no rule")
+    graph, results = program.graph, program.results.ravel().tolist()
+    order = graph.needed(results)
+    if not all(isinstance(graph.nodes[node][0], str) for node in order):
+        raise NotLowered("a loop or a solve of many runs side by side has no rule")
 
+    def evaluated(*numbers: Float[Array, " k"]) -> list:
+        known: dict[int, Any] = {}
 
-def evaluated(program: Program, numbers: Sequence[Float[Array, " k"]]) -> np.ndarray:
-    """Return the results of a program for k runs, as an array of arrays ``(k,)``.
+        def value(node: int) -> Any:
+            operator, content = graph.nodes[node]
+            if operator == "constant":
+                return content
+            return numbers[content[1]] if operator == "input" else known[node]
 
-    Parameters
-    ----------
-    program
-        Of one argument, which `check` lets pass.
-    numbers
-        The entries of the argument.
-    """
-    graph, nodes = program.graph, program.results.ravel().tolist()
-    known: dict[int, Any] = {}
+        for node in order:
+            operator, given = graph.nodes[node]
+            function = getattr(jnp, OPERATORS[operator].numpy.__name__)
+            known[node] = function(*map(value, given))
+        found = np.empty(len(results), object)
+        for k, node in enumerate(results):
+            found[k] = jnp.broadcast_to(jnp.asarray(value(node), float), numbers[0].shape)
+        return found.reshape(program.results.shape).tolist()
 
-    def value(node: int) -> Any:
-        operator, content = graph.nodes[node]
-        if operator == "constant":
-            return content
-        if operator == "input":
-            return numbers[content[1]]
-        return known[node]
-
-    for node in graph.needed(nodes):
-        operator, arguments = graph.nodes[node]
-        function = getattr(jnp, OPERATORS[operator].numpy.__name__)
-        known[node] = function(*map(value, arguments))
-    shape = numbers[0].shape
-    results = np.empty(len(nodes), object)
-    for k, node in enumerate(nodes):
-        results[k] = jnp.broadcast_to(jnp.asarray(value(node), float), shape)
-    return results.reshape(program.results.shape)
+    return evaluated

@@ -18,7 +18,7 @@ import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
-from integrators.lowering.side_by_side import check, evaluated
+from integrators.lowering.side_by_side import side_by_side
 from integrators.native import klu, small_matrices
 from integrators.native.dependencies import (
     parts,
@@ -187,16 +187,15 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
         first = lowered(coefficients, (sum(math.prod(shape) for shape, _ in shapes),))
         n = len(order.entries)
         second = lowered(products, (len(first.results) - n,))
-        for part in (first, second):
-            check(part)
+        steps = side_by_side(first), side_by_side(second)
     except NotLowered:
         return None
 
     def many(u: Array, *constants: Array) -> Array:
         given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
         numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
-        found = small_matrices.apart(lambda *x: evaluated(first, x).tolist(), *numbers)
-        entries = small_matrices.apart(lambda *x: evaluated(second, x).tolist(), *found[n:])
+        found = small_matrices.apart(steps[0], *numbers)
+        entries = small_matrices.apart(steps[1], *found[n:])
         return order.solve_many(entries, found[:n])
 
     return many
