@@ -21,7 +21,7 @@ import numpy as np
 from integrators.lowering.known import on_numbers
 from integrators.lowering.moves import MOVES
 from integrators.lowering.operators import ELEMENTARY, OPERATORS
-from integrators.programs import Body, Follower, Program, Step, program
+from integrators.programs import Follower, Program, Step, program
 from problems.compiled import compiled
 from problems.named_equations import EQUATIONS, INDEX1
 
@@ -275,25 +275,28 @@ def _known(step: Step, given: list[int | None]) -> int | None:
 def _turns(
     functions: Program, step: Step, given: list[int | None], values: dict[int, int | None]
 ) -> int | None:
-    """The number of turns of a loop, found by those of its steps that its end needs."""
-    (condition, turn), more = step.bodies, list[int]()
-    places = [k for k, number in enumerate(condition.parameters) if number in condition.used]
-    while more != places:
-        more, part = places, turn.only(places)
-        places = [k for k, x in enumerate(turn.parameters) if k in more or x in part.used]
-    test = Body([condition.parameters[k] for k in places], condition.steps, condition.returned)
-    state, numbers, part = [given[k] for k in places], _Numbers(functions), turn.only(places)
+    """The number of turns of a loop, if its end depends on whole numbers that are known."""
+    (condition, turn), numbers, state = step.bodies, _Numbers(functions), given
     for turns in range(_MOST_TURNS):
-        (goes_on,) = numbers.run(test, state, values)
+        (goes_on,) = numbers.run(condition, state, values)
         if not goes_on:
             return None if goes_on is None else turns
-        state = numbers.run(part, state, values)
+        state = numbers.run(turn, state, values)
     return None
 
 
 def _repeated(step: Step, counts: bool, loops: tuple[int | str | None, ...]) -> Operations:
-    """Operations of a step in loops; if it does not count, of its linear algebra alone."""
-    operations = _operations(step, not counts)
+    """Operations of a step in loops; if it does not count, of its linear algebra alone.
+
+    Raises
+    ------
+    NotCounted
+        If they are not known.
+    """
+    algebra = _algebra(step)
+    operations = Operations(0.0, algebra or 0.0)
+    if counts and algebra is None:
+        operations = Operations(float(_arithmetic(step)))
     for turns in reversed(loops):
         if turns is None and any(operations):
             raise NotCounted("it has a loop whose number of turns is not known beforehand")
@@ -302,20 +305,6 @@ def _repeated(step: Step, counts: bool, loops: tuple[int | str | None, ...]) -> 
         else:
             operations = operations.times(turns or 0)
     return operations
-
-
-def _operations(step: Step, algebra_only: bool) -> Operations:
-    """Operations of a step on arrays.
-
-    Raises
-    ------
-    NotCounted
-        If the step is not among those that are known here.
-    """
-    algebra = _algebra(step)
-    if algebra is not None:
-        return Operations(0.0, algebra)
-    return NOTHING if algebra_only else Operations(float(_arithmetic(step)))
 
 
 def _algebra(step: Step) -> float | None:

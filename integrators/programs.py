@@ -100,16 +100,6 @@ class Body:
         inside = [body.used for step in self.steps for body in step.bodies]
         return {*self.returned, *(k for step in self.steps for k in step.given)}.union(*inside)
 
-    def only(self, places: Sequence[int]) -> Body:
-        """Some of its parameters and results, and the steps that those results need."""
-        wanted, steps = {self.returned[k] for k in places}, []
-        for step in reversed(self.steps):
-            if wanted.intersection(step.results):
-                wanted.update(step.given, *(body.used for body in step.bodies))
-                steps.append(step)
-        returned = [self.returned[k] for k in places]
-        return Body([self.parameters[k] for k in places], steps[::-1], returned)
-
 
 #: Functions by name.
 Program = dict[str, Body]

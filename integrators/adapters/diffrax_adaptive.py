@@ -10,16 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import EVALUATION, LINEARISATION, run_counted, watch
-from integrators.adapters.diffrax_scheme import (
-    Numbers,
-    Scheme,
-    bill_of,
-    made_solver,
+from integrators.adapters.diffrax_runs import (
+    DiffraxRun,
+    DiffraxScheme,
+    RateNumbers,
     right_hand_side,
-    work_of,
+    with_step,
 )
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.contract import PreparedRun, Tolerances, Trajectory
+from integrators.contract import Tolerances, Trajectory
 from integrators.kept_rows import kept_rows
 from problems.compiled import compiled
 from problems.exported_programs import exported
@@ -45,7 +44,7 @@ def _traced_once(kind: type) -> type:
         return compiled_step(self, *arguments)
 
     try:
-        return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+        return with_step(kind, step)
     except TypeError as error:
         slower(f"diffrax's solvers take longer to compile: they take no step of ours ({error}).")
         return kind
@@ -60,7 +59,7 @@ class AdaptivePrograms(NamedTuple):
 
 @cache
 def adaptive_programs(
-    scheme: Scheme, template: MechatronicSystem, max_steps: int
+    scheme: DiffraxScheme, template: MechatronicSystem, max_steps: int
 ) -> AdaptivePrograms:
     """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending.
 
@@ -74,7 +73,7 @@ def adaptive_programs(
         options = {}
         if scheme.root_finder == "fair":
             options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-        rate, solver = right_hand_side(template), made_solver(scheme, template, **options)
+        rate, solver = right_hand_side(template), scheme.solver(template, **options)
         if scheme.root_finder != "none":  # results of an explicit step are constants, and stay so
             solver = _traced_once(type(solver))(**options)
         rate = watch(rate) if counts else rate
@@ -118,25 +117,24 @@ def adaptive_programs(
     )
 
 
-class AdaptiveRun(PreparedRun):
+class DiffraxAdaptiveRun(DiffraxRun):
     """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
 
     def __init__(
         self,
-        scheme: Scheme,
+        scheme: DiffraxScheme,
         max_steps: int,
         scene: MechatronicSystem,
         t_end: float,
         resolution: Tolerances,
         baumgarte: Baumgarte | None = None,
     ) -> None:
-        self._baumgarte = baumgarte
-        self._scheme, self._max_steps, self._scene = scheme, max_steps, scene
-        self._t0, self._t_end = scene.interval[0], float(t_end)
+        super().__init__(scheme, scene, t_end, baumgarte)
+        self._max_steps, self._t0 = max_steps, scene.interval[0]
         self._programs = adaptive_programs(scheme, scene.template(), max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
-        numbers = Numbers(scene.parameters(), baumgarte)
+        numbers = RateNumbers(scene.parameters(), baumgarte)
         arguments = (numbers, self._s0, self._t0, self._t_end, resolution.rtol, resolution.atol)
         self._arguments = jax.tree.map(jnp.asarray, arguments)
         # A solve over no time compiles the program and costs nothing else.
@@ -162,11 +160,8 @@ class AdaptiveRun(PreparedRun):
         keep = kept_rows(parts)
         q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
-        work = work_of(self._scheme, counts, accepted, rejected)
+        work = self.work(counts, accepted, rejected)
         return replace(trajectory, status=status, message=message, work=work)
-
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        return bill_of(self._scheme, self._scene, self._baumgarte is not None, run)
 
     def _outcome(self, good: Any, number: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -10,13 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.adapters.counting import run_counted, watch
-from integrators.adapters.diffrax_scheme import (
-    Numbers,
-    Scheme,
-    bill_of,
-    made_solver,
+from integrators.adapters.diffrax_runs import (
+    DiffraxRun,
+    DiffraxScheme,
+    RateNumbers,
     right_hand_side,
-    work_of,
 )
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import PreparedRun, Steps, Trajectory
@@ -45,7 +42,7 @@ class State(NamedTuple):
 
 
 @cache
-def _terms(scheme: Scheme, template: MechatronicSystem, counted: bool) -> Any:
+def _terms(scheme: DiffraxScheme, template: MechatronicSystem, counted: bool) -> Any:
     rate = right_hand_side(template)
     return scheme.terms(watch(rate) if counted else rate)
 
@@ -57,13 +54,13 @@ class DiffraxStep(StepFunctions):
     Diffrax hands its numbers on to the right-hand side; those of Baumgarte make another program.
     """
 
-    scheme: Scheme
+    scheme: DiffraxScheme
     template: MechatronicSystem
     counted: bool
     with_baumgarte: bool
-    numbers: Numbers | None = None
+    numbers: RateNumbers | None = None
 
-    def with_numbers(self, numbers: Numbers) -> DiffraxStep:
+    def with_numbers(self, numbers: RateNumbers) -> DiffraxStep:
         return replace(self, numbers=numbers)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
@@ -106,9 +103,9 @@ class DiffraxStep(StepFunctions):
         from optimistix import Newton, max_norm
 
         if self.scheme.root_finder == "none":
-            return made_solver(self.scheme, self.template)
+            return self.scheme.solver(self.template)
         finder = Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm)
-        return made_solver(self.scheme, self.template, root_finder=finder)
+        return self.scheme.solver(self.template, root_finder=finder)
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class DiffraxStepMethod(NativeMethod):
     formulation: ClassVar[str] = "ode"
     states_only: ClassVar[bool] = True
 
-    scheme: Scheme
+    scheme: DiffraxScheme
     scene: MechatronicSystem
     counted: bool = False
     baumgarte: Baumgarte | None = None
@@ -127,11 +124,11 @@ class DiffraxStepMethod(NativeMethod):
         template = self.scene.template()
         return DiffraxStep(self.scheme, template, self.counted, self.baumgarte is not None)
 
-    def numbers(self) -> Numbers:
-        return Numbers(self.scene.parameters(), self.baumgarte)
+    def numbers(self) -> RateNumbers:
+        return RateNumbers(self.scene.parameters(), self.baumgarte)
 
 
-class ConstantRun(PreparedRun):
+class DiffraxConstantRun(DiffraxRun):
     """The solver's steps on the grid of our time loop: exact times, and any pattern.
 
     Neither another number of steps nor another pattern compiles anything.
@@ -139,15 +136,14 @@ class ConstantRun(PreparedRun):
 
     def __init__(
         self,
-        scheme: Scheme,
+        scheme: DiffraxScheme,
         scene: MechatronicSystem,
         t_end: float,
         resolution: Steps,
         baumgarte: Baumgarte | None = None,
     ) -> None:
-        self._baumgarte = baumgarte
-        self._scheme, self._scene = scheme, scene
-        self._t_end, self._resolution = float(t_end), resolution
+        super().__init__(scheme, scene, t_end, baumgarte)
+        self._resolution = resolution
         self._timed = self._prepared(counted=False)
 
     def _prepared(self, counted: bool) -> PreparedRun:
@@ -160,9 +156,6 @@ class ConstantRun(PreparedRun):
     def measure(self) -> Trajectory:
         run = self._timed.measure()  # the warm-up, too
         _, counts = run_counted(self._prepared(counted=True).execute)  # once: rows take more passes
-        work = work_of(self._scheme, counts, run.work.steps or 0, 0)
+        work = self.work(counts, run.work.steps or 0, 0)
         completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
-        return dataclasses.replace(completed, status=run.status, message=run.message, work=work)
-
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        return bill_of(self._scheme, self._scene, self._baumgarte is not None, run)
+        return replace(completed, status=run.status, message=run.message, work=work)

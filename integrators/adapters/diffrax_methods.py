@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from integrators.adapters.diffrax_adaptive import AdaptiveRun
-from integrators.adapters.diffrax_constant import ConstantRun, DiffraxStepMethod
-from integrators.adapters.diffrax_scheme import Scheme
+from integrators.adapters.diffrax_adaptive import DiffraxAdaptiveRun
+from integrators.adapters.diffrax_constant import DiffraxConstantRun, DiffraxStepMethod
+from integrators.adapters.diffrax_runs import DiffraxScheme
 from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
-from problems.runtime import jnp
 from problems.system import GROUPS, MechatronicSystem
-
-if TYPE_CHECKING:
-    import diffrax
 
 
 def _in_every_group(order: int) -> dict[str, int]:
@@ -49,6 +44,8 @@ class DiffraxSolver(ODEMethod):
     calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
+    #: Whether the solver takes an explicit and an implicit right-hand side.
+    splits: ClassVar[bool] = False
     #: An option of implicit methods; annotated here, it is the first option in printed names.
     root_finder: ClassVar[str] = "none"
 
@@ -73,29 +70,16 @@ class DiffraxSolver(ODEMethod):
             return None
         return DiffraxStepMethod(self.scheme(scene), scene, baumgarte=self.baumgarte(scene))
 
-    @classmethod
-    def solver(cls, **options: Any) -> diffrax.AbstractSolver:
-        """Make the diffrax solver; ``options`` holds a root finder, or nothing for its default."""
-        import diffrax
-
-        return getattr(diffrax, cls.library_class)(**options)
-
-    @staticmethod
-    def terms(rate: Callable) -> diffrax.AbstractTerm:
-        """Make the right-hand side as the solver takes it from a function of (t, s, p)."""
-        import diffrax
-
-        return diffrax.ODETerm(rate)
-
-    def scheme(self, scene: MechatronicSystem) -> Scheme:
+    def scheme(self, scene: MechatronicSystem) -> DiffraxScheme:
         """The solver as runs on a scene need it."""
-        return Scheme(self.solver, self.terms, self.root_finder, self.projects(scene))
+        projects = self.projects(scene)
+        return DiffraxScheme(self.library_class, self.splits, self.root_finder, projects)
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         scheme, baumgarte = self.scheme(scene), self.baumgarte(scene)
         if self.steps == "constant":
-            return ConstantRun(scheme, scene, t_end, resolution, baumgarte)
-        return AdaptiveRun(scheme, self.max_steps, scene, t_end, resolution, baumgarte)
+            return DiffraxConstantRun(scheme, scene, t_end, resolution, baumgarte)
+        return DiffraxAdaptiveRun(scheme, self.max_steps, scene, t_end, resolution, baumgarte)
 
 
 @dataclass(frozen=True)
@@ -173,12 +157,7 @@ class _KenCarp(ImplicitDiffraxSolver):
 
     source = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
 
-    @staticmethod
-    def terms(rate: Callable) -> diffrax.AbstractTerm:
-        import diffrax
-
-        nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
-        return diffrax.MultiTerm(nothing, diffrax.ODETerm(rate))
+    splits = True
 
 
 @dataclass(frozen=True)
