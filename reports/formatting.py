@@ -6,8 +6,10 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
+from bench.results.quantities import COSTS
 from bench.results.table import NO_VALUE as NO_VALUE
 from bench.results.table import number as number
+from bench.results.timings import LEVEL
 
 
 def number_range(values: Iterable[float | None]) -> str:
@@ -30,6 +32,35 @@ def order_text(order: float) -> str:
 def milliseconds(seconds: float | None) -> str:
     """Seconds shown in ms."""
     return number(None if seconds is None else seconds * 1e3)
+
+
+def cost_text(value: float | None, cost: str) -> str:
+    """A cost with its unit; counts as they are, operations with three digits."""
+    if COSTS[cost].is_time:
+        long = value is not None and value >= 1
+        return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
+    if cost == "operations":
+        for size, word in ((1e9, "billion"), (1e6, "million")):
+            if value is not None and value >= size:
+                return f"{number(value / size)} {word}"
+        return number(value)
+    return f"{value:g}"
+
+
+def tie_text(cost: str) -> str:
+    """The costs that cannot be told apart."""
+    tie, is_time = COSTS[cost].tie, COSTS[cost].is_time
+    if tie == 1.0:
+        return "equal counts"
+    said = f"{'times' if is_time else 'counts'} that differ by at most {100 * (tie - 1):.3g} %"
+    if is_time:
+        said += f", or by less than the {100 * LEVEL:.3g} % interval of their samples"
+    return said
+
+
+def times(ratio: float | None) -> str:
+    """A ratio with as many digits as tell it from 1."""
+    return "" if ratio is None else f"{ratio:.{3 if ratio >= 1.01 else 6}g} times"
 
 
 def symbols(text: str) -> str:

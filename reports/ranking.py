@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS
+from bench.results.quantities import COSTS, NORM, RANKED_COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
+from reports.questions.question import Question, questions
 from reports.series import (
     Series,
     cost_of,
@@ -25,11 +26,6 @@ from reports.series import (
     trusted_error,
 )
 
-#: Groups and relative errors (in the norm `NORM`) by which integrators are ranked.
-RANKED_GROUPS = ("q", "a", "lam")
-TARGETS = (1e-2, 1e-4, 1e-6)
-#: Group and target of a page before a reader chooses others.
-GROUP, TARGET = "a", 1e-4
 #: An integrator that was tried on a scene and has no cost there.
 STATES = {
     "far": "reached the end, but not this accuracy",
@@ -42,7 +38,7 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True)
 class RankEntry:
-    """One integrator that was tried on one scene, for one target.
+    """One integrator that was tried on one scene, for one question.
 
     ``contestant`` is the first integrator that does the same on the scene (itself, as a rule).
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
@@ -50,13 +46,9 @@ class RankEntry:
     ``ended`` says whether any run reached the end.
     """
 
-    scene: str
     label: str
     contestant: str
     family: str
-    group: str
-    target: float
-    cost: str
     reached: bool = False
     run: Record | None = None
     value: float | None = None
@@ -71,12 +63,6 @@ class RankEntry:
         if self.reached:
             return "unknown"
         return "far" if self.ended else "failed"
-
-
-def accuracy_text(group: str, target: float) -> str:
-    """An accuracy in words, with quantity and norm."""
-    digits = f"{target:.0e}".replace("e-0", "e-")
-    return f"a relative error in the {GROUP_NAMES[group]} of at most {digits} ({NORMS[NORM]})"
 
 
 def reaches(record: Record, group: str, target: float) -> bool:
@@ -113,14 +99,6 @@ def contestants(series: Sequence[Series]) -> dict[str, str]:
     return found
 
 
-def several_contestants(entries: Iterable[RankEntry]) -> set[str]:
-    """The scenes on which there is something to win."""
-    found: dict[str, set[str]] = {}
-    for s in entries:
-        found.setdefault(s.scene, set()).add(s.contestant)
-    return {scene for scene, own in found.items() if len(own) > 1}
-
-
 def _same(one: Series, two: Series) -> bool:
     alike = one.ok and len(one.records) == len(two.records)
     return bool(alike) and all(map(_same_run, one.records, two.records))
@@ -149,35 +127,27 @@ def _same_error(one: float | None, two: float | None, trusted: float) -> bool:
 
 
 def rank(
-    scenes: Mapping[str, Sequence[Series]],
-    groups: Sequence[str] = RANKED_GROUPS,
-    targets: Sequence[float] = TARGETS,
-) -> list[RankEntry]:
-    """Rank the integrators of every scene for every target and cost that can be judged.
+    all_series: Sequence[Series], groups: Sequence[str], targets: Sequence[float]
+) -> dict[Question, dict[str, RankEntry]]:
+    """Rank the integrators of one scene, by label, for every question that can be judged there.
 
-    One that does not support a scene, or whose runs were all interrupted, was not tried there.
+    One that does not support the scene, or whose runs were all interrupted, was not tried there.
     """
-    entries = []
-    for scene, all_series in scenes.items():
-        series = [s for s in all_series if any(r.status not in NOT_TRIED for r in s.records)]
-        runs, firsts = ok_runs(series), contestants(series)
-        present = groups_of(runs)
-        costs = {
-            s.label: [(r, {cost: cost_of(r, cost) for cost in RANKED_COSTS}) for r in s.ok]
-            for s in series
-            if s.label == firsts[s.label]
-        }
-        for group in groups:
-            if group not in present:
-                continue
-            trusted = trusted_error(runs, group, NORM)
-            ladders = {label: _Ladder(own, group) for label, own in costs.items()}
-            for target in targets:
-                if trusted > target:
-                    continue
-                for cost in RANKED_COSTS:
-                    entries += _entries(scene, series, firsts, ladders, group, target, cost)
-    return entries
+    series = [s for s in all_series if any(r.status not in NOT_TRIED for r in s.records)]
+    runs, firsts = ok_runs(series), contestants(series)
+    present = groups_of(runs)
+    costs = {
+        s.label: [(r, {cost: cost_of(r, cost) for cost in RANKED_COSTS}) for r in s.ok]
+        for s in series
+        if s.label == firsts[s.label]
+    }
+    found = {}
+    for group in (g for g in groups if g in present):
+        trusted = trusted_error(runs, group, NORM)
+        ladders = {label: _Ladder(own, group) for label, own in costs.items()}
+        for question in questions([group], [t for t in targets if t >= trusted]):
+            found[question] = _entries(series, firsts, ladders, question)
+    return found
 
 
 class _Ladder:
@@ -204,31 +174,26 @@ class _Ladder:
 
 
 def _entries(
-    scene: str,
     series: Sequence[Series],
     firsts: Mapping[str, str],
     ladders: Mapping[str, _Ladder],
-    group: str,
-    target: float,
-    cost: str,
-) -> list[RankEntry]:
-    able = {label: ladder.reaching(target) for label, ladder in ladders.items()}
+    question: Question,
+) -> dict[str, RankEntry]:
+    able = {label: ladder.reaching(question.target) for label, ladder in ladders.items()}
     cheapest = {
         label: found
         for label, ladder in ladders.items()
-        if able[label] and (found := ladder.cheapest[cost][able[label] - 1])
+        if able[label] and (found := ladder.cheapest[question.cost][able[label] - 1])
     }
     # A count of 0 has no multiples; for them it is taken as 1.
     best = min((value for value, _ in cheapest.values()), default=0) or 1.0
-    entries = []
+    entries = {}
     for s in series:
         first = firsts[s.label]
         value, run = cheapest.get(first, (None, None))
         ratio = None if value is None else (value or 1.0) / best
-        entries.append(
-            RankEntry(
-                scene, s.label, first, s.family, group, target, cost,
-                bool(able[first]), run, value, ratio, bool(s.ok),
-            )
-        )  # fmt: skip
+        reached = bool(able[first])
+        entries[s.label] = RankEntry(
+            s.label, first, s.family, reached, run, value, ratio, bool(s.ok)
+        )
     return entries

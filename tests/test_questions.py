@@ -79,7 +79,7 @@ def test_every_state_of_an_integrator_on_a_scene():
     assert {label: entry.state for label, entry in found.entries.items()} == {
         "best": 1.0, "dear": 2.5, "coarse": "far", "broken": "failed", "dark": "unknown"
     }  # fmt: skip
-    assert found.first == ["best"]
+    assert found.winners == ["best"]
     assert found.entries["dear"].run.key == records[1].key
     found = answer(scenes_of(records), Question("a", 1e-6, "residuals")).scenes["s"]
     assert {entry.state for entry in found.entries.values()} == {"far", "failed"}

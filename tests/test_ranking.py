@@ -13,10 +13,11 @@ from bench.results.records import IntegratorFacts
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
 from reports.formatting import NO_VALUE
+from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.questions.question import FIRST, TABLE_TARGETS
 from reports.ranking import RankEntry, contestants, rank, told_apart
 from reports.series import series_of
 from reports.text.ranking_tables import integrators_table, targets_table, winners_table
-from reports.text.winners import verdicts
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 #: Another method of the same order: its errors differ.
@@ -59,12 +60,15 @@ def scenes():
 
 @pytest.fixture
 def found():
-    return rank({name: series_of(records) for name, records in scenes().items()})
+    """The answers to the first question by each cost."""
+    series = {name: series_of(records) for name, records in scenes().items()}
+    return answers(series, [FIRST.group], [FIRST.target])
 
 
 def judged(*records):
-    """The verdicts on one scene by cost."""
-    return verdicts(rank({"one": series_of(records)})).get("one")
+    """The answers on one scene by cost."""
+    found = answers({"one": series_of(records)}, [FIRST.group], [FIRST.target])
+    return {question.cost: own.scenes["one"] for question, own in found.items()}
 
 
 def first(verdict):
@@ -132,7 +136,7 @@ def test_samples_of_two_invocations_have_no_common_rounds():
         assert first(judged(*records)["seconds"]) == winners
 
 
-def test_integrators_that_do_the_same_are_one_contestant(found):
+def test_integrators_that_do_the_same_are_one_contestant():
     steps = [0.04, 0.02, 0.01]
 
     def both(name, **changes):
@@ -144,11 +148,11 @@ def test_integrators_that_do_the_same_are_one_contestant(found):
             g: {n: e * (1 + 1e-9) for n, e in v.items()} for g, v in record.errors.items()
         }
     assert contestants(series_of(same)) == {"a": "a", "b": "a"}
-    assert judged(*same) is None
+    assert not any(own.several for own in judged(*same).values())
     rival = [run("one", "rival", h, 9e-3, 9 * round(1 / h)) for h in steps]
     by = judged(*same, *rival)
     assert by["residuals"].worded() == "a = b (100 at h=0.01; next: rival, 9 times)"
-    assert by["residuals"].compared == 2
+    assert by["residuals"].votes
     for change in (
         lambda r: r.work.update(residuals=r.work["residuals"] + 1),
         lambda r: r.errors["q"].update(max=1.01 * r.errors["q"]["max"]),
@@ -164,15 +168,17 @@ def test_integrators_that_do_the_same_are_one_contestant(found):
 
 
 def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
-    said = verdicts(found)
-    texts = {scene: {cost: v.worded() for cost, v in by.items()} for scene, by in said.items()}
+    texts: dict[str, dict[str, str]] = {}
+    for question, own in found.items():
+        for scene, said in own.scenes.items():
+            texts.setdefault(scene, {})[question.cost] = said.worded()
     assert texts["won"] == {
         "operations": "lean (3000 at h=0.01; next: quick, 3 times)",
         "seconds": "quick (1 ms at h=0.01; next: lean, 3 times)",
         "residuals": "lean (300 at h=0.01; next: quick, 3 times)",
     }
     records = {r.key for r in scenes()["won"]}
-    runs = {cost: [r.key for r in v.runs] for cost, v in said["won"].items()}
+    runs = {q.cost: [r.key for r in own.scenes["won"].runs] for q, own in found.items()}
     assert all(len(keys) == 2 and set(keys) <= records for keys in runs.values())
     assert texts["tied"] == {
         "operations": "quick and lean tie (5000)",
@@ -182,11 +188,10 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     assert set(texts["failed"].values()) == {"nobody reaches it"}
     assert texts["untimed"]["seconds"] == "not measured"
     assert texts["untimed"]["residuals"] == "lean (90 at h=0.01; next: quick, 10 times)"
-    assert "vague" not in said  # the reference is no better than the target
-    assert "alone" not in said
+    assert "vague" not in texts  # the reference is no better than the target
     ids = {key: f"at {key}" for key in records}
-    table = winners_table(said, ids, {})
-    assert [row[0] for row in table.rows] == list(said)
+    table = winners_table(found, ids, {})
+    assert [row[0] for row in table.rows] == ["won", "tied", "failed", "untimed"]  # not "alone"
     assert table.links[0, 1] == [ids[key] for key in runs["operations"]]
     assert table.links[1, 1] == []
 
@@ -211,15 +216,14 @@ def test_a_count_of_zero_is_the_least_and_multiples_take_it_as_one():
     none, some, many = (run("one", n, 0.01, None, k) for n, k in (("a", 0), ("b", 1), ("c", 40)))
     by = judged(none, some, many)
     assert by["residuals"].worded() == "a (0 at h=0.01; next: b, 1 times)"
-    found = rank({"one": series_of([none, some, many])}, ["a"], [1e-4])
-    assert [s.state for s in found if s.cost == "residuals"] == [1, 1, 40]
+    assert [s.state for s in by["residuals"].entries.values()] == [1, 1, 40]
 
 
 def test_of_runs_at_the_same_cost_the_coarser_one_is_named():
     fine, coarse = run("one", "quick", 0.005, None, 90), run("one", "quick", 0.01, None, 90)
     for records in ((fine, coarse), (coarse, fine)):
-        entries = rank({"one": series_of(records)}, ["a"], [1e-4])
-        assert {s.run.h for s in entries if s.run} == {0.01}
+        found = rank(series_of(records), ["a"], [1e-4])
+        assert {s.run.h for own in found.values() for s in own.values() if s.run} == {0.01}
 
 
 def test_those_who_tie_stand_in_the_order_of_the_plan():
@@ -236,32 +240,38 @@ def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
     assert first(by["residuals"]) == ["lean"]
 
 
-def test_the_ranking_equals_a_direct_query(found):
-    for s in found:
-        runs = [
-            r
-            for r in scenes()[s.scene]
-            if r.integrator == s.label and r.status == "ok" and r.errors[s.group]["max"] <= s.target
-        ]
-        assert s.reached == bool(runs)
-        costs = [
-            {
-                "seconds": sorted(r.run_s)[3] if r.run_s else None,
-                "residuals": r.work["residuals"],
-                "operations": 10 * r.work["residuals"],
-            }[s.cost]
-            for r in runs
-            if s.cost != "seconds" or r.run_s
-        ]
-        assert s.value == (min(costs) if costs else None)
-    best = [s for s in found if s.ratio is not None]
-    assert best
-    assert all(s.ratio >= 1 for s in best)
+@pytest.mark.parametrize("scene", scenes())
+def test_the_ranking_equals_a_direct_query(scene):
+    records = scenes()[scene]
+    found = rank(series_of(records), ["q", "a"], TABLE_TARGETS)
+    assert bool(found) == (scene != "vague") or {q.target for q in found} == {1e-2}
+    for question, entries in found.items():
+        for label, s in entries.items():
+            runs = [
+                r
+                for r in records
+                if r.integrator == label
+                and r.status == "ok"
+                and r.errors[question.group]["max"] <= question.target
+            ]
+            assert s.reached == bool(runs)
+            costs = [
+                {
+                    "seconds": sorted(r.run_s)[3] if r.run_s else None,
+                    "residuals": r.work["residuals"],
+                    "operations": 10 * r.work["residuals"],
+                }[question.cost]
+                for r in runs
+                if question.cost != "seconds" or r.run_s
+            ]
+            assert s.value == (min(costs) if costs else None)
+        ratios = [s.ratio for s in entries.values() if s.ratio is not None]
+        assert not ratios or min(ratios) == 1
 
 
 def profile(found):
     """Points (tau, part) by integrator."""
-    labels = [s.label for s in found]
+    labels = [label for own in found.scenes.values() for label in own.entries]
     spec = performance_profile(found, line_styles(labels))
     head, *rows = (line.split(",") for line in spec["datasets"]["profile"].splitlines())
     points: dict[str, list] = {}
@@ -271,7 +281,7 @@ def profile(found):
 
 
 def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
-    points = profile(found)
+    points = profile(found[FIRST])
     # the best in operations on won, tied and untimed, of four; "alone" and "vague" do not count
     assert max(part for tau, part in points["lean"] if tau <= 1) == pytest.approx(3 / 4)
     assert points["lean"][-1] == (100.0, pytest.approx(3 / 4))
@@ -281,25 +291,30 @@ def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
 
 
 def test_the_profile_counts_not_tried_apart_from_not_reached():
-    def entry(scene, label, value, reached=True):
-        ratio = value / 100 if value else None
-        run_ = None
-        return RankEntry(
-            scene, label, label, label, "a", 1e-4, "operations", reached, run_, value, ratio
-        )
+    def scene(**values):
+        """The answer on a scene from costs by label; None of a cost that is not known."""
+        entries = {
+            label: RankEntry(label, label, label, True, None, value, value / 100)
+            if isinstance(value, float)
+            else RankEntry(label, label, label, value != "far")
+            for label, value in values.items()
+        }
+        return SceneAnswer("operations", entries)
 
-    scenes = [f"s{k}" for k in range(4)]
-    found = [entry(scene, "all", 100.0) for scene in scenes]
-    found += [entry("s0", "once", 100.0)]
-    found += [entry("s0", "poor", 100.0), *(entry(s, "poor", None, False) for s in scenes[1:])]
-    found += [entry("s1", "dark", 100.0), *(entry(s, "dark", None) for s in scenes[2:])]
+    own = {
+        "s0": scene(all=100.0, once=100.0, poor=100.0),
+        "s1": scene(all=100.0, poor="far", dark=100.0),
+        "s2": scene(all=100.0, poor="far", dark=None),
+        "s3": scene(all=100.0, poor="far", dark=None),
+    }
+    found = Answer(FIRST, own, {})
     points = profile(found)
     parts = {label: max(part for _, part in own) for label, own in points.items()}
     assert parts == {"all": 1.0, "once": 1.0, "poor": 0.25, "dark": 1.0}
 
 
 def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
-    spec = cost_heat_map(found, line_styles(s.label for s in found))
+    spec = cost_heat_map(found[FIRST], line_styles(["quick", "lean", "coarse"]))
     head, *rows = (line.split(",") for line in spec["datasets"]["ranking"].splitlines())
     cells = {(r[head.index("scene")], r[head.index("series")]): r for r in rows}
     ratio = head.index("ratio")
@@ -307,7 +322,7 @@ def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
     assert cells["won", "coarse"][ratio] == ""
     assert cells["won", "coarse"][head.index("text")] == NO_VALUE
     assert math.isclose(float(cells["tied", "lean"][ratio]), 1.0)
-    assert cost_heat_map([], {}) is None
+    assert cost_heat_map(Answer(FIRST, {}, {}), {}) is None
 
 
 def test_each_integrator_is_described_by_claims_and_measurements():

@@ -19,9 +19,9 @@ from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.runner import Runner, time_task
 from bench.running.session import time_suite
 from integrators.contract import Steps
-from reports.ranking import RANKED_GROUPS, TARGETS, rank
+from reports.questions.answers import answers
+from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS
 from reports.series import series_of
-from reports.text.winners import verdicts
 
 
 def test_the_interval_of_the_median_is_that_of_the_sign_test():
@@ -139,13 +139,12 @@ def cheapest(folder: Path) -> dict[tuple, set[str]]:
     with Store(folder) as store:
         records = list(store.records().values())
     names = dict.fromkeys(r.problem for r in records)
-    entries = rank({n: series_of(r for r in records if r.problem == n) for n in names})
+    series = {n: series_of(r for r in records if r.problem == n) for n in names}
     return {
-        (group, target, scene, cost): {s.label for s in v.first}
-        for group in RANKED_GROUPS
-        for target in TARGETS
-        for scene, by in verdicts(entries, group, target).items()
-        for cost, v in by.items()
+        (question.group, question.target, scene, question.cost): {s.label for s in own.first}
+        for question, found in answers(series, TABLE_GROUPS, TABLE_TARGETS).items()
+        for scene, own in found.scenes.items()
+        if own.several
     }
 
 

@@ -2,39 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from bench.results.quantities import COST
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
-from reports.ranking import GROUP, TARGET, RankEntry, several_contestants
+from reports.questions.answers import Answer
+from reports.questions.profile import profiles
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
 
 
-def cost_heat_map(entries: Sequence[RankEntry], styles: Mapping[str, LineStyle]) -> vl.Spec | None:
-    """Cost relative to the cheapest, integrator by scene; None if there is nothing to draw."""
+def cost_heat_map(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | None:
+    """Cost relative to the cheapest, integrator by scene; None for fewer than two integrators."""
     rows = [
         {
-            "scene": s.scene,
-            "series": s.label,
-            "ratio": vl.short(s.ratio),
-            "text": NO_VALUE if s.ratio is None else number(float(f"{s.ratio:.2g}")),
+            "scene": scene,
+            "series": label,
+            "ratio": vl.short(entry.ratio),
+            "text": NO_VALUE if entry.ratio is None else number(float(f"{entry.ratio:.2g}")),
         }
-        for s in entries
-        if _asked_first(s)
+        for scene, own in found.scenes.items()
+        for label, entry in own.entries.items()
     ]
-    if not rows:
+    if len({row["series"] for row in rows}) < 2:
         return None
     data = vl.Dataset("ranking", rows)
-    labels = list(dict.fromkeys(s.label for s in entries))
-    scenes = list(dict.fromkeys(s.scene for s in entries))
     axis = {"labelLimit": 420, "labelExpr": vl.short_label(styles)}
     place = {
-        "x": vl.category("scene", title=None, sort=scenes, axis={"labelAngle": -35}),
-        "y": vl.category("series", title=None, sort=labels, axis=axis),
+        "x": vl.category("scene", title=None, sort=list(found.scenes), axis={"labelAngle": -35}),
+        "y": vl.category("series", title=None, sort=list(styles), axis=axis),
     }
     shade = {
         "type": "log",
@@ -68,30 +66,23 @@ def cost_heat_map(entries: Sequence[RankEntry], styles: Mapping[str, LineStyle])
     return chart | {"config": vl.config()}
 
 
-def performance_profile(
-    entries: Sequence[RankEntry], styles: Mapping[str, LineStyle]
-) -> vl.Spec | None:
+def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | None:
     """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
     Counted are scenes with several contestants, of these for each integrator those on which it was
     tried and its cost is known if it reached the target. None for fewer than two scenes.
     Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
-    several = several_contestants(entries)
-    asked = [s for s in entries if s.scene in several and _asked_first(s)]
-    scenes, rows = len({s.scene for s in asked}), []
-    for label in dict.fromkeys(s.label for s in asked) if scenes > 1 else ():
-        own = [s for s in asked if s.label == label and not (s.reached and s.value is None)]
-        ratios = sorted(s.ratio for s in own if s.ratio is not None and s.ratio <= _FAR)
-        steps = [(1.0, 0), *((r, i) for i, r in enumerate(ratios, 1)), (_FAR, len(ratios))]
-        rows += [
-            {"series": label, "tau": vl.short(tau), "part": vl.short(done / len(own))}
-            for tau, done in (steps if own else ())
-        ]
+    own = profiles([found])
+    drawn = {k: p for k, p in own.methods.items() if p.pairs} if own.pairs > 1 else {}
+    rows = [
+        {"series": label, "tau": vl.short(tau), "part": vl.short(profile.part(tau))}
+        for label, profile in drawn.items()
+        for tau in (1.0, *(r for r in profile.ratios if r <= _FAR), _FAR)
+    ]
     if not rows:
         return None
-    labels = list(dict.fromkeys(row["series"] for row in rows))
-    options = vl.ChartOptions({label: styles[label] for label in labels})
+    options = vl.ChartOptions({label: styles[label] for label in drawn})
     data = vl.Dataset("profile", rows)
     scale = {"type": "log", "domain": [1, _FAR]}
     layer: vl.Spec = {
@@ -107,7 +98,3 @@ def performance_profile(
         },
     }
     return vl.arrange([{"layer": [layer]}], [data], 1)
-
-
-def _asked_first(s: RankEntry) -> bool:
-    return (s.group, s.target, s.cost) == (GROUP, TARGET, COST)

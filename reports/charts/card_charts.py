@@ -120,7 +120,7 @@ def _panel(
     y_of = _scale(errors, inner.y + inner.height, -inner.height)
     bottom, right = inner.y + inner.height, inner.x + inner.width
     asked = y_of(target)
-    first = own.first
+    first = own.winners
     winners = ", ".join(words.names[k] for k in first) if own.reached else "not reached"
     title = fitted(scene_name(name), 15, 0.5 * place.width)
     room = place.width - text_width(title, 15) - 12

@@ -9,7 +9,7 @@ from reports.charts import vega_lite as vl
 from reports.charts.error_panels import Rows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
 from reports.pareto_front import compared_scenes, pareto_front
-from reports.ranking import GROUP, RANKED_GROUPS
+from reports.questions.question import FIRST, TABLE_GROUPS
 from reports.series import Series, label_of, ok_runs, trusted_error
 
 
@@ -20,12 +20,12 @@ def pareto_chart(
     scenes = compared_scenes(scenes)
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series if s.ok))
     rows = [row for scene, series in scenes.items() for row in _rows(scene, series)]
-    groups = {g: GROUP_NAMES[g] for g in RANKED_GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
+    groups = {g: GROUP_NAMES[g] for g in TABLE_GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
     if not groups:
         return None
     data = vl.Dataset("pareto_front", rows)
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
-    group, cost = ("group", "cost") if interactive else (f"'{GROUP}'", f"'{COST}'")
+    group, cost = ("group", "cost") if interactive else (f"'{FIRST.group}'", f"'{COST}'")
     titles = {name: COSTS[name].title for name in RANKED_COSTS}
     # Every panel has its own range: the digits 1, 2, 5 have labels where they fit.
     x_axis, y_axis = (vl.log_axis((1, 50), text) for text in ("~g" if interactive else "~s", ".0e"))
@@ -53,7 +53,12 @@ def pareto_chart(
     if interactive:
         points["params"] = [vl.pick()]
     menus = [
-        vl.menu("group", GROUP if GROUP in groups else next(iter(groups)), groups, "error in "),
+        vl.menu(
+            "group",
+            FIRST.group if FIRST.group in groups else next(iter(groups)),
+            groups,
+            "error in ",
+        ),
         vl.menu("cost", COST, titles, " at the cost of "),
     ]
     return {
@@ -84,14 +89,14 @@ def pareto_chart(
 
 def _rows(scene: str, series: Sequence[Series]) -> Rows:
     """The rows of the runs, with the pairs of group and cost in which they are on the front."""
-    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in RANKED_GROUPS}
+    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in TABLE_GROUPS}
     fronts = {
         f"{group}_{cost}": {(label_of(r), r.resolution) for r in pareto_front(series, group, cost)}
-        for group in RANKED_GROUPS
+        for group in TABLE_GROUPS
         for cost in RANKED_COSTS
     }
     return [
         {"scene": scene, **row, **least}
         | {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
-        for row in run_rows(series, RANKED_GROUPS, [NORM], RANKED_COSTS)
+        for row in run_rows(series, TABLE_GROUPS, [NORM], RANKED_COSTS)
     ]

@@ -16,9 +16,8 @@ from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes
 from reports.questions.answers import Answer, answers
 from reports.questions.kinds import KINDS, Kind, scenes_of
 from reports.questions.phrases import Sentence, plain
-from reports.questions.question import Question
+from reports.questions.question import TABLE_TARGETS, Question
 from reports.questions.words import Words, words_of
-from reports.ranking import TARGETS
 from reports.scenes import StoredRuns, stored_runs
 from reports.text.choosing_tables import (
     MULTIPLES_NOTE,
@@ -132,7 +131,7 @@ def sections(stored: StoredRuns) -> list[Section]:
     """Return the advice for every kind of system, from the runs of a store."""
     words = replace(words_of(stored.series, stored.tags), brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
-    found = answers(stored.series, [*groups, _ENERGY.group], TARGETS)
+    found = answers(stored.series, [*groups, _ENERGY.group], TABLE_TARGETS)
     return [_section(kind, stored, found, words) for kind in KINDS]
 
 
@@ -156,7 +155,7 @@ def _on_group(
     found: Mapping[Question, Answer],
     words: Words,
 ) -> Advice | None:
-    asked = [Question(group, target, _COST) for target in TARGETS]
+    asked = [Question(group, target, _COST) for target in TABLE_TARGETS]
     own = [found[question].on(scenes) for question in asked if question in found]
     having = {name for answer in own for name in (*answer.scenes, *answer.unjudged)}
     runs = {name: stored.series[name] for name in scenes if name in having}

@@ -15,8 +15,8 @@ from reports.formatting import NO_VALUE, number, order_text
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
 from reports.questions.phrases import Sentence
+from reports.questions.question import FIRST
 from reports.questions.words import Words
-from reports.ranking import GROUP, TARGET, accuracy_text
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.nearest_method import atlas_beside, nearest
@@ -162,7 +162,7 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
             }
         )
     note = (
-        f"Accuracy: {accuracy_text(GROUP, TARGET)}; {COST}: {COSTS[COST].title} of its "
+        f"Accuracy: {FIRST.text}; {COST}: {COSTS[COST].title} of its "
         f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
     )
     return Table.from_dicts("Its runs, scene by scene", rows, note=note)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, NORMS, TRUST
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, TRUST
 from bench.results.records import NOT_TRIED, Environment, Record, SceneRecord
 from bench.results.store import Store, set_aside_text
 from bench.results.table import Table
@@ -22,10 +22,9 @@ from reports.pages.drift import drift_chapter
 from reports.pages.method_chapter import MethodChapter, method_chapters
 from reports.pages.scene_chapter import SceneChapter, scene_chapter
 from reports.pages.study_section import StudySections
-from reports.questions.answers import Answer, answer
+from reports.questions.answers import Answer, answers
 from reports.questions.question import FIRST
 from reports.questions.words import Words, words_of
-from reports.ranking import GROUP, TARGET, RankEntry, accuracy_text, rank
 from reports.scenes import scene_keys, scene_titles
 from reports.series import Series, label_of, series_of
 from reports.text.damping_table import damping_table
@@ -39,7 +38,6 @@ from reports.text.measurement import (
 from reports.text.order_table import order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
 from reports.text.run_tables import failures_table, timing_table, unsupported_table
-from reports.text.winners import verdicts
 
 
 @dataclass
@@ -123,10 +121,11 @@ def read_report(folder: Path, interactive: bool) -> Report:
             )
         environments, experiments = store.environments(), list(store.experiments().values())
         known, long_runs, set_aside = store.damping(), store.long_runs(), store.set_aside()
-    ranking, facts = rank(series), plan.integrators if plan else {}
+    facts = plan.integrators if plan else {}
     described = {names[k]: scenes[k] for k in keys if k in scenes}
     words = words_of(series, {name: scene.tags for name, scene in described.items()})
-    first = answer(series, FIRST)
+    answered = answers(series, [FIRST.group], [FIRST.target])
+    first = answered.get(FIRST, Answer(FIRST, {}, {}))
     found = drift_chapter(long_runs, interactive), atlas_chapter(experiments)
     return Report(
         title=plan.heading(runs) if plan else "Results",
@@ -136,11 +135,11 @@ def read_report(folder: Path, interactive: bool) -> Report:
             *filter(None, [set_aside_text(set_aside)]),
             *missing_data(plan, scenes, records, keys, environments),
         ],
-        winners=winners_table(verdicts(ranking), ids, words.names),
+        winners=winners_table(answered, ids, words.names),
         answer=first,
         words=words,
         overview=[
-            *_overview(ranking, series, styles, interactive),
+            *_overview(first, series, styles, interactive),
             *_cost_by_size(runs, scenes, styles),
         ],
         scenes=chapters,
@@ -169,7 +168,7 @@ def read_report(folder: Path, interactive: bool) -> Report:
 
 
 def _overview(
-    entries: Sequence[RankEntry],
+    first: Answer,
     scenes: Mapping[str, Sequence[Series]],
     styles: Mapping[str, LineStyle],
     interactive: bool,
@@ -179,15 +178,14 @@ def _overview(
     Of the first question the front page draws heat table and profile itself; a still report has
     pictures of them.
     """
-    if len({s.label for s in entries}) < 2:
-        return []
-    front = "(choose above)" if interactive else f"({GROUP_NAMES[GROUP]}; {COSTS[COST].title})"
-    which = f"({accuracy_text(GROUP, TARGET)}; {COSTS[COST].title})"
+    group, cost = GROUP_NAMES[FIRST.group], COSTS[FIRST.cost].title
+    front = "(choose above)" if interactive else f"({group}; {cost})"
+    which = f"({FIRST.text}; {cost})"
     still = [
         (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
             f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried.",
-            {"overview-heat": cost_heat_map(entries, styles)},
+            {"overview-heat": cost_heat_map(first, styles)},
         ),
         (
             f"Performance profile {which}: part of the scenes on which an integrator costs at "
@@ -195,7 +193,7 @@ def _overview(
             "the cheapest; on the right: part on which it reaches the accuracy. Counted for each "
             "are the scenes with several contestants on which it was tried; how many, the "
             "table of integrators says.",
-            {"overview-profile": performance_profile(entries, styles)},
+            {"overview-profile": performance_profile(first, styles)},
         ),
     ]
     made = [

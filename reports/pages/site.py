@@ -16,7 +16,8 @@ from reports.names import scene_name
 from reports.pages.motion import motion
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
-from reports.ranking import GROUP, TARGET, reaches
+from reports.questions.question import FIRST
+from reports.ranking import reaches
 from reports.series import cost_of
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
@@ -171,7 +172,7 @@ def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:
     good = [r for r in runs if r.status == "ok" and len(r.pattern) == 1]
     if not good:
         return ""
-    able = [r for r in good if reaches(r, GROUP, TARGET)] or good[:1]
+    able = [r for r in good if reaches(r, FIRST.group, FIRST.target)] or good[:1]
     best = min(able, key=lambda r: cost_of(r, COST) or float("inf"))
     control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
     if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):

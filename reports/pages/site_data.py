@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import Record, SceneRecord
+from reports.formatting import tie_text
 from reports.names import family_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
@@ -17,7 +18,6 @@ from reports.questions.profile import Profile, profiles
 from reports.questions.question import FIRST, TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
 from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
-from reports.text.winners import tie_text
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
@@ -217,7 +217,7 @@ class SiteData:
         return {"answers": made, "refs": [self._reference(ref) for ref in places]}
 
     def _states(self, scene: str, answer: SceneAnswer) -> dict[str, Any]:
-        own, second = {s.label: s for s in self.report.series[scene]}, answer.verdict.second
+        own, second = {s.label: s for s in self.report.series[scene]}, answer.second
         states: list[Any] = [None] * (1 + max((self.places[k] for k in answer.entries), default=-1))
         for label, entry in answer.entries.items():
             state = entry.state
@@ -228,7 +228,7 @@ class SiteData:
                 keys = [r.key for r in own[entry.contestant].records]
                 states[self.places[label]] = [float(f"{state:.4g}"), keys.index(entry.run.key)]
         return {
-            "first": [self.places[label] for label in answer.first],
+            "first": [self.places[label] for label in answer.winners],
             "second": [self.places[second.label], second.ratio] if second else None,
             "states": states,
         }

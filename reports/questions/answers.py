@@ -5,41 +5,115 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 from bench.results.quantities import GROUPS, NORM
 from bench.results.records import Record
+from reports.formatting import cost_text, named, times
 from reports.questions.question import TARGETS, Question, questions
-from reports.ranking import RankEntry, rank
+from reports.ranking import RankEntry, rank, told_apart
 from reports.series import Series, error_of, groups_of, ok_runs, reference_error
-from reports.text.winners import Verdict, verdict
 
 
 @dataclass(frozen=True)
 class SceneAnswer:
-    """The answer on one scene.
+    """The answer on one scene by one cost.
 
     ``entries`` are the integrators that were tried, by label; ``nearest`` is the smallest error of
     any run, with the run.
     """
 
-    verdict: Verdict
-    entries: dict[str, RankEntry]
+    cost: str
+    entries: Mapping[str, RankEntry]
     nearest: tuple[float, Record] | None = None
 
     @cached_property
-    def first(self) -> list[str]:
-        """Labels of the cheapest: those that cannot be told apart, and those that do the same."""
-        return [twin for s in self.verdict.first for twin in self.verdict.names[s.label]]
+    def names(self) -> dict[str, list[str]]:
+        """The labels of the integrators that are one contestant, by the first of them."""
+        alike: dict[str, list[str]] = {}
+        for label, entry in self.entries.items():
+            alike.setdefault(entry.contestant, []).append(label)
+        return alike
 
     @property
     def several(self) -> bool:
         """Whether several contestants were tried."""
-        return len(self.verdict.names) > 1
+        return len(self.names) > 1
 
     @cached_property
     def reached(self) -> bool:
         """Whether anybody reaches the accuracy."""
         return any(entry.reached for entry in self.entries.values())
+
+    @cached_property
+    def _ranked(self) -> list[RankEntry]:
+        own = [self.entries[k] for k in self.names if self.entries[k].value is not None]
+        return sorted(own, key=lambda s: s.value or 0.0)
+
+    @cached_property
+    def first(self) -> list[RankEntry]:
+        """The contestants that cannot be told apart from the cheapest, itself included."""
+        best = self._ranked[0].run if self._ranked else None
+        tied = {
+            s.label
+            for s in self._ranked
+            if not (best and s.run and told_apart(best, s.run, self.cost))
+        }
+        # In the order of the plan: the medians of those who tie change places from run to run.
+        return [self.entries[k] for k in self.names if k in tied]
+
+    @cached_property
+    def second(self) -> RankEntry | None:
+        """The cheapest of the others."""
+        first = {s.label for s in self.first}
+        return next((s for s in self._ranked if s.label not in first), None)
+
+    @cached_property
+    def winners(self) -> list[str]:
+        """Labels of the first ones, and of those that do the same."""
+        return [twin for s in self.first for twin in self.names[s.label]]
+
+    @cached_property
+    def unknown(self) -> list[RankEntry]:
+        """The contestants that reach the accuracy at a cost that is not measured."""
+        own = (self.entries[k] for k in self.names)
+        return [s for s in own if s.reached and s.value is None]
+
+    @property
+    def votes(self) -> bool:
+        """Whether there was something to win: several contestants were compared."""
+        return len(self.names) - len(self.unknown) > 1
+
+    @property
+    def runs(self) -> list[Record]:
+        """The runs behind the answer."""
+        shown = [*self.first, self.second] if len(self.first) == 1 else self.first
+        return [s.run for s in shown if s and s.run]
+
+    def worded(self, names: Mapping[str, str] = MappingProxyType({})) -> str:
+        """The answer with these names by label; integrators that do the same: 'a = b'."""
+
+        def name_of(entry: RankEntry) -> str:
+            return " = ".join(names.get(label, label) for label in self.names[entry.label])
+
+        if not self.first:
+            return "not measured" if self.unknown else "nobody reaches it"
+        least = min((s.value for s in self.first if s.value is not None), default=None)
+        shown = cost_text(least, self.cost)
+        firsts = [name_of(s) for s in self.first]
+        said = named(firsts)
+        if len(firsts) > 1:
+            said += f" tie ({shown})"
+        else:
+            run = self.first[0].run
+            shown += f" at {run.resolution}" if run else ""
+            if self.second:
+                said += f" ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
+            else:
+                said += f" ({shown})" if self.unknown else f" alone reaches it ({shown})"
+        if self.unknown:
+            said += f"; not measured: {named(map(name_of, self.unknown))}"
+        return said
 
 
 @dataclass(frozen=True)
@@ -77,8 +151,8 @@ class Answer:
                 row = rows.setdefault(label, [0, 0, 0, 0])
                 row[2] += entry.reached
                 row[3] += 1
-            for label in scene.first if scene.verdict.votes else ():
-                rows[label][len(scene.verdict.first) > 1] += 1
+            for label in scene.winners if scene.votes else ():
+                rows[label][len(scene.first) > 1] += 1
         found = [Standing(label, *row) for label, row in rows.items()]
         return sorted(found, key=lambda s: (-s.alone - s.tied, -s.alone, -s.reached, s.tried))
 
@@ -98,25 +172,18 @@ def answers(
     targets: Sequence[float] = TARGETS,
 ) -> dict[Question, Answer]:
     """The answers to all questions about groups that a scene has, scenes in their order."""
-    present = {name: groups_of(ok_runs(series)) for name, series in scenes.items()}
-    cases: dict[tuple[str, float, str], dict[str, list[RankEntry]]] = {}
-    for entry in rank(scenes, groups, targets):
-        case = cases.setdefault((entry.group, entry.target, entry.cost), {})
-        case.setdefault(entry.scene, []).append(entry)
+    ranked = {name: rank(series, groups, targets) for name, series in scenes.items()}
     found = {}
     for group in groups:
-        having = [scene for scene, own in present.items() if group in own]
-        closest = {scene: _nearest(scenes[scene], group) for scene in having}
-        floors = {scene: reference_error(ok_runs(scenes[scene]), group, NORM) for scene in having}
+        having = {k: s for k, s in scenes.items() if group in groups_of(ok_runs(s))}
+        nearest = {name: _nearest(series, group) for name, series in having.items()}
+        floors = {k: reference_error(ok_runs(s), group, NORM) for k, s in having.items()}
         for question in questions([group], targets) if having else ():
-            case = cases.get((group, question.target, question.cost), {})
+            own = {name: ranked[name].get(question) for name in having}
             found[question] = Answer(
                 question,
-                {
-                    scene: SceneAnswer(verdict(own), {s.label: s for s in own}, closest[scene])
-                    for scene, own in case.items()
-                },
-                {scene: floors[scene] for scene in having if scene not in case},
+                {k: SceneAnswer(question.cost, e, nearest[k]) for k, e in own.items() if e},
+                {name: floors[name] for name, entries in own.items() if not entries},
             )
     return found
 

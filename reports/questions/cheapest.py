@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import COSTS
 from bench.results.records import Record
-from reports.formatting import number, number_range
+from reports.formatting import cost_text, number, number_range, times
 from reports.names import family_name
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Part, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, scene_ref
 from reports.series import step_or_tolerance
-from reports.text.winners import cost_text, times
 
 #: Scenes are named instead of counted up to this many.
 _NAMED = 2
@@ -24,14 +23,13 @@ _OTHERS = 2
 
 def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
     """'To 1e-4 in ... on pendulum, IDA takes the fewest operations, 3000 at ...; next is ...'."""
-    verdict = answer.verdict
-    first, second = verdict.first, verdict.second
+    first, second = answer.first, answer.second
     said = [*words.aim(question), " on ", scene_ref(scene), ", "]
     said += words.methods(s.label for s in first)
     best = min(first, key=lambda s: s.value or 0.0)
-    if not verdict.votes or (len(first) == 1 and not second and not verdict.unknown):
+    if not answer.votes or (len(first) == 1 and not second and not answer.unknown):
         said.append(
-            " alone reaches it: " if verdict.votes else " reaches it, with none to compare: "
+            " alone reaches it: " if answer.votes else " reaches it, with none to compare: "
         )
         said += [_cost(best.run, best.value, question.cost, words), COSTS[question.cost].counted]
     else:
@@ -53,7 +51,7 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
     """'To 1e-4 in ..., A takes the fewest operations on s (100; next: B, 2 times); B on t (9).'."""
     where: dict[tuple[str, ...], list[Sentence]] = {}
     for name, scene in voting.items():
-        first, second = scene.verdict.first, scene.verdict.second
+        first, second = scene.first, scene.second
         best = min(first, key=lambda s: s.value or 0.0)
         least = _cost(best.run, best.value, question.cost, words)
         near: Sentence = [scene_ref(name), " ("]
@@ -61,7 +59,7 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
         if second and second.run:
             near += ["; next: ", words.method(second.label), ", "]
             near.append(words.run(second.run, times(second.ratio)))
-        elif len(first) == 1 and not scene.verdict.unknown:
+        elif len(first) == 1 and not scene.unknown:
             near.append("; no other reaches it")
         where.setdefault(tuple(s.label for s in first), []).append([*near, ")"])
     said: Sentence = [*words.aim(question), ", "]
@@ -93,9 +91,9 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     where: dict[str, list[str]] = {}
     alone: Counter[str] = Counter()
     for name, scene in voting.items():
-        for s in scene.verdict.first:
+        for s in scene.first:
             where.setdefault(s.label, []).append(name)
-            alone[s.label] += len(scene.verdict.first) == 1
+            alone[s.label] += len(scene.first) == 1
     order = sorted(where, key=lambda label: (-len(where[label]), -alone[label]))
     lead = [
         k for k in order if (len(where[k]), alone[k]) == (len(where[order[0]]), alone[order[0]])
@@ -149,9 +147,7 @@ def _alone(alone: str, wins: int, count: int) -> str:
 
 def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Part]:
     """Cost of the next one where integrators are first with none but each other."""
-    seconds = [
-        s.verdict.second for s in voting.values() if {e.label for e in s.verdict.first} <= set(lead)
-    ]
+    seconds = [s.second for s in voting.values() if {e.label for e in s.first} <= set(lead)]
     ratios = [s.ratio for s in seconds if s and s.ratio]
     return [f" (the next costs {number_range(ratios)} times as much)"] if ratios else []
 
@@ -175,8 +171,8 @@ def families(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     own: Counter[str] = Counter()
     single: Counter[str] = Counter()
     for scene in voting.values():
-        own.update({s.family for s in scene.verdict.first})
-        single.update(s.label for s in scene.verdict.first)
+        own.update({s.family for s in scene.first})
+        single.update(s.label for s in scene.first)
     (family, count), *_ = own.most_common(1)
     entries = [e for s in found.scenes.values() for e in s.entries.values()]
     members = {e.label for e in entries if e.family == family}

@@ -8,7 +8,7 @@ from pathlib import Path
 from bench.results.quantities import COSTS, NORM
 from bench.results.records import NOT_TRIED
 from problems.spec import SpecError, suggest
-from reports.formatting import number
+from reports.formatting import cost_text, number, times
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Part, Sentence, listed, plain
 from reports.questions.question import FIRST, Question
@@ -16,7 +16,6 @@ from reports.questions.words import Words, accuracy, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
 from reports.series import Series, error_of
-from reports.text.winners import cost_text, times
 
 
 def card(
@@ -37,20 +36,20 @@ def card(
             f" on {len(reached)} of {len(tried)} scene{'s' * (len(tried) > 1)} tried.",
         ]
     ]
-    wins = {name: s for name, s in tried.items() if s.verdict.votes and label in s.first}
-    alone = {name: s for name, s in wins.items() if len(s.verdict.first) == 1}
+    wins = {name: s for name, s in tried.items() if s.votes and label in s.winners}
+    alone = {name: s for name, s in wins.items() if len(s.first) == 1}
     said += _listed("Cheapest alone: ", [_win(name, s, words) for name, s in alone.items()])
     ties: list[Sentence] = [[scene_ref(name)] for name in wins if name not in alone]
     said += _listed("Tied for the cheapest: ", ties)
-    if not wins and any(s.verdict.votes for s in tried.values()):
+    if not wins and any(s.votes for s in tried.values()):
         said.append(["Cheapest on no scene."])
     losses = [(e.ratio or 0.0, name) for name, e in reached.items() if e.ratio and name not in wins]
-    losses = [pair for pair in losses if tried[pair[1]].verdict.votes]
+    losses = [pair for pair in losses if tried[pair[1]].votes]
     said += _listed(
         "Dearer than the cheapest: ",
         [_loss(name, ratio, tried[name], words) for ratio, name in sorted(losses, reverse=True)],
     )
-    single = [name for name, e in reached.items() if e.ratio and not tried[name].verdict.votes]
+    single = [name for name, e in reached.items() if e.ratio and not tried[name].votes]
     said += _listed("With none to compare: ", [[scene_ref(name)] for name in single])
     unknown = [name for name, e in own.items() if e.state == "unknown"]
     said += _listed("At a cost that is not measured: ", [[scene_ref(name)] for name in unknown])
@@ -86,14 +85,14 @@ def _listed(head: str, items: Sequence[Sentence]) -> list[Sentence]:
 
 
 def _win(name: str, scene: SceneAnswer, words: Words) -> Sentence:
-    second = scene.verdict.second
+    second = scene.second
     if not second:
         return [scene_ref(name)]
     return [scene_ref(name), " (next: ", words.method(second.label), f", {times(second.ratio)})"]
 
 
 def _loss(name: str, ratio: float, scene: SceneAnswer, words: Words) -> Sentence:
-    first = words.methods((s.label for s in scene.verdict.first), most=1)
+    first = words.methods((s.label for s in scene.first), most=1)
     return [scene_ref(name), f" ({times(ratio)} the cost of ", *first, ")"]
 
 

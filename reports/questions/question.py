@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import COST, GROUP_NAMES, GROUPS, RANKED_COSTS
-from reports.ranking import GROUP, TARGET
+from bench.results.quantities import COST, GROUP_NAMES, GROUPS, NORM, NORMS, RANKED_COSTS
 
+#: Accuracies that can be asked for: relative errors in the norm `NORM`.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
+#: Groups and accuracies of tables, which have no room for all.
+TABLE_GROUPS, TABLE_TARGETS = ("q", "a", "lam"), (1e-2, 1e-4, 1e-6)
 #: Name of the filter that takes all scenes.
 ALL = "all"
 #: Tags by which nobody chooses a mechanism: they tell how a scene serves the bench.
@@ -40,9 +42,15 @@ class Question:
         """The group in words, without its letter."""
         return GROUP_NAMES[self.group].rpartition(" ")[0]
 
+    @property
+    def text(self) -> str:
+        """The accuracy in words, with quantity and norm."""
+        group = GROUP_NAMES[self.group]
+        return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[NORM]})"
+
 
 #: The question of a page before a reader asks another.
-FIRST = Question(GROUP, TARGET, COST)
+FIRST = Question("a", 1e-4, COST)
 
 
 def questions(groups: Iterable[str] = GROUPS, targets: Sequence[float] = TARGETS) -> list[Question]:

@@ -33,7 +33,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
     """
     if not found.scenes:
         return [*_unjudged(found)] or [["No scene has runs with an error in this quantity."]]
-    voting = {name: s for name, s in found.scenes.items() if s.verdict.votes and s.verdict.first}
+    voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
     said = []
     if len(voting) == 1:
         said += [on_one(found.question, *pair, words) for pair in voting.items()]
@@ -41,7 +41,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         said.append(on_each(found.question, voting, words))
     elif voting:
         said += [cheapest(found, voting, words), *families(found, voting, words)]
-    elif any(s.verdict.first for s in found.scenes.values()):
+    elif any(s.first for s in found.scenes.values()):
         said.append([*words.aim(found.question), ", no scene has two methods to compare."])
     return [
         *said,
@@ -61,14 +61,14 @@ def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: W
 
 
 def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
-    unknown = words.methods(s.label for s in answer.verdict.unknown)
-    if answer.verdict.first:
+    unknown = words.methods(s.label for s in answer.unknown)
+    if answer.first:
         said = on_one(question, scene, answer, words)
         if unknown:
             said += [f" Not compared, as {COSTS[question.cost].unknown}: ", *unknown, "."]
         return said
     if unknown:
-        verb = " reaches " if len(answer.verdict.unknown) == 1 else " reach "
+        verb = " reaches " if len(answer.unknown) == 1 else " reach "
         goal = [*words.accuracy(question), " on ", scene_ref(scene)]
         return [*unknown, verb, *goal, f", but {COSTS[question.cost].unknown}."]
     goal = [*words.accuracy(question), " on ", scene_ref(scene)]
@@ -163,7 +163,7 @@ def unjudged(question: Question, scene: str, error: float) -> Sentence:
 def _unknown(found: Answer, words: Words) -> list[Sentence]:
     where: dict[str, list[str]] = {}
     for name, scene in found.scenes.items():
-        for entry in scene.verdict.unknown:
+        for entry in scene.unknown:
             where.setdefault(entry.label, []).append(name)
     if not where:
         return []

@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number
+from reports.formatting import NO_VALUE, cost_text, number
 from reports.names import scene_name
 from reports.questions.answers import Answer
 from reports.questions.question import Question
 from reports.questions.words import Words
 from reports.series import Series
-from reports.text.winners import cost_text
 
 #: Between the numbers of several accuracies in one cell.
 _BETWEEN = " · "

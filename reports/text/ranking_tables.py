@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
+from dataclasses import replace
 from types import MappingProxyType
 
 from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import number
-from reports.questions.answers import Answer
-from reports.ranking import (
-    GROUP,
-    RANKED_GROUPS,
-    TARGET,
-    TARGETS,
-    RankEntry,
-    accuracy_text,
-    rank,
-)
-from reports.series import Series, groups_of, ok_runs, reference_error
+from reports.formatting import number, tie_text
+from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
+from reports.series import Series
 from reports.text.measured_orders import orders_measured
-from reports.text.winners import Verdict, tie_text, verdict
 
 #: Columns of the ranked costs.
 _LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
@@ -40,24 +31,24 @@ def targets_table(
 
     ``names`` are short names by label. None for fewer than two integrators.
     """
-    groups = [g for g in groups_of(ok_runs(series)) if g in RANKED_GROUPS]
-    if not groups or len(series) < 2:
+    if len(series) < 2:
         return None
-    cases: dict[tuple[str, float], dict[str, list[RankEntry]]] = {}
-    for entry in rank({"": series}):
-        by_cost = cases.setdefault((entry.group, entry.target), {})
-        by_cost.setdefault(entry.cost, []).append(entry)
     rows = []
-    for group, target in product(groups, TARGETS):
-        if by_cost := cases.get((group, target)):
-            reached = sum(entry.reached for entry in by_cost[COST])
-            cells = [verdict(by_cost[cost]).worded(names) for cost in RANKED_COSTS]
-            found = [f"{reached} of {len(by_cost[COST])}", *cells]
+    found = answers({"": series}, TABLE_GROUPS, TABLE_TARGETS)
+    for question in [q for q in found if q.cost == COST]:
+        by_cost = [found[replace(question, cost=cost)] for cost in RANKED_COSTS]
+        if by_cost[0].unjudged:
+            own = number(by_cost[0].unjudged[""])
+            cells = [f"cannot be judged: the reference's own error is {own}"]
+            cells += [""] * len(RANKED_COSTS)
         else:
-            own = number(reference_error(ok_runs(series), group, NORM))
-            sentence = f"cannot be judged: the reference's own error is {own}"
-            found = [sentence, *[""] * len(RANKED_COSTS)]
-        rows.append([f"{group} to {target:.0e}", *found])
+            entries = by_cost[0].scenes[""].entries.values()
+            reached = sum(entry.reached for entry in entries)
+            cells = [f"{reached} of {len(entries)}"]
+            cells += [answer.scenes[""].worded(names) for answer in by_cost]
+        rows.append([f"{question.group} to {question.target:.0e}", *cells])
+    if not rows:
+        return None
     return Table(
         "Cheapest way to an accuracy",
         ["relative error", "reached by", *_LEAST],
@@ -69,28 +60,30 @@ def targets_table(
 
 
 def winners_table(
-    found: Mapping[str, Mapping[str, Verdict]], ids: Mapping[str, str], names: Mapping[str, str]
+    found: Mapping[Question, Answer], ids: Mapping[str, str], names: Mapping[str, str]
 ) -> Table | None:
-    """The verdicts on each scene and cost, for `GROUP` and `TARGET`.
+    """The answers on each scene with several contestants, by cost; they ask one accuracy.
 
     ``ids`` are the anchors of records by key, ``names`` those of integrators by label.
     """
-    if not found:
+    rows: dict[str, list[SceneAnswer]] = {}
+    for answer in found.values():
+        for scene, own in answer.scenes.items():
+            if own.several:
+                rows.setdefault(scene, []).append(own)
+    if not rows:
         return None
-    rows = [
-        [scene, *(by[cost].worded(names) for cost in RANKED_COSTS)] for scene, by in found.items()
-    ]
     return Table(
-        f"Cheapest way to {accuracy_text(GROUP, TARGET)}",
-        ["scene", *_LEAST],
-        rows,
+        f"Cheapest way to {next(iter(found)).text}",
+        ["scene", *(COSTS[question.cost].least for question in found)],
+        [[scene, *(own.worded(names) for own in by_cost)] for scene, by_cost in rows.items()],
         note=f"{_TIES}. Integrators joined by = do the same on the scene (equal errors and equal "
         "work at every resolution) and are one contestant. Other accuracies and "
         "costs: on the scenes' pages. The numbers in brackets lead to the runs.",
         links={
-            (i, j): [ids[run.key] for run in by[cost].runs if run.key in ids]
-            for i, by in enumerate(found.values())
-            for j, cost in enumerate(RANKED_COSTS, 1)
+            (i, j): [ids[run.key] for run in own.runs if run.key in ids]
+            for i, by_cost in enumerate(rows.values())
+            for j, own in enumerate(by_cost, 1)
         },
     )
 
