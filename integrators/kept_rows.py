@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from problems.layouts import row_layout
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -32,7 +34,7 @@ _ROUNDING = 1e-6
 
 def width_of(sizes: Sizes) -> int:
     """Count the numbers in a row of a trajectory: q, v, a, lam, x, xdot, y and the time."""
-    return 3 * sizes.nq + sizes.nl + 2 * sizes.nx + sizes.ny + 1
+    return 1 + row_layout(sizes).size
 
 
 def most_rows(width: int) -> int:

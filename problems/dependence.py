@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from problems.runtime import jax
-from problems.system import MechatronicSystem, Variables
+from problems.system import GROUPS, MechatronicSystem, Variables
 
 
 def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
@@ -57,8 +57,7 @@ def states_follow_accelerations(scene: MechatronicSystem) -> bool:
 
 def _takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> bool:
     """Whether a block of all variables depends on one of these groups."""
-    nq, nl, nx, ny = scene.sizes
-    z = [*map(np.zeros, (nq, nq, nq, nl, nx, ny)), np.zeros(())]
+    z = [*(np.zeros(scene.sizes.of(group)) for group in GROUPS), np.zeros(())]
     places = map(Variables._fields.index, groups)
     return depends(lambda *z: block(Variables(*z)), places, *z)
 

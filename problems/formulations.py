@@ -5,7 +5,7 @@ constraint forces are vector-Jacobian products. A block that a scene does not ha
 the traced program.
 
 All functions are pure and can be traced. They share this notation: coordinates q ``(nq,)`` in the
-units of the scene (m or rad as a rule), velocities v and accelerations a per s and s^2,
+units of the scene (m or rad as a rule), velocities v and accelerations a ``(nv,)`` per s and s^2,
 multipliers lam ``(nl,)``, controller states x ``(nx,)``, outputs y ``(ny,)``, time t in s. The
 product Phi_q^T lam is a force in N (or a torque in N m). Equation numbers are those of Bruels &
 Arnold (2008).
@@ -14,15 +14,14 @@ Arnold (2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from problems.index1_newton import matrix_and_residual, newton
+from problems.kinematics import q_rate
+from problems.layouts import algebraic_layout, dae_layout, state_layout
 from problems.named_equations import EQUATIONS, jitted, named
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Sizes, Variables
+from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
     from jax import Array
@@ -38,20 +37,20 @@ def constraint_force(
     q: Float[Array, " nq"],
     t: Float[Array, ""],
     lam: Float[Array, " nl"],
-) -> Float[Array, " nq"]:
+) -> Float[Array, " nv"]:
     """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts from the applied forces.
 
     Returns
     -------
     Array
-        Generalised force in N (or N m), shape ``(nq,)``.
+        Generalised force in N (or N m), shape ``(nv,)``.
     """
     return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
 
 
 @named
 def constraint_velocity(
-    scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nq"], t: Float[Array, ""]
+    scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
 ) -> Float[Array, " nl"]:
     """Compute d/dt Phi = Phi_q v + Phi_t.
 
@@ -60,15 +59,15 @@ def constraint_velocity(
     Array
         Units of the constraint per s, shape ``(nl,)``.
     """
-    return jax.jvp(scene.constraint, (q, t), (v, jnp.ones_like(t)))[1]
+    return jax.jvp(scene.constraint, (q, t), (q_rate(scene, q, v), jnp.ones_like(t)))[1]
 
 
 @named
 def constraint_acceleration(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
-    a: Float[Array, " nq"],
+    v: Float[Array, " nv"],
+    a: Float[Array, " nv"],
     t: Float[Array, ""],
 ) -> Float[Array, " nl"]:
     """Compute d2/dt2 Phi, which is linear in a.
@@ -78,16 +77,15 @@ def constraint_acceleration(
     Array
         Units of the constraint per s^2, shape ``(nl,)``.
     """
-    return jax.jvp(
-        lambda q, v, t: constraint_velocity(scene, q, v, t), (q, v, t), (v, a, jnp.ones_like(t))
-    )[1]
+    rates = q_rate(scene, q, v), a, jnp.ones_like(t)
+    return jax.jvp(lambda q, v, t: constraint_velocity(scene, q, v, t), (q, v, t), rates)[1]
 
 
 @named
 def inertia(
-    scene: MechatronicSystem, q: Float[Array, " nq"], a: Float[Array, " nq"]
-) -> Float[Array, " nq"]:
-    """Compute M(q) a in N (or N m), shape ``(nq,)``; by the scene's ``mass_product`` if stated."""
+    scene: MechatronicSystem, q: Float[Array, " nq"], a: Float[Array, " nv"]
+) -> Float[Array, " nv"]:
+    """Compute M(q) a in N (or N m), shape ``(nv,)``; by the scene's ``mass_product`` if stated."""
     return scene.mass_product(q, a) if scene.has("mass_product") else scene.mass(q) @ a
 
 
@@ -105,13 +103,13 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
 
 
 @named
-def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nq"]:
+def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nv"]:
     """Compute M a - g + Phi_q^T lam - L y, the residual of eq. (1).
 
     Returns
     -------
     Array
-        Generalised force in N (or N m), shape ``(nq,)``; zero on a solution.
+        Generalised force in N (or N m), shape ``(nv,)``; zero on a solution.
     """
     r = inertia(scene, z.q, z.a) - scene.force(z.q, z.v, z.t)
     if scene.has("constraint"):
@@ -156,21 +154,16 @@ class Start(NamedTuple):
     ``xdot``, ``xddot``
         first and second derivative of x by time, each ``(nx,)``
     ``jerk``
-        derivative of a by time along the motion, ``(nq,)``
+        derivative of a by time along the motion, ``(nv,)``
     ``constrained_jerk``
-        `projections.constrained_part` of the jerk, ``(nq,)``; None where it was not computed
+        `projections.constrained_part` of the jerk, ``(nv,)``; None where it was not computed
     """
 
     z: Variables
     xdot: Float[Array, " nx"]
-    jerk: Float[Array, " nq"]
+    jerk: Float[Array, " nv"]
     xddot: Float[Array, " nx"]
-    constrained_jerk: Float[Array, " nq"] | None = None
-
-
-def _split(sizes: Sizes, u: Float[Array, " n"]) -> tuple[Array, Array, Array]:
-    nq, nl = sizes.nq, sizes.nl
-    return u[:nq], u[nq : nq + nl], u[nq + nl :]
+    constrained_jerk: Float[Array, " nv"] | None = None
 
 
 @named
@@ -178,7 +171,7 @@ def algebraic_residual(
     scene: MechatronicSystem,
     u: Float[Array, " n"],
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
+    v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
     baumgarte: Baumgarte | None = None,
@@ -188,7 +181,7 @@ def algebraic_residual(
     Parameters
     ----------
     u
-        The unknowns [a, lam, y], n = nq + nl + ny.
+        The unknowns [a, lam, y], n = nv + nl + ny.
     baumgarte
         If given, d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi = 0 takes the place of d2/dt2 Phi = 0
         (Baumgarte 1972, doi:10.1016/0045-7825(72)90018-7).
@@ -198,7 +191,7 @@ def algebraic_residual(
     Array
         Residuals of eq. (1), of d2/dt2 Phi = 0 and of eq. (4), shape ``(n,)``.
     """
-    a, lam, y = _split(scene.sizes, u)
+    a, lam, y = algebraic_layout(scene.sizes).split(u)
     z = Variables(q, v, a, lam, x, y, t)
     rows = [dynamics_residual(scene, z)]
     if scene.sizes.nl:
@@ -215,11 +208,11 @@ def algebraic_residual(
 def solve_algebraic(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
+    v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
     baumgarte: Baumgarte | None = None,
-) -> tuple[Float[Array, " nq"], Float[Array, " nl"], Float[Array, " ny"]]:
+) -> list[Array]:
     """Solve the index-1 equations for (a, lam, y) at given q, v, x, t.
 
     The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
@@ -228,16 +221,17 @@ def solve_algebraic(
 
     Returns
     -------
-    tuple of Array
-        a ``(nq,)``, lam ``(nl,)`` and y ``(ny,)``; NaN where Newton's method fails.
+    list of Array
+        a ``(nv,)``, lam ``(nl,)`` and y ``(ny,)``; NaN where Newton's method fails.
     """
 
     def residual(u: Array) -> Array:
         return algebraic_residual(scene, u, q, v, x, t, baumgarte)
 
-    guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
+    layout = algebraic_layout(scene.sizes)
+    guess = jnp.zeros(layout.size)
     if not scene.sizes.ny:
-        return _split(scene.sizes, -jnp.linalg.solve(*matrix_and_residual(residual, guess)))
+        return layout.split(-jnp.linalg.solve(*matrix_and_residual(residual, guess)))
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
@@ -248,18 +242,18 @@ def solve_algebraic(
     def root(guess: Array) -> Array:
         return jax.lax.custom_root(residual, guess, solution, tangent_solve)
 
-    return _split(scene.sizes, jitted(EQUATIONS, root)(guess))
+    return layout.split(jitted(EQUATIONS, root)(guess))
 
 
 def algebraic_iterations(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
+    v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
 ) -> Int[Array, ""]:
     """Count the iterations of Newton's method in `solve_algebraic`, for a scene with outputs."""
-    guess = jnp.zeros(scene.sizes.nq + scene.sizes.nl + scene.sizes.ny)
+    guess = jnp.zeros(algebraic_layout(scene.sizes).size)
     return newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
 
 
@@ -267,7 +261,7 @@ def algebraic_iterations(
 def complete(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
+    v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
     baumgarte: Baumgarte | None = None,
@@ -295,7 +289,7 @@ def ode_rate(
     Parameters
     ----------
     s
-        The state [q, v, x], n = 2 nq + nx.
+        The state [q, v, x], n = nq + nv + nx.
     baumgarte
         If given, violated constraints are pulled back.
 
@@ -304,15 +298,15 @@ def ode_rate(
     Array
         Derivative of s by time, shape ``(n,)``.
     """
-    q, v, x = jnp.split(s, [scene.sizes.nq, 2 * scene.sizes.nq])
+    q, v, x = state_layout(scene.sizes).split(s)
     z, xdot = complete(scene, q, v, x, t, baumgarte)
-    return jnp.concatenate([v, z.a, xdot])
+    return jnp.concatenate([q_rate(scene, q, v), z.a, xdot])
 
 
 def with_rates(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
+    v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
 ) -> Start:
@@ -329,31 +323,12 @@ def with_rates(
     _, (dz, xddot) = jax.jvp(
         lambda q, v, x, t: complete(scene, q, v, x, t),
         (q, v, x, t),
-        (v, z.a, xdot, jnp.ones_like(t)),
+        (q_rate(scene, q, v), z.a, xdot, jnp.ones_like(t)),
     )
     return Start(z, xdot, dz.a, xddot)
 
 
 # ---- DAE residuals for general-purpose solvers -----------------------------------------
-class Layout(NamedTuple):
-    """Slices of q, v, x, lam, y and mu in the vector w of a DAE solver, and its size."""
-
-    q: slice
-    v: slice
-    x: slice
-    lam: slice
-    y: slice
-    mu: slice
-    size: int
-
-
-def dae_layout(sizes: Sizes, formulation: str) -> Layout:
-    """Lay out w = [q, v, x, lam, y, mu]; "stabilised_index2" alone has multipliers mu ``(nl,)``."""
-    nmu = sizes.nl if formulation == "stabilised_index2" else 0
-    ends = np.cumsum([0, sizes.nq, sizes.nq, sizes.nx, sizes.nl, sizes.ny, nmu]).tolist()
-    return Layout(*(slice(a, b) for a, b in pairwise(ends)), size=ends[-1])
-
-
 @named
 def dae_residual(
     scene: MechatronicSystem,
@@ -383,7 +358,7 @@ def dae_residual(
     at = dae_layout(scene.sizes, formulation)
     q, v, a = w[at.q], w[at.v], wdot[at.v]
     z = Variables(q, v, a, w[at.lam], w[at.x], w[at.y], t)
-    kinematic = wdot[at.q] - v
+    kinematic = wdot[at.q] - q_rate(scene, q, v)
     rows = [dynamics_residual(scene, z), *control_residuals(scene, z, wdot[at.x])]
     if scene.sizes.nl:
         if formulation in ("index3", "stabilised_index2"):

@@ -32,8 +32,8 @@ def force(
     kinetic: Callable[[Array, Array], Array],
     potential: Callable[[Array], Array],
     q: Float[Array, " nq"],
-    v: Float[Array, " nq"],
-) -> Float[Array, " nq"]:
+    v: Float[Array, " nv"],
+) -> Float[Array, " nv"]:
     """Compute g(q, v) = T_q - (T_v)_q v - V_q in N (or N m).
 
     Parameters

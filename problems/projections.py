@@ -8,6 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from problems.formulations import constraint_velocity
+from problems.kinematics import advance, q_rate
+from problems.layouts import state_layout
 from problems.named_equations import named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
@@ -26,24 +28,24 @@ def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Arr
     It lies in the range of M^-1 Phi_q^T, the directions in which constraints act. One solve with
     the augmented matrix, so that M need not be regular.
     """
-    nq, nl = scene.sizes.nq, scene.sizes.nl
+    nv, nl = scene.sizes.nv, scene.sizes.nl
     jacobian = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
     augmented = jnp.block([[scene.mass(q), jacobian.T], [jacobian, jnp.zeros((nl, nl))]])
-    return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(nq), r]))[:nq]
+    return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(nv), r]))[:nv]
 
 
 @named
 def constrained_part(
-    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nq"]
-) -> Float[Array, " nq"]:
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
+) -> Float[Array, " nv"]:
     """Project w on the range of M^-1 Phi_q^T, the directions in which constraints act.
 
     Returns
     -------
     Array
-        Units of w, shape ``(nq,)``.
+        Units of w, shape ``(nv,)``.
     """
-    along = jax.jvp(lambda q: scene.constraint(q, t), (q,), (w,))[1]
+    along = jax.jvp(lambda q: scene.constraint(q, t), (q,), (q_rate(scene, q, w),))[1]
     return _least_change(scene, q, t, along)
 
 
@@ -58,8 +60,8 @@ def projected_state(
     """
     if not scene.sizes.nl:
         return s
-    q, v, x = jnp.split(s, [scene.sizes.nq, 2 * scene.sizes.nq])
+    q, v, x = state_layout(scene.sizes).split(s)
     for _ in range(_PROJECTIONS):
-        q = q - _least_change(scene, q, t, scene.constraint(q, t))
+        q = advance(scene, q, -_least_change(scene, q, t, scene.constraint(q, t)))
     v = v - _least_change(scene, q, t, constraint_velocity(scene, q, v, t))
     return jnp.concatenate([q, v, x])

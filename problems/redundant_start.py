@@ -10,6 +10,8 @@ import numpy as np
 
 from problems.exported_programs import exported
 from problems.formulations import Start, algebraic_residual
+from problems.kinematics import q_rate
+from problems.layouts import algebraic_layout
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, State, Variables
 
@@ -30,10 +32,10 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | Non
     Start or None
         Values at time t (s); None if there are none, or more than one a or y.
     """
-    nq, nl, _, ny = scene.sizes
+    layout = algebraic_layout(scene.sizes)
     equations, tangent, derivatives = _functions(scene.template())
     p, known = scene.parameters(), (*state, np.asarray(t, float))
-    u = np.zeros(nq + nl + ny)
+    u = np.zeros(layout.size)
     for _ in range(_MOST_ITERATIONS):
         matrix, (residual, xdot) = np.asarray(tangent(p, u, *known)), equations(p, u, *known)
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
@@ -45,16 +47,16 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start | Non
         return None
     _, sizes, directions = np.linalg.svd(matrix)
     free = directions[sizes <= _ZERO * sizes[0]]
-    if np.abs(np.delete(free, np.s_[nq : nq + nl], axis=1)).max(initial=0.0) > 1e-6:
+    if np.abs(np.delete(free, layout.lam, axis=1)).max(initial=0.0) > 1e-6:
         return None
-    a, lam, y = np.split(u, [nq, nq + nl])
+    a, lam, y = layout.split(u)
     # The residual stays zero along the motion, so that its derivative gives that of u.
-    motion = state.v, a, np.asarray(xdot), np.ones(())
+    motion = q_rate(scene, *map(jnp.asarray, state[:2])), a, np.asarray(xdot), np.ones(())
     rest, _ = derivatives(p, (u, *known), (0 * u, *motion))
     rate = np.linalg.lstsq(matrix, -np.asarray(rest), _ZERO)[0]
     _, xddot = derivatives(p, (u, *known), (rate, *motion))
     z = Variables(*map(jnp.asarray, (state.q, state.v, a, lam, state.x, y, t)))
-    return Start(z, xdot, jnp.asarray(rate[:nq]), xddot)
+    return Start(z, xdot, jnp.asarray(rate[layout.a]), xddot)
 
 
 def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
@@ -86,13 +88,13 @@ def _rows(template: MechatronicSystem) -> Callable:
 def _functions(template: MechatronicSystem) -> tuple[Callable, Callable, Callable]:
     """Compiled functions of a scene: residual and xdot at u = [a, lam, y]; the residual's tangent
     in u; derivatives of both along a direction."""
-    nq, nl, nx, _ = template.sizes
+    layout = algebraic_layout(template.sizes)
 
     def equations(p: Any, u: Any, q: Any, v: Any, x: Any, t: Any) -> tuple[Any, Any]:
         scene = template.with_parameters(p)
-        a, lam, y = jnp.split(u, [nq, nq + nl])
+        a, lam, y = layout.split(u)
         z = Variables(q, v, a, lam, x, y, t)
-        rate = scene.state_rate(z) if nx else jnp.zeros(0)
+        rate = scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)
         return algebraic_residual(scene, u, q, v, x, t), rate
 
     def derivatives(p: Any, at: tuple, direction: tuple) -> tuple[Any, Any]:

@@ -22,6 +22,7 @@ from problems import answers
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
+from problems.layouts import state_layout
 from problems.system import GROUPS, MechatronicSystem
 from problems.whole_files import keep, kept
 
@@ -187,8 +188,7 @@ class Reference:
         return values | answers.closed_form(self.scene.exact(t), len(t), sizes)
 
     def _evaluate(self, motion: Motion, t: np.ndarray) -> dict[str, np.ndarray]:
-        nq = self.scene.sizes.nq
-        q, v, x = np.split(motion(t), [nq, 2 * nq], axis=1)
+        q, v, x = state_layout(self.scene.sizes).split(motion(t))
         z, xdot = compiled(self.scene).complete(self.scene.parameters(), q, v, x, t)
         values = {g: np.asarray(getattr(z, g)) for g in GROUPS}
         return values | {"xdot": np.asarray(xdot)}
@@ -196,7 +196,7 @@ class Reference:
     def _integrate(self, which: int) -> Motion:
         if self.missing:
             raise ReferenceFailed(self.missing)
-        scene, nq = self.scene, self.scene.sizes.nq
+        scene, at = self.scene, state_layout(self.scene.sizes)
         start = consistent_start(scene).z
         rates, p = compiled(scene).rates, np.array(list(scene.parameters().values()))
         try:
@@ -204,7 +204,7 @@ class Reference:
                 lambda t, s: np.asarray(rates(p, t, s)),
                 np.concatenate([start.q, start.v, start.x]),
                 (scene.interval[0], self.t_end),
-                groups=(slice(nq), slice(nq, 2 * nq), slice(2 * nq, None)),
+                groups=(at.q, at.v, at.x),
                 method=(gauss, radau)[which](),
                 tolerance=_TOLERANCE * (1 + which),
                 longest=_LONGEST[which] * scene.nominal_step,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from problems.formulations import Start, algebraic_residual, constraint_force, inertia
+from problems.kinematics import q_rate
+from problems.layouts import algebraic_layout
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, State, Variables
@@ -45,7 +47,7 @@ def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
         return Start(z, xdot, z.a, jnp.zeros(sizes.nx))
     programs = _programs(scene.template())
     change = -factors.solve(np.asarray(programs.drift(p, z, xdot)))
-    jerk, dlam, dy = (jnp.asarray(part) for part in _split(scene, change))
+    jerk, dlam, dy = (jnp.asarray(part) for part in algebraic_layout(sizes).split(change))
     xddot = jnp.zeros(0)
     if sizes.nx:
         rates = Variables(z.v, z.a, jerk, dlam, xdot, dy, jnp.ones_like(z.t))
@@ -55,8 +57,8 @@ def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     if sizes.ny:
         return Start(z, xdot, jerk, xddot, projected(scene, z.q, t, jerk))
     # Without outputs the matrix is [[M, Phi_q^T], [Phi_q, 0]], that of the projection.
-    right = np.concatenate([np.zeros(sizes.nq), programs.constraint_change(p, z, jerk)])
-    return Start(z, xdot, jerk, xddot, jnp.asarray(factors.solve(right)[: sizes.nq]))
+    right = np.concatenate([np.zeros(sizes.nv), programs.constraint_change(p, z, jerk)])
+    return Start(z, xdot, jerk, xddot, jnp.asarray(factors.solve(right)[: sizes.nv]))
 
 
 def sparse_complete(
@@ -95,16 +97,11 @@ def _complete(
             break
     else:
         factors = None
-    a, lam, y = _split(scene, u)
+    a, lam, y = algebraic_layout(sizes).split(u)
     z = Variables(*map(jnp.asarray, (state.q, state.v, a, lam, state.x, y, t)))
     if factors is None:
-        return z._replace(a=jnp.full(sizes.nq, jnp.nan)), jnp.zeros(sizes.nx), None
+        return z._replace(a=jnp.full(sizes.nv, jnp.nan)), jnp.zeros(sizes.nx), None
     return z, scene.state_rate(z) if sizes.nx else jnp.zeros(0), factors
-
-
-def _split(scene: MechatronicSystem, u: np.ndarray) -> list[np.ndarray]:
-    """Parts of u = [a, lam, y]."""
-    return np.split(u, [scene.sizes.nq, scene.sizes.nq + scene.sizes.nl])
 
 
 def _factorised(pattern: Pattern, entries: np.ndarray) -> SuperLU | None:
@@ -122,24 +119,24 @@ def _factorised(pattern: Pattern, entries: np.ndarray) -> SuperLU | None:
 
 
 def projected(
-    scene: MechatronicSystem, q: Float[Array, " nq"], t: float, w: Float[Array, " nq"]
-) -> Float[Array, " nq"]:
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: float, w: Float[Array, " nv"]
+) -> Float[Array, " nv"]:
     """Compute `projections.constrained_part` of w; NaN where the augmented matrix is singular."""
-    nq, nl, now = scene.sizes.nq, scene.sizes.nl, jnp.asarray(t)
+    nv, nl, now = scene.sizes.nv, scene.sizes.nl, jnp.asarray(t)
 
     def augmented(u: Array) -> Array:
-        along = jax.jvp(lambda q: scene.constraint(q, now), (q,), (u[:nq],))[1]
+        along = jax.jvp(lambda q: scene.constraint(q, now), (q,), (q_rate(scene, q, u[:nv]),))[1]
         return jnp.concatenate(
-            [inertia(scene, q, u[:nq]) + constraint_force(scene, q, now, u[nq:]), along]
+            [inertia(scene, q, u[:nv]) + constraint_force(scene, q, now, u[nv:]), along]
         )
 
-    pattern = Pattern(augmented, nq + nl)
-    factors = _factorised(pattern, np.asarray(pattern.values(augmented, jnp.zeros(nq + nl))))
+    pattern = Pattern(augmented, nv + nl)
+    factors = _factorised(pattern, np.asarray(pattern.values(augmented, jnp.zeros(nv + nl))))
     if factors is None:
-        return jnp.full(nq, jnp.nan)
+        return jnp.full(nv, jnp.nan)
     right = np.array(augmented(jnp.concatenate([w, jnp.zeros(nl)])))
-    right[:nq] = 0.0
-    return jnp.asarray(factors.solve(right)[:nq])
+    right[:nv] = 0.0
+    return jnp.asarray(factors.solve(right)[:nv])
 
 
 class _Programs(NamedTuple):
@@ -180,7 +177,7 @@ def _programs(template: MechatronicSystem) -> _Programs:
         return jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (w,))[1]
 
     start = map(jnp.asarray, (*template.initial_state(), template.interval[0]))
-    pattern = Pattern(at(template.parameters(), *start), sizes.nq + sizes.nl + sizes.ny)
+    pattern = Pattern(at(template.parameters(), *start), algebraic_layout(sizes).size)
     return _Programs(
         pattern,
         residual=jax.jit(lambda p, u, *state: at(p, *state)(u)),

@@ -53,8 +53,8 @@ class Variables(NamedTuple):
     """
 
     q: Float[Array, " nq"]
-    v: Float[Array, " nq"]
-    a: Float[Array, " nq"]
+    v: Float[Array, " nv"]
+    a: Float[Array, " nv"]
     lam: Float[Array, " nl"]
     x: Float[Array, " nx"]
     y: Float[Array, " ny"]
@@ -65,7 +65,7 @@ class State(NamedTuple):
     """The variables that determine all others at a given time; units as in `Variables`."""
 
     q: Float[np.ndarray, " nq"]
-    v: Float[np.ndarray, " nq"]
+    v: Float[np.ndarray, " nv"]
     x: Float[np.ndarray, " nx"] = np.zeros(0)
 
 
@@ -107,17 +107,22 @@ class Component(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Numbers of coordinates, multipliers, controller states and outputs."""
+    """Numbers of coordinates, multipliers, controller states and outputs; ``nv`` of velocities."""
 
     nq: int
     nl: int
     nx: int
     ny: int
 
+    @property
+    def nv(self) -> int:
+        """Number of velocities, accelerations and equations of motion."""
+        return self.nq
+
     def of(self, group: str) -> int:
         """Number of entries of a group, or of "xdot"."""
-        owner = {"lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
-        return getattr(self, owner.get(group, "nq"))
+        owner = {"q": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+        return getattr(self, owner.get(group, "nv"))
 
 
 def parameter(

@@ -16,6 +16,7 @@ from bench.running.errors import relative_reference_error
 from problems import answers
 from problems.exported_programs import exported
 from problems.formulations import ode_rate
+from problems.layouts import state_layout
 from problems.redundant_start import missing_rank
 from problems.reference import Reference
 from problems.runtime import jax, jnp
@@ -201,7 +202,7 @@ def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | 
         large or the Jacobian is not finite.
     """
     sizes = scene.sizes
-    if 2 * sizes.nq + sizes.nx > _MOST_STATES:
+    if state_layout(sizes).size > _MOST_STATES:
         return None
     t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
     at = reference(t)

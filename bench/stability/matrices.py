@@ -29,6 +29,7 @@ from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepProgram
 from problems.exported_programs import exported
 from problems.formulations import Start, with_rates
+from problems.layouts import state_layout
 from problems.runtime import jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -172,7 +173,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
         ends = jnp.cumsum(hs)
 
         def started(s: Any) -> Any:
-            q, v, x = jnp.split(s, [template.sizes.nq, 2 * template.sizes.nq])
+            q, v, x = state_layout(template.sizes).split(s)
             start = Start(*with_rates(scene, q, v, x, jnp.asarray(0.0)))
             return method.begin(scene, numbers, start, hs[0])
 
@@ -201,7 +202,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
             columns = after[1:] - after[0], shown[1:] - shown[0], converged[1:]
             return after[0], jnp.where(settled > 0, 2.0, 1.0 * still), k + 1, columns
 
-        n, shown = rest.size, 2 * template.sizes.nq + template.sizes.nx
+        n, shown = rest.size, state_layout(template.sizes).size
         nothing = jnp.zeros((n, n)), jnp.zeros((n, shown)), jnp.zeros(n, dtype=bool)
         a, c, converged = jax.lax.while_loop(
             lambda carry: carry[1] < 2, again, (rest, 0.0, 0, nothing)

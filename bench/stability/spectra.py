@@ -294,11 +294,11 @@ def overshoot(
     Overshoot is the excess over the exact amplitude of 1 (Hilber & Hughes 1978,
     doi:10.1002/eqe.4290060111).
     """
-    nq, states, largest = system.size[0], found.b, []
+    at, states, largest = system.layout, found.b, []
     with np.errstate(all="ignore"):
         for _ in range(FIRST_STEPS):
             shown = np.abs(found.c @ states)
-            largest.append([shown[:, :nq].max(axis=(1, 2)), shown[:, nq : 2 * nq].max(axis=(1, 2))])
+            largest.append([shown[:, at.q].max(axis=(1, 2)), shown[:, at.v].max(axis=(1, 2))])
             states = found.a @ states
     q, v = np.max(largest, axis=0)
     return q, v

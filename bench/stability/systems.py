@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jnp, parameter
+from problems.layouts import Layout, state_layout
+from problems.system import Sizes
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -28,14 +30,19 @@ class LinearSystem(MechatronicSystem):
     size: ClassVar[tuple[int, int]] = (1, 0)
     deviation: np.ndarray | None = field(default=None, compare=False)
 
+    @property
+    def layout(self) -> Layout:
+        """Places of q, v and x in a deviation."""
+        nq, nx = self.size
+        return state_layout(Sizes(nq, 0, nx, 0))
+
     def from_deviation(self, s: np.ndarray) -> Self:
         """Return the same system, started from s = [q, v, x] instead of rest."""
         return self.with_parameters({"deviation": np.asarray(s, dtype=float)})
 
     def deviations(self) -> Float[np.ndarray, "k n"]:
         """Return unit deviations of the excited entries of [q, v, x], as rows."""
-        nq, nx = self.size
-        units = np.eye(2 * nq + nx)
+        units = np.eye(self.layout.size)
         return units if self.excited is None else units[list(self.excited)]
 
     def mass(self, q: Any) -> Any:
@@ -45,9 +52,8 @@ class LinearSystem(MechatronicSystem):
         return -q
 
     def initial_state(self) -> State:
-        nq, nx = self.size
-        s = np.zeros(2 * nq + nx) if self.deviation is None else self.deviation
-        return State(*np.split(s, [nq, 2 * nq]))
+        s = np.zeros(self.layout.size) if self.deviation is None else self.deviation
+        return State(*self.layout.split(s))
 
 
 @dataclass(frozen=True)

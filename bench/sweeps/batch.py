@@ -24,8 +24,10 @@ from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
 from integrators.native.endings import Ending
+from integrators.native.step_records import Reading
 from problems.formulations import complete
 from problems.initial_values import consistent_starts
+from problems.layouts import row_layout
 from problems.runtime import jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Sizes
@@ -272,10 +274,8 @@ def _table(trees: Sequence[Any]) -> np.ndarray:
 
 def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
     """Values by name from rows ``[q, v, a, lam, x, xdot, y, notes]``."""
-    nq, nl, nx, ny = sizes
-    widths = {"q": nq, "v": nq, "a": nq, "lam": nl, "x": nx, "xdot": nx, "y": ny}
-    ends = np.cumsum(list(widths.values()))
-    return dict(zip(widths, np.split(table, ends, axis=2)[: len(widths)], strict=True))
+    groups, layout = Reading._fields[:-1], row_layout(sizes)
+    return {group: table[..., getattr(layout, group)] for group in groups}
 
 
 def _lanes(sizes: Sizes, count: int) -> int:

@@ -13,8 +13,9 @@ from integrators.adapters.library_runs import GivenEquations
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Trajectory
-from problems.formulations import Layout, dae_layout, dae_residual
+from problems.formulations import dae_residual
 from problems.initial_values import consistent_start
+from problems.layouts import Layout, dae_layout
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, Sizes

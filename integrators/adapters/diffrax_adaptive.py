@@ -24,6 +24,7 @@ from problems.compiled import compiled
 from problems.exported_programs import exported
 from problems.formulations import Baumgarte
 from problems.initial_values import consistent_start
+from problems.layouts import state_layout
 from problems.runtime import jax, jnp, slower
 from problems.system import MechatronicSystem
 
@@ -156,9 +157,9 @@ class DiffraxAdaptiveRun(DiffraxRun):
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
         status, message = self._outcome(good, number, t[-1], s[-1])
-        parts, nq = (t - self._t0) / (self._t_end - self._t0), self._scene.sizes.nq
+        parts = (t - self._t0) / (self._t_end - self._t0)
         keep = kept_rows(parts)
-        q, v, x = np.split(s[keep], [nq, 2 * nq], axis=1)
+        q, v, x = state_layout(self._scene.sizes).split(s[keep])
         trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
         work = self.work(counts, accepted, rejected)
         return replace(trajectory, status=status, message=message, work=work)

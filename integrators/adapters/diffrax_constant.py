@@ -21,6 +21,7 @@ from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_records import Reading
 from problems.formulations import Baumgarte, Start
+from problems.layouts import state_layout
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
@@ -89,11 +90,10 @@ class DiffraxStep(StepFunctions):
         # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
         # then zeros stand for them, or NaN where the time loop has to see that a state is not
         # finite.
-        nq, nl, _, ny = scene.sizes
-        q, v, x = jnp.split(state.s, [nq, 2 * nq])
+        q, v, x = state_layout(scene.sizes).split(state.s)
         nothing = 0 * jnp.sum(state.s)
-        lam, y = (jnp.full(n, nothing) for n in (nl, ny))
-        return Reading(q, v, nothing + 0 * q, lam, x, 0 * x, y)
+        lam, y = (jnp.full(n, nothing) for n in (scene.sizes.nl, scene.sizes.ny))
+        return Reading(q, v, nothing + 0 * v, lam, x, 0 * x, y)
 
     @property
     def _terms(self) -> Any:

@@ -15,7 +15,8 @@ from integrators.contract import PreparedRun, Tolerances, Work, option
 from integrators.operations import dense, sparse
 from problems import sparsity
 from problems.dependence import states_follow_accelerations
-from problems.formulations import FORMULATIONS, dae_layout
+from problems.formulations import FORMULATIONS
+from problems.layouts import dae_layout
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 

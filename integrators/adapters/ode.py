@@ -15,6 +15,7 @@ from integrators.contract import Trajectory
 from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
 from problems.initial_values import consistent_start
+from problems.layouts import state_layout
 from problems.projections import projected_state
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
@@ -33,8 +34,7 @@ def given_ode(scene: MechatronicSystem, baumgarte: Baumgarte | None) -> GivenEqu
     start = scene.interval[0], np.concatenate([z.q, z.v, z.x])
 
     def trajectory(t: np.ndarray, w: np.ndarray) -> Trajectory:
-        nq = scene.sizes.nq
-        return trajectory_from_states(scene, t, *np.split(w, [nq, 2 * nq], axis=1))
+        return trajectory_from_states(scene, t, *state_layout(scene.sizes).split(w))
 
     p = packed_parameters(scene, baumgarte)
     return GivenEquations(scene, packed_rate(*key), packed_columns(*key), p, start, trajectory)
@@ -49,7 +49,7 @@ def packed_parameters(scene: MechatronicSystem, baumgarte: Baumgarte | None = No
 def packed_rate(template: MechatronicSystem, baumgarte: bool = False) -> PackedFunction:
     """f(p, t, s) ``(n,)``, compiled; p as `packed_parameters` gives it."""
     count = len(template.parameters())
-    lengths = count + 2 * baumgarte, None, 2 * template.sizes.nq + template.sizes.nx
+    lengths = count + 2 * baumgarte, None, state_layout(template.sizes).size
 
     def rate(p: Any, t: Any, s: Any) -> Any:
         rates = Baumgarte(p[count], p[count + 1]) if baumgarte else None
@@ -73,7 +73,7 @@ def packed_columns(template: MechatronicSystem, baumgarte: bool = False) -> Pack
 @cache
 def packed_projection(template: MechatronicSystem) -> PackedFunction:
     """`projected_state` as a compiled function of (p, t, s)."""
-    lengths = len(template.parameters()), None, 2 * template.sizes.nq + template.sizes.nx
+    lengths = len(template.parameters()), None, state_layout(template.sizes).size
     return PackedFunction(lambda p, t, s: projected_state(_scene(template, p), t, s), *lengths)
 
 

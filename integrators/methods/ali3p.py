@@ -15,6 +15,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, largest
 from problems import formulations
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -91,13 +92,12 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         self, scene: MechatronicSystem, state: ALI3PState, t: Time, h: Time, work: StepWork
     ) -> ALI3PState:
         now = state.shown
-        base = Base(
-            now.q + h * now.v + h**2 / 4 * now.a, now.v + h / 2 * now.a, now.x + h / 2 * now.xdot
-        )
+        q = advance(scene, now.q, h * now.v, h**2 / 4 * now.a)
+        base = Base(q, now.v + h / 2 * now.a, now.x + h / 2 * now.xdot)
         slopes = Slopes(h**2 / 4, h / 2, h / 2)
         e = stage_equations(scene, "index3", base, slopes, t, (now.q, t - h))
         softness = self._softness(scene, now.q, t)
-        e = e._replace(residual=self._softened(e.residual, e.cuts[0], e.cuts[1], softness))
+        e = e._replace(residual=self._softened(e.residual, e.layout.lam, softness))
         z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
         guess = state.guess.after(z, xdot, h)
         if scene.sizes.nl:
@@ -115,16 +115,16 @@ class ALI3P(OwnValues, ImplicitStepMethod):
 
     @staticmethod
     def _softened(
-        residual: Callable[[Array], Array], begin: int, end: int, softness: Scalar
+        residual: Callable[[Array], Array], at: slice, softness: Scalar
     ) -> Callable[[Array], Array]:
         """The same residual, whose tangent has -softness between constraints and multipliers.
 
-        Multipliers are the unknowns from ``begin`` to ``end``, constraints the rows.
+        ``at`` is the place of multipliers among the unknowns, and of constraints among the rows.
         """
 
         def softened(u: Array) -> Array:
-            lam = u[begin:end]
-            return residual(u).at[begin:end].add(-softness * (lam - jax.lax.stop_gradient(lam)))
+            lam = u[at]
+            return residual(u).at[at].add(-softness * (lam - jax.lax.stop_gradient(lam)))
 
         return softened
 
@@ -132,22 +132,22 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         self, scene: MechatronicSystem, z: Variables, h: Time, softness: Scalar, work: StepWork
     ) -> Variables:
         """Move v and then a to where d/dt Phi and d2/dt2 Phi are zero."""
-        q, t, nq = z.q, z.t, scene.sizes.nq
+        q, t, nv = z.q, z.t, scene.sizes.nv
         _, force_along = jax.linearize(lambda q, v: scene.force(q, v, t), q, z.v)
         work.count(jacobians=1)
 
         def moved(w: Array, violation: Callable[[Array], Array]) -> list[Array]:
             def residual(u: Array) -> Array:
-                d, mu = u[:nq] - w, u[nq:]
+                d, mu = u[:nv] - w, u[nv:]
                 inner = formulations.inertia(scene, q, d) - force_along(h**2 / 4 * d, h / 2 * d)
                 outer = formulations.constraint_force(scene, q, t, mu)
-                return jnp.concatenate([inner + outer, violation(u[:nq])])
+                return jnp.concatenate([inner + outer, violation(u[:nv])])
 
             guess = jnp.concatenate([w, jnp.zeros(scene.sizes.nl)])
-            soft = self._softened(residual, nq, len(guess), softness)
+            soft = self._softened(residual, slice(nv, len(guess)), softness)
             of_w = 4 * _EPS * largest(w)
             of_mu = of_w * formulations.largest_inertia(scene, q)
-            return jnp.split(work.solve(soft, guess, groups=(nq,), rounding=(of_w, of_mu)), [nq])
+            return jnp.split(work.solve(soft, guess, groups=(nv,), rounding=(of_w, of_mu)), [nv])
 
         v, _ = moved(z.v, lambda v: formulations.constraint_velocity(scene, q, v, t))
         a, mu = moved(z.a, lambda a: formulations.constraint_acceleration(scene, q, v, a, t))

@@ -11,6 +11,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
@@ -69,10 +70,12 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         newest, older = (1 + w) ** 2 / (1 + 2 * w), w**2 / (1 + 2 * w)
         tau = h * (1 + w) / (1 + 2 * w)
         v_base = newest * now.v - older * v
-        later = Base(newest * now.q - older * q + tau * v_base, v_base, newest * now.x - older * x)
+        q_base = advance(scene, newest * now.q - older * q, tau * v_base)
+        later = Base(q_base, v_base, newest * now.x - older * x)
         # Of the first step's acceleration and rate only those of the start are there.
         a, xdot = now.a, now.xdot
-        first = Base(now.q + h * now.v, now.v + h / 4 * a, now.x + h / 4 * xdot)
+        q_base = advance(scene, now.q, h * now.v)
+        first = Base(q_base, now.v + h / 4 * a, now.x + h / 4 * xdot)
         both = (Slopes(h**2 / 2, 3 * h / 4, 3 * h / 4), first), (Slopes(tau**2, tau, tau), later)
         slopes, base = jax.tree.map(lambda one, two: jnp.where(state.first, one, two), *both)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))

@@ -14,6 +14,8 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading
 from problems.formulations import Start
+from problems.kinematics import advance
+from problems.layouts import state_layout
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
@@ -132,7 +134,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
     def step(
         self, scene: MechatronicSystem, state: BDFState, t: Time, h: Time, work: StepWork
     ) -> BDFState:
-        k, now, cuts = state.order, state.shown, np.cumsum([scene.sizes.nq] * 2)
+        k, now, layout = state.order, state.shown, state_layout(scene.sizes)
         state = _respaced(state, h)
         spans = h + jnp.concatenate([jnp.zeros(1), state.spans[:-1]])
         # Differences with respect to the times from the end of this step.
@@ -143,8 +145,8 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         rate = jnp.sum(jnp.where(used, rates[:, None] * shifted, 0.0), axis=0)
 
         tau = h / jnp.asarray(_HARMONIC)[k]
-        q, v, x = jnp.split(predicted - tau * rate, cuts)
-        base, slopes = Base(q + tau * v, v, x), Slopes(tau**2, tau, tau)
+        q, v, x = layout.split(predicted - tau * rate)
+        base, slopes = Base(advance(scene, q, tau * v), v, x), Slopes(tau**2, tau, tau)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
 
@@ -172,8 +174,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         derivatives = _products(jnp.arange(1, _KEPT) * part)[:, None] * differences
 
         def sizes_of(group: str) -> Array:
-            nq = scene.sizes.nq
-            at = {"q": slice(nq), "v": slice(nq, 2 * nq), "x": slice(2 * nq, None)}[group]
+            at = getattr(state_layout(scene.sizes), group)
             scale = _SMALL + jnp.linalg.norm(differences[0, at])
             return jnp.linalg.norm(derivatives[:, at], axis=1) / scale
 
@@ -191,7 +192,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
 
     def estimate(self, before: BDFState, after: BDFState, h: Time) -> Errors:
         now = after.shown
-        q, v, x = jnp.split(after.error, np.cumsum([len(now.q)] * 2))
+        q, v, x = jnp.split(after.error, [len(now.q), len(now.q) + len(now.v)])
         if self.formulation == "index3" and now.lam.size:
             v, x = 0 * v, 0 * x
         return Errors(q, v, x, 0 * now.a, 0 * now.lam)

@@ -16,6 +16,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
 from problems.dependence import output_takes
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -85,7 +86,7 @@ class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
         ) -> tuple[Variables, Array, Guess]:
             """Take u0 + known + tau f at the end for each of q, v and x."""
             v_base = now.v + known[1]
-            base = Base(now.q + known[0] + tau * v_base, v_base, now.x + known[2])
+            base = Base(advance(scene, now.q, known[0], tau * v_base), v_base, now.x + known[2])
             slopes = Slopes(tau**2, tau, tau)
             e = stage_equations(scene, self.formulation, base, slopes, end, (q, end - length))
             z, xdot = e.solve(work, guess.ahead(length), guess.last)

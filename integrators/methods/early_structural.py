@@ -13,6 +13,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
@@ -72,7 +73,9 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
 
     @abstractmethod
-    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+    def end(
+        self, scene: MechatronicSystem, now: Base, h: Scalar, past: Past
+    ) -> tuple[Base, Slopes]:
         """Return the values at the end of a step of size h: bases, and slopes by a and xdot."""
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ThreeStepState:
@@ -91,7 +94,7 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
         self, scene: MechatronicSystem, state: ThreeStepState, t: Time, h: Time, work: StepWork
     ) -> ThreeStepState:
         now, past = state.shown, state.past
-        base, slopes = self.end(Base(now.q, now.v, now.x), h, past)
+        base, slopes = self.end(scene, Base(now.q, now.v, now.x), h, past)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
         first = Base((z.q - now.q) / h, (z.v - now.v) / h, (z.x - now.x) / h)
@@ -115,7 +118,9 @@ class Houbolt(ThreeStepMethod):
 
     source: ClassVar[str] = "Houbolt (1950), doi:10.2514/8.1722"
 
-    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+    def end(
+        self, scene: MechatronicSystem, now: Base, h: Scalar, past: Past
+    ) -> tuple[Base, Slopes]:
         (d1, *_), (d2, *_) = past.first, past.second
         two, three = h + past.h, h + past.h + past.h_before
         k = (h + two) / three
@@ -125,7 +130,8 @@ class Houbolt(ThreeStepMethod):
         c = 1 + h / two + h / three
         v = c * rate - (c - 1) * d1 - h * two / three * d2
         x = differences(now.x, past.first.x, past.second.x, h, past, 1.0)
-        return Base(now.q + h * rate, v, x.known), Slopes(h * slope, c * slope, x.tau)
+        q = advance(scene, now.q, h * rate)
+        return Base(q, v, x.known), Slopes(h * slope, c * slope, x.tau)
 
 
 @dataclass(frozen=True)
@@ -137,12 +143,15 @@ class Park(ThreeStepMethod):
 
     source: ClassVar[str] = "Park (1975), doi:10.1115/1.3423600"
 
-    def end(self, now: Base, h: Scalar, past: Past) -> tuple[Base, Slopes]:
+    def end(
+        self, scene: MechatronicSystem, now: Base, h: Scalar, past: Past
+    ) -> tuple[Base, Slopes]:
         q, v, x = (
             differences(*u, h, past, 0.5) for u in zip(now, past.first, past.second, strict=True)
         )
         tau = q.tau
-        return Base(q.known + tau * v.known, v.known, x.known), Slopes(tau**2, tau, tau)
+        base = Base(advance(scene, q.known, tau * v.known), v.known, x.known)
+        return base, Slopes(tau**2, tau, tau)
 
 
 class WilsonState(NamedTuple):
@@ -191,9 +200,8 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
     ) -> WilsonState:
         now, (a, xdot) = state.shown, (state.a, state.xdot)
         far = self.theta * h
-        base = Base(
-            now.q + far * now.v + far**2 / 3 * a, now.v + far / 2 * a, now.x + far / 2 * xdot
-        )
+        q = advance(scene, now.q, far * now.v, far**2 / 3 * a)
+        base = Base(q, now.v + far / 2 * a, now.x + far / 2 * xdot)
         slopes, end = Slopes(far**2 / 6, far / 2, far / 2), t - h + far
         e = stage_equations(scene, "index3", base, slopes, end, (now.q, t - h))
         z, xdot_far = e.solve(work, state.guess.ahead(h), state.guess.last)
@@ -204,7 +212,7 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
 
         a_end, xdot_end = nearer(a, z.a), nearer(xdot, xdot_far)
         z = z._replace(
-            q=now.q + h * now.v + h**2 / 6 * (2 * a + a_end),
+            q=advance(scene, now.q, h * now.v, h**2 / 6 * (2 * a + a_end)),
             v=now.v + h / 2 * (a + a_end),
             a=a_end,
             x=now.x + h / 2 * (xdot + xdot_end),

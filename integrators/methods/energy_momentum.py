@@ -45,6 +45,8 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, largest
 from problems import lagrange
 from problems.formulations import Start, constraint_velocity, inertia
+from problems.kinematics import advance
+from problems.layouts import Layout
 from problems.named_equations import named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
@@ -113,7 +115,7 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
         self, scene: MechatronicSystem, state: EnergyMomentumState, t: Time, h: Time, work: StepWork
     ) -> EnergyMomentumState:
         now = state.shown
-        base, slopes = Base(now.q + h * now.v, now.v, now.x), Slopes(h**2 / 2, h, h)
+        base, slopes = Base(advance(scene, now.q, h * now.v), now.v, now.x), Slopes(h**2 / 2, h, h)
         e = stage_equations(
             scene, "index3", base, slopes, t, (now.q, t - h),
             dynamics=lambda z: _momentum_balance(scene, now, z, h),
@@ -161,12 +163,13 @@ def _stabilised(
     t: Time,
 ) -> StageEquations:
     """The equations with both constraints; the unknowns w and mu stand in the place of mu."""
-    nq, h = scene.sizes.nq, slopes.v
-    cuts = [nq, *np.add(index3.cuts[1:], [0, nq + scene.sizes.nl, nq + scene.sizes.nl])]
+    sizes, h = scene.sizes, slopes.v
+    nq, nv = sizes.nq, sizes.nv
+    layout = Layout(a=nv, lam=sizes.nl, mu=nv + sizes.nl, xdot=sizes.nx, y=sizes.ny)
 
     def at(u: Array) -> tuple[Variables, Array]:
-        a, lam, more, xdot, y = jnp.split(u, cuts)
-        q = base.q + slopes.q * (a + more[:nq])
+        a, lam, more, xdot, y = layout.split(u)
+        q = advance(scene, base.q, slopes.q * (a + more[:nv]))
         return Variables(q, base.v + h * a, a, lam, base.x, y, t), xdot
 
     @named
@@ -175,7 +178,7 @@ def _stabilised(
 
     def residual(u: Array) -> Array:
         z, _ = at(u)
-        w, mu = jnp.split(jnp.split(u, cuts)[2], [nq])
+        w, mu = jnp.split(u[layout.mu], [nv])
         start, end = jnp.concatenate([now.q, now.v]), jnp.concatenate([z.q, z.v])
         by_q, by_v = jnp.split(discrete_gradient(hidden, start, end, mu), [nq])
         return jnp.concatenate(
@@ -188,7 +191,7 @@ def _stabilised(
         )
 
     of_a, of_lam, of_q = index3.rounding
-    return StageEquations(residual, at, cuts, (of_a, of_lam, jnp.maximum(of_q, of_lam)))
+    return StageEquations(residual, at, layout, (of_a, of_lam, jnp.maximum(of_q, of_lam)))
 
 
 def _fault(scene: MechatronicSystem) -> str | None:

@@ -10,6 +10,7 @@ from integrators.native.own_values import OwnValues
 from integrators.native.step_method import StepMethod
 from integrators.native.step_records import Reading
 from problems.formulations import Start, complete
+from problems.kinematics import advance
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         gamma, beta = 1.5 - alpha, (5 - 3 * rho) / ((1 + rho) ** 2 * (2 - rho))
         aux_end = (now.a - alpha * aux) / (1 - alpha)
         auxx_end = (now.xdot - alpha * auxx) / (1 - alpha)
-        q = now.q + h * now.v + h**2 * ((0.5 - beta) * aux + beta * aux_end)
+        q = advance(scene, now.q, h * now.v, h**2 * ((0.5 - beta) * aux + beta * aux_end))
         v = now.v + h * ((1 - gamma) * aux + gamma * aux_end)
         x = now.x + h * ((1 - gamma) * auxx + gamma * auxx_end)
         z, xdot = evaluated(scene, q, v, x, t, work)
@@ -140,11 +141,11 @@ class NohBathe(OwnValues, ExplicitMethod):
         w1 = (1 - 2 * p) / (2 * p * (1 - p))
         w2 = 0.5 - p * w1
         w0 = 0.5 - w1 - w2
-        q_p = now.q + first * now.v + first**2 / 2 * a
+        q_p = advance(scene, now.q, first * now.v, first**2 / 2 * a)
         v_first, x_first = now.v + first * a, now.x + first * xdot
         m, xdot_p = evaluated(scene, q_p, v_first, x_first, t - d, work)
         v_p, x_p = now.v + first / 2 * (a + m.a), now.x + first / 2 * (xdot + xdot_p)
-        q = q_p + d * v_p + d**2 / 2 * m.a
+        q = advance(scene, q_p, d * v_p, d**2 / 2 * m.a)
         z, xdot_end = evaluated(scene, q, v_p + d * m.a, x_p + d * xdot_p, t, work)
         z = z._replace(
             v=v_p + d * (w0 * a + (0.5 + w1) * m.a + w2 * z.a),

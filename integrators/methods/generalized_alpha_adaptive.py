@@ -67,7 +67,7 @@ class State(NamedTuple):
     alpha: AlphaState
     bend: Scalar
     bend_x: Scalar
-    rate_a: Float[Array, " nq"]
+    rate_a: Float[Array, " nv"]
     rate_xdot: Float[Array, " nx"]
     rate_lam: Float[Array, " nl"]
     gap: Scalar

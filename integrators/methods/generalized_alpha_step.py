@@ -31,6 +31,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Reading
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.projections import constrained_part
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
@@ -155,8 +156,9 @@ class AlphaStep(StepFunctions):
         auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
         aux_base = (s.alpha_f * state.a - s.alpha_m * aux) / (1 - s.alpha_m)
         auxx_base = (s.delta_f * state.xdot - s.delta_m * auxx) / (1 - s.delta_m)
+        change = h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base)
         base = Base(
-            state.q + h * state.v + h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base),
+            advance(scene, state.q, h * state.v, change),
             state.v + h * ((1 - w.gamma) * aux + w.gamma * aux_base),
             state.x + h * ((1 - w.theta) * auxx + w.theta * auxx_base),
         )

@@ -17,6 +17,8 @@ from integrators.native.step_records import Errors, Reading
 from problems import formulations
 from problems.dependence import output_takes
 from problems.formulations import Start
+from problems.kinematics import advance, q_rate
+from problems.layouts import algebraic_layout
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -56,11 +58,11 @@ def stage(
     Variables, Array
         z with a, lam and y of the stage, and xdot.
     """
-    nq, nl, nx, ny = scene.sizes
-    guess, cuts = jnp.concatenate([z.a, z.lam, z.y]), [nq, nq + nl]
+    layout, (_, nl, nx, ny) = algebraic_layout(scene.sizes), scene.sizes
+    guess = jnp.concatenate([z.a, z.lam, z.y])
 
     def at(u: Array) -> Variables:
-        a, lam, y = jnp.split(u, cuts)
+        a, lam, y = layout.split(u)
         return z._replace(a=a, lam=lam, y=y)
 
     def residual(u: Array) -> Array:
@@ -75,7 +77,7 @@ def stage(
         return jnp.concatenate(rows)
 
     iterated = output_takes(scene, "a", "lam", "y")
-    u = work.solve(residual, guess, groups=cuts) if iterated else work.once(residual, guess)
+    u = work.solve(residual, guess, groups=layout.cuts) if iterated else work.once(residual, guess)
     z = at(u)
     return z, scene.state_rate(z) if nx else jnp.zeros(0)
 
@@ -126,7 +128,7 @@ class HalfExplicitEuler(HalfExplicit):
         self, scene: MechatronicSystem, state: HalfExplicitState, t: Time, h: Time, work: StepWork
     ) -> HalfExplicitState:
         now = state.z
-        q = now.q + h * now.v
+        q = advance(scene, now.q, h * now.v)
         s, xdot = stage(scene, now._replace(t=t - h), Ahead(q, now.v, h, t), work)
         z = s._replace(q=q, v=now.v + h * s.a, x=now.x + h * xdot, t=t)
         return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, state.errors)
@@ -162,24 +164,25 @@ _B_EMBEDDED = (
 )  # fmt: skip
 
 
-def _sum(start: Array, h: Time, weights: Sequence[float], rates: Sequence[Array]) -> Array:
-    """Return start + h sum of weights times rates; a weight may stand for a rate to come."""
+def _change(h: Time, weights: Sequence[float], rates: Sequence[Array]) -> Array:
+    """Return h sum of weights times rates; a weight may stand for a rate to come."""
     pairs = zip(weights, rates, strict=False)
-    return start + h * sum((w * rate for w, rate in pairs if w), 0.0 * start)
+    return h * sum((w * rate for w, rate in pairs if w), 0.0 * rates[0])
 
 
 def _projected(scene: MechatronicSystem, z: Variables, w: Array, work: StepWork) -> Array:
     """Project w on the tangents of the constraints, Phi_q w = 0, by the least change in M."""
 
     def residual(u: Array) -> Array:
-        w_now, lam = jnp.split(u, [scene.sizes.nq])
+        w_now, lam = jnp.split(u, [scene.sizes.nv])
         change = formulations.inertia(scene, z.q, w_now - w)
-        along = jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (w_now,))[1]
+        rate = q_rate(scene, z.q, w_now)
+        along = jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (rate,))[1]
         return jnp.concatenate(
             [change + formulations.constraint_force(scene, z.q, z.t, lam), along]
         )
 
-    return work.once(residual, jnp.concatenate([w, jnp.zeros(scene.sizes.nl)]))[: scene.sizes.nq]
+    return work.once(residual, jnp.concatenate([w, jnp.zeros(scene.sizes.nl)]))[: scene.sizes.nv]
 
 
 @dataclass(frozen=True)
@@ -240,11 +243,17 @@ class PHEM56(FreeSteps, HalfExplicit):
         of_q, of_v, of_x = [v], [z.a], [xdot]
         for a, c, ahead, c_ahead in zip((*_A, _B), (*_C, 1.0), _A_AHEAD, _C_AHEAD, strict=True):
             z = z._replace(
-                q=_sum(q, h, a, of_q), v=_sum(v, h, a, of_v), x=_sum(x, h, a, of_x), t=t0 + c * h
+                q=advance(scene, q, _change(h, a, of_q)),
+                v=v + _change(h, a, of_v),
+                x=x + _change(h, a, of_x),
+                t=t0 + c * h,
             )
             of_q.append(z.v)
             there = Ahead(
-                _sum(q, h, ahead, of_q), _sum(v, h, ahead, of_v), h * ahead[-1], t0 + c_ahead * h
+                advance(scene, q, _change(h, ahead, of_q)),
+                v + _change(h, ahead, of_v),
+                h * ahead[-1],
+                t0 + c_ahead * h,
             )
             z, xdot = stage(scene, z, there, work)
             of_v.append(z.a)
@@ -255,7 +264,7 @@ class PHEM56(FreeSteps, HalfExplicit):
         errors = state.errors
         if self.steps == "adaptive":
             weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
-            e_q, e_v, e_x = (_sum(0.0 * r[0], h, weights, r) for r in (of_q, of_v, of_x))
+            e_q, e_v, e_x = (_change(h, weights, r) for r in (of_q, of_v, of_x))
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)
             errors = e_q, e_v, e_x

@@ -16,6 +16,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Attempt, Choice, Reading
 from problems.dependence import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
+from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem, Variables
@@ -156,7 +157,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         gamma, beta, part = 0.5 - alpha, (1 - alpha) ** 2 / 4, alpha / (1 + alpha)
         # The rate of x at t + alpha h: (1 + alpha) xdot+ - alpha xdot.
         base = Base(
-            now.q + h * now.v + h**2 * (0.5 - beta) * state.a,
+            advance(scene, now.q, h * now.v, h**2 * (0.5 - beta) * state.a),
             now.v + h * (1 - gamma) * state.a,
             now.x + h * ((1 - gamma) * state.rate_x - gamma * alpha * state.xdot),
         )

@@ -13,6 +13,7 @@ from integrators.native.own_values import OwnValues, rho_inf_option
 from integrators.native.step_records import Reading
 from problems.dependence import damping_varies
 from problems.formulations import Start, dynamics_residual
+from problems.kinematics import advance
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
@@ -27,17 +28,17 @@ if TYPE_CHECKING:
 class Tangents(NamedTuple):
     """Mass, damping and stiffness matrix at the start of a run."""
 
-    mass: Float[Array, "nq nq"]
-    damping: Float[Array, "nq nq"]
-    stiffness: Float[Array, "nq nq"]
+    mass: Float[Array, "nv nv"]
+    damping: Float[Array, "nv nv"]
+    stiffness: Float[Array, "nv nv"]
 
 
 class Integration(NamedTuple):
     """The matrices of steps of size h (s): alpha_1, and (1 - alpha_3)^-1."""
 
     h: Scalar
-    alpha_1: Float[Array, "nq nq"]
-    gain: Float[Array, "nq nq"]
+    alpha_1: Float[Array, "nv nv"]
+    gain: Float[Array, "nv nv"]
 
 
 class ModelState(NamedTuple):
@@ -105,7 +106,8 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         q, v, a = z.q, z.v, z.a
         if self.start == "corrected":
             p, a = self.parameters(), jnp.linalg.solve(matrices.alpha_1, a)
-            q, v = q - p.beta * h**2 * z.a, v - p.gamma * h * z.a
+            q = advance(scene, q, -(p.beta * h**2 * z.a))
+            v = v - p.gamma * h * z.a
         shown = self.reported(scene, z, start.xdot)
         return ModelState(shown, q, v, a, tangents, matrices)
 
@@ -126,7 +128,8 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         )
         work.count(factorisations=2 * new)
         rate = matrices.alpha_1 @ state.a
-        q, v = state.q + h * state.v + (0.5 + p.gamma) * h**2 * rate, state.v + h * rate
+        q = advance(scene, state.q, h * state.v, (0.5 + p.gamma) * h**2 * rate)
+        v = state.v + h * rate
 
         def between(new: Array, old: Array) -> Array:
             return (1 - p.alpha_f) * new + p.alpha_f * old
@@ -137,7 +140,8 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         z = z._replace(q=q, v=v, a=a, t=t)
         if self.start == "corrected":
             rate = matrices.alpha_1 @ a
-            z = z._replace(q=q + p.beta * h**2 * rate, v=v + p.gamma * h * rate, a=rate)
+            q_shown = advance(scene, q, p.beta * h**2 * rate)
+            z = z._replace(q=q_shown, v=v + p.gamma * h * rate, a=rate)
         return ModelState(self.reported(scene, z, xdot, work), q, v, a, state.tangents, matrices)
 
 

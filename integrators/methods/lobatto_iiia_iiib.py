@@ -16,6 +16,7 @@ from integrators.native.step_records import Reading, largest
 from problems import formulations
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -80,12 +81,13 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
         self, scene: MechatronicSystem, state: LobattoState, t: Time, h: Time, work: StepWork
     ) -> LobattoState:
         (q, v, _, _, x, *_), guess, t0 = state.shown, state.guess, t - h
-        nq, nl = scene.sizes.nq, scene.sizes.nl
-        cuts = [nq, 2 * nq, 2 * nq + nl]
+        nv, nl = scene.sizes.nv, scene.sizes.nl
+        cuts = [nv, 2 * nv, 2 * nv + nl]
 
         def stages(a1: Array, a2: Array) -> tuple[tuple[Array, ...], ...]:
             v1, v2, v3 = v + h * (a1 - a2) / 6, v + h * (a1 + 2 * a2) / 6, v + h * (a1 + 5 * a2) / 6
-            q2, q3 = q + h * (5 * v1 + 8 * v2 - v3) / 24, q + h * (v1 + 4 * v2 + v3) / 6
+            q2 = advance(scene, q, h * (5 * v1 + 8 * v2 - v3) / 24)
+            q3 = advance(scene, q, h * (v1 + 4 * v2 + v3) / 6)
             return (v1, v2, v3), (q, q2, q3)
 
         def residual(u: Array) -> Array:

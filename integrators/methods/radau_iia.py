@@ -41,6 +41,8 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, largest
 from problems import formulations
 from problems.formulations import Start
+from problems.kinematics import advance
+from problems.layouts import stage_layout
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -158,7 +160,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RadauState:
         z = start.z
-        no_mu = jnp.zeros(self._multipliers(scene))
+        at_mu = stage_layout(scene.sizes, self.formulation).mu
+        no_mu = jnp.zeros(at_mu.stop - at_mu.start)
         last = jnp.concatenate([z.a, z.lam, no_mu, start.xdot, z.y])
         nothing = Errors(*map(jnp.zeros_like, (z.q, z.v, z.x, z.a, z.lam)))
         return RadauState(
@@ -176,16 +179,15 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         now, r, s = state.shown, collocation(self.stages), self.stages
         times = [t - float(1 - c) * h for c in r.c]
         of_b = r.a @ r.a
-        n_mu = self._multipliers(scene)
-        cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, n_mu, scene.sizes.nx])
+        layout = stage_layout(scene.sizes, self.formulation)
 
         def at(u: Array) -> tuple[list[Variables], Base]:
             """The variables at all stages, and the rates of q, v and x there, a row each."""
-            b, lam, mu, xdot, y = jnp.split(u.reshape(-1, s).T, cuts, axis=1)
-            q = now.q + h * r.c[:, None] * now.v + h**2 * (of_b @ b)
+            b, lam, mu, xdot, y = layout.split(u.reshape(-1, s).T)
+            q = advance(scene, now.q, h * r.c[:, None] * now.v, h**2 * (of_b @ b))
             x, rate, a = now.x + h * (r.a @ xdot), now.v + h * (r.a @ b), b
             v = rate
-            if n_mu:
+            if mu.size:
                 parts = zip(q, times, mu, strict=True)
                 force = jnp.stack([formulations.constraint_force(scene, *p) for p in parts])
                 v, a = rate + h * force, b + np.linalg.inv(r.a) @ force
@@ -211,7 +213,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
             parts = *mean[:-1], rates.x.mean(axis=0)
             q, v, a, lam, x, y, xdot = jax.jacfwd(rows, argnums=tuple(range(7)))(*parts)
             # Of index 3 and 2 there is no mu; its directions are those of lam.
-            towards = lam[: scene.sizes.nq, :n_mu]
+            towards = lam[layout.a, : layout.mu.stop - layout.mu.start]
 
             def of(slope: complex) -> Array:
                 hs = h * slope
@@ -234,12 +236,12 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         first = of_v if self.formulation == "index2" else of_q
         of_a = of_q if self.formulation == "index3" else of_v
         of_lam = of_a * formulations.largest_inertia(scene, now.q)
-        a, _, _, *control = jnp.split(state.stages[-1], cuts)
+        a, _, _, *control = layout.split(state.stages[-1])
         of_control = inherited(of_a, a, control)
         rounding = (first, of_lam, of_q, *of_control) if scene.sizes.nl else (0.0,) * 5
         noise = resting(scene, Base(now.q, now.v, now.x), Slopes(h**2 / to_b, h / to_a, h / to_a))
         u = work.solve(
-            residual, guess.T.ravel(), held.T.ravel(), (s * cuts).tolist(), rounding,
+            residual, guess.T.ravel(), held.T.ravel(), [s * cut for cut in layout.cuts], rounding,
             split=StageTangents(r.a, tangents), evaluations=s, noise=noise,
         )  # fmt: skip
 
@@ -261,9 +263,6 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         of_lam = of_lam if self.error_test == "all" else 0.0
         return errors._replace(v=of_v * errors.v, a=of_lam * errors.a, lam=of_lam * errors.lam)
 
-    def _multipliers(self, scene: MechatronicSystem) -> int:
-        return scene.sizes.nl if self.formulation == "stabilised_index2" else 0
-
     def _rows(self, scene: MechatronicSystem, z: Variables, xdot: Array, h: Time) -> list[Array]:
         """Residuals of a stage."""
         rows = [formulations.dynamics_residual(scene, z)]
@@ -283,7 +282,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         raw = Base(*(g * (b - r.to_powers[0] @ k) for b, k in zip(before, rates, strict=True)))
         rate, a, xdot = (k[-1] for k in rates)
         v = z.v + raw.v - g * a
-        base = Base(z.q + raw.q + g * (v - rate), v, z.x + raw.x - g * xdot)
+        q = advance(scene, z.q, raw.q, g * (v - rate))
+        base = Base(q, v, z.x + raw.x - g * xdot)
         e = stage_equations(
             scene, self.formulation, base, Slopes(g**2, g, g), z.t, (z.q, z.t)
         )  # fmt: skip

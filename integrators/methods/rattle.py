@@ -26,6 +26,7 @@ from integrators.native.step_records import Reading
 from problems import formulations
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -138,7 +139,7 @@ class KickMethod(OwnValues, ImplicitStepMethod):
             rate = momentum_rate(scene, place, z.v, time)
             return Kick((q, v), (q, t), h).residual(scene, place, z.a, z.lam, rate)
 
-        slopes, base = Slopes(h**2 / 2, h / 2, h), Base(q + h * v, v, jnp.zeros(0))
+        slopes, base = Slopes(h**2 / 2, h / 2, h), Base(advance(scene, q, h * v), v, jnp.zeros(0))
         e = stage_equations(scene, "index3", base, slopes, t + h, (q, t), dynamics=motion)
         begin = jnp.where(known, guess.last, guess.ahead(h))
         return e.solve(work, begin, guess.last, jnp.where(known, 0.0, jnp.inf))[0]
@@ -255,7 +256,7 @@ class SHAKE(KickMethod):
             return formulations.dynamics_residual(scene, z._replace(q=q, t=t))
 
         # z ends at the next step; its v is the velocity at q.
-        slopes, base = Slopes(h**2, h / 2, h), Base(q + h * w, w, now.x)
+        slopes, base = Slopes(h**2, h / 2, h), Base(advance(scene, q, h * w), w, now.x)
         e = stage_equations(scene, "index3", base, slopes, t + h, (q, t), dynamics=motion)
         z, xdot = e.solve(work, guess.ahead(h), guess.last)
         z = z._replace(q=q, t=t)

@@ -19,14 +19,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import numpy as np
-
 from integrators.contract import option
 from integrators.native.own_values import DriftHandling, FreeSteps, OwnValues, projected
 from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
 from integrators.native.step_records import Errors, Reading
 from problems import formulations
 from problems.formulations import Start
+from problems.kinematics import advance
+from problems.layouts import stage_layout
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -144,7 +144,7 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
         self, scene: MechatronicSystem, state: RosenbrockState, t: Time, h: Time, work: StepWork
     ) -> RosenbrockState:
         z, g = state.z._replace(t=t - h), _GAMMA * h
-        cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, scene.sizes.nx]).tolist()
+        layout = stage_layout(scene.sizes)
         still = jnp.zeros(scene.sizes.nx)
 
         def rows(z: Variables, rate: Array) -> Array:
@@ -155,17 +155,24 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
             return jnp.concatenate(parts + formulations.control_residuals(scene, z, rate))
 
         def moved(u: Array) -> Array:
-            a, lam, rate, y = jnp.split(u, cuts)
+            a, lam, _, rate, y = layout.split(u)
             change = Variables(g**2 * a, g * a, a, lam, g * rate, y, 0.0 * t)
-            return rows(jax.tree.map(jnp.add, z, change), rate)
+            there = jax.tree.map(jnp.add, z, change)
+            return rows(there._replace(q=advance(scene, z.q, change.q)), rate)
 
-        solution = work.factorised(moved, jnp.zeros(cuts[-1] + scene.sizes.ny))
+        solution = work.factorised(moved, jnp.zeros(layout.size))
         residual, along = jax.linearize(lambda z: rows(z, still), z)
         changes: list[Variables] = []
+
+        def ahead(weights: Sequence[float], t: Time) -> Variables:
+            """The values at a place of the step."""
+            parts = (w * change.q for w, change in zip(weights, changes, strict=True))
+            return _plus(z, weights, changes)._replace(q=advance(scene, z.q, *parts), t=t)
+
         for s, (over_h, place, of_time) in enumerate(
             zip(_C_OVER_H, _PLACES, _OF_TIME, strict=True)
         ):
-            there = _plus(z, _A[s], changes)._replace(t=z.t + place * h)
+            there = ahead(_A[s], z.t + place * h)
             if s:
                 residual = rows(there, still)
             known = _plus(jax.tree.map(jnp.zeros_like, z), [c / h for c in over_h], changes)
@@ -174,12 +181,12 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
                 g * (there.v + known.q + v), v, 0.0 * z.a, 0.0 * z.lam, g * known.x, 0.0 * z.y,
                 of_time * h,
             )  # fmt: skip
-            a, lam, rate, y = jnp.split(-solution(residual + along(base)), cuts)
+            a, lam, _, rate, y = layout.split(-solution(residual + along(base)))
             changes.append(
                 Variables(base.q + g**2 * a, v + g * a, a, lam, base.x + g * rate, y, 0.0 * t)
             )
         work.count(residuals=len(_PLACES))
-        end, last = _plus(z, _A[-1], changes)._replace(t=t), changes[-1]
+        end, last = ahead(_A[-1], t), changes[-1]
         if self.projects(scene):
             end = projected(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still

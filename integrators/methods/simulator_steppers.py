@@ -20,8 +20,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-import numpy as np
-
 from integrators.contract import option
 from integrators.native.own_values import OwnValues
 from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
@@ -34,6 +32,8 @@ from problems.formulations import (
     control_residuals,
     inertia,
 )
+from problems.kinematics import advance
+from problems.layouts import stage_layout
 from problems.named_equations import named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
@@ -77,11 +77,11 @@ class SimulatorStepper(OwnValues, StepMethod):
         self, scene: MechatronicSystem, state: Reading, t: Time, h: Time, work: StepWork
     ) -> Reading:
         now = Variables(state.q, state.v, state.a, state.lam, state.x, state.y, t - h)
-        cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, scene.sizes.nx]).tolist()
+        layout = stage_layout(scene.sizes)
         applied = self.applied(scene, now, h)
 
         def residual(u: Array) -> Array:
-            a, lam, xdot, y = jnp.split(u, cuts)
+            a, lam, _, xdot, y = layout.split(u)
             balance = inertia(scene, now.q, a) - applied(a)
             rows = []
             if scene.sizes.nl:
@@ -95,12 +95,12 @@ class SimulatorStepper(OwnValues, StepMethod):
             return jnp.concatenate([balance, *rows])
 
         guess = jnp.concatenate([now.a, now.lam, state.xdot, now.y])
-        a, lam, xdot, y = jnp.split(work.once(residual, guess), cuts)
+        a, lam, _, xdot, y = layout.split(work.once(residual, guess))
         of_a = a @ inertia(scene, now.q, a)
         sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= -_ROUNDING * of_a
         work.count(refused=~sound)
         v = now.v + h * a
-        z = Variables(now.q + h * v, v, a, lam, now.x + h * xdot, y, t)
+        z = Variables(advance(scene, now.q, h * v), v, a, lam, now.x + h * xdot, y, t)
         return self.reported(scene, z, xdot, work)
 
     def read(self, scene: MechatronicSystem, state: Reading) -> Reading:

@@ -12,6 +12,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading
 from problems.dependence import force_takes_velocities
 from problems.formulations import Start
+from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
 
@@ -56,7 +57,7 @@ class StormerVerlet(ImplicitStepMethod):
         self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
     ) -> KickedState:
         now, guess = state.shown, state.guess
-        q, w = now.q + h * now.v + h**2 / 2 * now.a, now.v + h / 2 * now.a
+        q, w = advance(scene, now.q, h * now.v, h**2 / 2 * now.a), now.v + h / 2 * now.a
         slopes, base = Slopes(0.0 * h, h / 2, h), Base(q, w, now.x)
         linear = jnp.inf if force_takes_velocities(scene) else 1
         e = stage_equations(scene, "index3", base, slopes, t, (q, t))

@@ -10,6 +10,7 @@ from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Reading
 from problems import formulations
 from problems.formulations import Baumgarte, complete
+from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.spec import SpecError, format_value
 from problems.system import MechatronicSystem, Variables
@@ -167,19 +168,20 @@ def projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variabl
 
     As `problems.projections.projected_state`, with the matrix at z alone.
     """
-    nq = scene.sizes.nq
-    cuts, nothing = [nq], jnp.zeros(nq)
+    nv = scene.sizes.nv
+    nothing = jnp.zeros(nv)
 
     def least_change(u: Array) -> Array:
-        w, mu = jnp.split(u, cuts)
+        w, mu = jnp.split(u, [nv])
         force = formulations.constraint_force(scene, z.q, z.t, mu)
         motion = formulations.inertia(scene, z.q, w) + force
-        return jnp.concatenate([motion, scene.constraint(z.q + w, z.t)])
+        return jnp.concatenate([motion, scene.constraint(advance(scene, z.q, w), z.t)])
 
-    solution = work.factorised(least_change, jnp.zeros(nq + scene.sizes.nl))
+    solution = work.factorised(least_change, jnp.zeros(nv + scene.sizes.nl))
     q, v = z.q, z.v
     for _ in range(_PROJECTIONS):
-        q = q - solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nq]
+        change = solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nv]
+        q = advance(scene, q, -change)
         drift = formulations.constraint_velocity(scene, q, v, z.t)
-        v = v - solution(jnp.concatenate([nothing, drift]))[:nq]
+        v = v - solution(jnp.concatenate([nothing, drift]))[:nv]
     return z._replace(q=q, v=v)

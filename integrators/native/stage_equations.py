@@ -28,6 +28,8 @@ import numpy as np
 
 from integrators.native.step_records import largest
 from problems import formulations
+from problems.kinematics import advance
+from problems.layouts import Layout, stage_layout
 from problems.runtime import jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -51,7 +53,7 @@ class Base(NamedTuple):
     """Values of q, v and x at the end of a stage for a, mu and xdot of zero."""
 
     q: Float[Array, " nq"]
-    v: Float[Array, " nq"]
+    v: Float[Array, " nv"]
     x: Float[Array, " nx"]
 
 
@@ -66,14 +68,14 @@ class Slopes(NamedTuple):
 class StageEquations(NamedTuple):
     """Equations for the unknowns u = [a, lam, mu, xdot, y] of a stage.
 
-    ``at(u)`` are the variables and xdot at its end, ``cuts`` the indices between groups of u,
+    ``at(u)`` are the variables and xdot at its end, ``layout`` the places of the groups of u,
     ``rounding`` the rounding errors of a, lam and mu, ``noise`` what forces that balance may leave
     in each group of u (see `resting`).
     """
 
     residual: Callable[[Float[Array, " n"]], Float[Array, " n"]]
     at: Callable[[Float[Array, " n"]], tuple[Variables, Array]]
-    cuts: Sequence[int]
+    layout: Layout
     rounding: tuple[Scalar, Scalar, Scalar]
     noise: Sequence[Scalar] | None = None
 
@@ -90,16 +92,17 @@ class StageEquations(NamedTuple):
             See `StepWork.solve`.
         """
         guess, old = self._with_mu(guess), self._with_mu(old)
-        a, _, _, *control = jnp.split(old, self.cuts)
+        a, _, _, *control = self.layout.split(old)
         rounding = (*self.rounding, *inherited(self.rounding[0], a, control))
         u = work.solve(
-            self.residual, guess, old, self.cuts, rounding, enough=enough, noise=self.noise
+            self.residual, guess, old, self.layout.cuts, rounding, enough=enough, noise=self.noise
         )
         return self.at(u)
 
     def _with_mu(self, u: Array) -> Array:
-        no_mu = jnp.zeros(self.cuts[2] - self.cuts[1])
-        return jnp.concatenate([u[: self.cuts[1]], no_mu, u[self.cuts[1] :]])
+        of_mu = self.layout.mu
+        no_mu = jnp.zeros(of_mu.stop - of_mu.start)
+        return jnp.concatenate([u[: of_mu.start], no_mu, u[of_mu.start :]])
 
 
 def stage_equations(
@@ -124,15 +127,16 @@ def stage_equations(
     for_controller
         The variables that controller and outputs see.
     """
-    nmu = scene.sizes.nl if formulation == "stabilised_index2" else 0
-    cuts = np.cumsum([scene.sizes.nq, scene.sizes.nl, nmu, scene.sizes.nx]).tolist()
+    layout = stage_layout(scene.sizes, formulation)
     motion = dynamics or (lambda z: formulations.dynamics_residual(scene, z))
 
     def at(u: Array) -> tuple[Variables, Array]:
-        a, lam, mu, xdot, y = jnp.split(u, cuts)
-        q, v, x = base.q + slopes.q * a, base.v + slopes.v * a, base.x + slopes.x * xdot
-        if nmu:
-            q = q - slopes.q * formulations.constraint_force(scene, *before, mu)
+        a, lam, mu, xdot, y = layout.split(u)
+        v, x = base.v + slopes.v * a, base.x + slopes.x * xdot
+        q = advance(scene, base.q, slopes.q * a)
+        if mu.size:
+            force = formulations.constraint_force(scene, *before, mu)
+            q = advance(scene, q, -(slopes.q * force))
         return Variables(q, v, a, lam, x, y, t), xdot
 
     def residual(u: Array) -> Array:
@@ -151,7 +155,7 @@ def stage_equations(
     rounding, noise = _rounding(scene, formulation, base, slopes), resting(scene, base, slopes)
     if scene.sizes.nl and formulation == "index3":
         noise = (0.0, 0.0, 0.0, *noise[3:])  # these groups' errors of rounding are as large
-    return StageEquations(residual, at, cuts, rounding, noise)
+    return StageEquations(residual, at, layout, rounding, noise)
 
 
 def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:

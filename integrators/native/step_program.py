@@ -207,9 +207,8 @@ def _sparse_tangents(
 
 def _at_rest(scene: MechatronicSystem) -> Start:
     """A start with derivatives of zero: patterns do not depend on them."""
-    state, (nq, nl, nx, ny) = scene.initial_state(), scene.sizes
-    q, v, x = map(jnp.asarray, state)
-    nothing, of_x = jnp.zeros(nq), jnp.zeros(nx)
-    t = jnp.asarray(scene.interval[0])
-    z = Variables(q, v, nothing, jnp.zeros(nl), x, jnp.zeros(ny), t)
+    q, v, x = map(jnp.asarray, scene.initial_state())
+    nothing, of_x = jnp.zeros_like(v), jnp.zeros_like(x)
+    t, sizes = jnp.asarray(scene.interval[0]), scene.sizes
+    z = Variables(q, v, nothing, jnp.zeros(sizes.nl), x, jnp.zeros(sizes.ny), t)
     return Start(z, of_x, nothing, of_x)._replace(constrained_jerk=nothing)

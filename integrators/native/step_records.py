@@ -25,8 +25,8 @@ class Reading(NamedTuple):
     """
 
     q: Float[Array, " nq"]
-    v: Float[Array, " nq"]
-    a: Float[Array, " nq"]
+    v: Float[Array, " nv"]
+    a: Float[Array, " nv"]
     lam: Float[Array, " nl"]
     x: Float[Array, " nx"]
     xdot: Float[Array, " nx"]
@@ -64,9 +64,9 @@ class Errors(NamedTuple):
     """
 
     q: Float[Array, " nq"]
-    v: Float[Array, " nq"]
+    v: Float[Array, " nv"]
     x: Float[Array, " nx"]
-    a: Float[Array, " nq"]
+    a: Float[Array, " nv"]
     lam: Float[Array, " nl"]
 
 
