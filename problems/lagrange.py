@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def mass(kinetic: Callable[[Array, Array], Array], q: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
+def mass(kinetic: Callable[[Array, Array], Array], q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
     """Compute M(q) = T_vv in kg (or kg m^2).
 
     Parameters

@@ -204,17 +204,17 @@ class MechatronicSystem:
         spec.forget_derived(cls, MechatronicSystem)
 
     # ---- blocks: pure functions in jax.numpy -------------------------------------------
-    def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
+    def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Mass matrix M(q), symmetric, in kg (or kg m^2)."""
         raise NotImplementedError
 
-    def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nq"]) -> Float[Array, " nq"]:
+    def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """M(q) a in N (or N m), stated beside ``mass`` if M is large and mostly zero."""
         raise NotImplementedError
 
     def force(
-        self, q: Float[Array, " nq"], v: Float[Array, " nq"], t: Float[Array, ""]
-    ) -> Float[Array, " nq"]:
+        self, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
+    ) -> Float[Array, " nv"]:
         """Applied and gyroscopic forces g(q, v, t) in N (or N m)."""
         raise NotImplementedError
 
