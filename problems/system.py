@@ -239,11 +239,11 @@ class MechatronicSystem:
         raise NotImplementedError
 
     # ---- optional knowledge ------------------------------------------------------------
-    def energy(self, q: Float[Array, " nq"], v: Float[Array, " nq"]) -> Float[Array, ""]:
+    def energy(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, ""]:
         """Total mechanical energy in J, if it is conserved."""
         raise NotImplementedError
 
-    def momentum(self, q: Float[Array, " nq"], v: Float[Array, " nq"]) -> Float[Array, " k"]:
+    def momentum(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " k"]:
         """Those linear and angular momenta that the motion conserves, in kg m/s or kg m^2/s."""
         raise NotImplementedError
 
