@@ -12,9 +12,8 @@ import numpy as np
 from problems import answers, sparsity
 from problems.compiled import compiled
 from problems.formulations import Start, constraint_velocity, with_rates
-from problems.redundant_start import least_start
 from problems.runtime import jax, jnp
-from problems.sparse_initial_values import sparse_start
+from problems.start_equations import least_start, sparse_start
 from problems.system import MechatronicSystem, State
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
     start = jax.tree.map(np.asarray, _completed(scene, state, t0))
     if scene.has("constraint") and not _solves(scene, start):
         start = jax.tree.map(np.asarray, least_start(scene, state, t0))
-    if start is None or not _is_finite(start):
+    if not _is_finite(start):
         raise NoConsistentStart(
             f"{scene.spec} has no finite initial a, lam, y at t={t0:g}: the augmented mass matrix "
             f"is singular there, or its outputs have no solution near zero."

@@ -22,6 +22,7 @@ from problems.system import MechatronicSystem
 if TYPE_CHECKING:
     from jax import Array
     from jaxtyping import Float, Int32
+    from scipy.sparse import csc_matrix
 
 #: Scenes with more coordinates, multipliers and outputs than this are solved by sparse linear
 #: algebra, if it is installed.
@@ -134,6 +135,13 @@ class Pattern:
     def products(self) -> int:
         """Number of Jacobian-vector products that give all entries."""
         return self._coloring.num_colors
+
+    def matrix(self, entries: Float[np.ndarray, " entries"]) -> csc_matrix:
+        """Return the sparse matrix with these entries."""
+        from scipy.sparse import csc_matrix
+
+        places = self.rows, self.columns
+        return csc_matrix((entries, places), shape=(self.size, self.size))
 
     def values(
         self, function: Callable[[Array], Array], u: Float[Array, " n"]

@@ -28,7 +28,7 @@ from integrators.kept_rows import (
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native import constant_steps
-from problems import compiled, jnp, sparse_initial_values
+from problems import compiled, jnp, start_equations
 from problems.scenes.chain import Chain
 
 widths, steps = st.integers(1, 10**8), st.integers(1, 10**6)
@@ -156,7 +156,7 @@ def _bytes(links):
     scene = Chain(links=links)
     assert scene.sizes.nq == 2 * links
     tracemalloc.start()
-    pattern = sparse_initial_values._programs(scene.template()).pattern
+    pattern = start_equations._equations(scene.template(), True).pattern
     _, searched = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     run = GeneralizedAlpha(newton="modified").prepare(scene, 0.01, Steps(1e-3))

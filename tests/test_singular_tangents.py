@@ -8,9 +8,9 @@ from helpers import long
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from problems.redundant_start import missing_rank
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
+from problems.start_equations import missing_rank
 
 NAME = "The tangent is singular at t="
 

@@ -33,8 +33,8 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
-from problems.sparse_initial_values import sparse_start
 from problems.spec import SpecError
+from problems.start_equations import sparse_start
 
 pytest.importorskip("klujax")
 

@@ -17,9 +17,9 @@ from problems import answers
 from problems.exported_programs import exported
 from problems.formulations import ode_rate
 from problems.layouts import state_layout
-from problems.redundant_start import missing_rank
 from problems.reference import Reference
 from problems.runtime import jax, jnp
+from problems.start_equations import missing_rank
 from problems.system import GROUPS, MechatronicSystem
 
 #: Times at which a still picture shows a scene, and at which a page plays it.

@@ -13,8 +13,8 @@ import numpy as np
 from integrators.contract import Trajectory
 from problems.compiled import compiled
 from problems.runtime import jax
-from problems.sparse_initial_values import sparse_complete
 from problems.sparsity import NoPattern, prefers_sparse
+from problems.start_equations import sparse_complete
 from problems.system import MechatronicSystem, State, Variables
 
 if TYPE_CHECKING:

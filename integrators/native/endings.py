@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from problems.redundant_start import missing_rank
+from problems.start_equations import missing_rank
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
