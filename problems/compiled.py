@@ -50,7 +50,7 @@ class Compiled(NamedTuple):
     ``momentum(p, q, v)``
         momenta that are conserved at k times, ``(k, n)``
     ``iterations(p, q, v, x, t)``
-        iterations in `formulations.solve_algebraic` at k times, ``(k,)``; for scenes with outputs
+        iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
 
     start: Callable[..., Start]

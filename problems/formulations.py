@@ -16,10 +16,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from problems.index1_newton import matrix_and_residual, newton
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
-from problems.named_equations import EQUATIONS, jitted, named
+from problems.named_equations import EQUATIONS, INDEX1, jitted, named
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -205,44 +204,47 @@ def algebraic_residual(
     return jnp.concatenate(rows)
 
 
-def solve_algebraic(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    v: Float[Array, " nv"],
-    x: Float[Array, " nx"],
-    t: Float[Array, ""],
-    baumgarte: Baumgarte | None = None,
-) -> list[Array]:
-    """Solve the index-1 equations for (a, lam, y) at given q, v, x, t.
+def _solution(residual: Callable, guess: Float[Array, " n"], linear: bool) -> Array:
+    """The solution of the index-1 equations; NaN where Newton's method fails.
 
     The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
     outputs the equations are linear and take one solve. With outputs they are solved by Newton's
     method, and differentiated by the implicit function theorem.
-
-    Returns
-    -------
-    list of Array
-        a ``(nv,)``, lam ``(nl,)`` and y ``(ny,)``; NaN where Newton's method fails.
     """
-
-    def residual(u: Array) -> Array:
-        return algebraic_residual(scene, u, q, v, x, t, baumgarte)
-
-    layout = algebraic_layout(scene.sizes)
-    guess = jnp.zeros(layout.size)
-    if not scene.sizes.ny:
-        return layout.split(-jnp.linalg.solve(*matrix_and_residual(residual, guess)))
+    if linear:
+        return -jnp.linalg.solve(*_jacobian_and_residual(residual, guess))
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
 
-    def solution(residual: Callable, guess: Array) -> Array:
-        return newton(residual, guess)[0]
-
     def root(guess: Array) -> Array:
-        return jax.lax.custom_root(residual, guess, solution, tangent_solve)
+        return jax.lax.custom_root(
+            residual, guess, lambda *given: _newton(*given)[0], tangent_solve
+        )
 
-    return layout.split(jitted(EQUATIONS, root)(guess))
+    return jitted(EQUATIONS, root)(guess)
+
+
+def _newton(residual: Callable, guess: Float[Array, " n"]) -> tuple[Array, Array]:
+    """The solution by Newton's method, NaN where it fails, and the number of iterations."""
+
+    def is_open(carry: tuple) -> Array:
+        _, size, k = carry
+        return (size > 1e-9) & (k < 50)
+
+    def iterate(carry: tuple) -> tuple:
+        u, _, k = carry
+        du = jnp.linalg.solve(*_jacobian_and_residual(residual, u))
+        return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
+
+    loop = jitted(INDEX1, lambda *start: jax.lax.while_loop(is_open, iterate, start))
+    u, size, k = loop(guess, jnp.inf, jnp.asarray(0))
+    return jnp.where(size <= 1e-9, u, jnp.nan), k
+
+
+def _jacobian_and_residual(residual: Callable, u: Float[Array, " n"]) -> tuple[Array, Array]:
+    """Both from one evaluation."""
+    return jax.jacfwd(lambda u: (residual(u),) * 2, has_aux=True)(u)
 
 
 def algebraic_iterations(
@@ -252,9 +254,9 @@ def algebraic_iterations(
     x: Float[Array, " nx"],
     t: Float[Array, ""],
 ) -> Int[Array, ""]:
-    """Count the iterations of Newton's method in `solve_algebraic`, for a scene with outputs."""
+    """Count the iterations of Newton's method in `complete`, for a scene with outputs."""
     guess = jnp.zeros(algebraic_layout(scene.sizes).size)
-    return newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
+    return _newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
 
 
 @named
@@ -273,7 +275,13 @@ def complete(
     Variables, Array
         The variables, NaN where there is no solution, and xdot ``(nx,)``.
     """
-    a, lam, y = solve_algebraic(scene, q, v, x, t, baumgarte)
+    layout = algebraic_layout(scene.sizes)
+
+    def residual(u: Array) -> Array:
+        return algebraic_residual(scene, u, q, v, x, t, baumgarte)
+
+    u = _solution(residual, jnp.zeros(layout.size), linear=not scene.sizes.ny)
+    a, lam, y = layout.split(u)
     z = Variables(q, v, a, lam, x, y, t)
     return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)
 

@@ -28,12 +28,8 @@ def named(function: Callable) -> Callable:
 def jitted(name: str, function: Callable) -> Callable:
     """The same function, compiled under a name; JAX 0.12 drops names of scopes in a custom root,
     but not those of compiled functions."""
-
-    def call(*arguments: Any) -> Any:
-        return function(*arguments)
-
-    call.__name__ = name
-    return jax.jit(call)
+    function.__name__ = name
+    return jax.jit(function)
 
 
 #: Blocks of a scene that a step may call by itself.
