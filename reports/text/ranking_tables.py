@@ -46,7 +46,7 @@ def targets_table(
             reached = sum(entry.reached for entry in entries)
             cells = [f"{reached} of {len(entries)}"]
             cells += [answer.scenes[""].worded(names) for answer in by_cost]
-        rows.append([f"{question.group} to {question.target:.0e}", *cells])
+        rows.append([f"{question.group} to {question.accuracy}", *cells])
     if not rows:
         return None
     return Table(
