@@ -90,11 +90,11 @@ def solve(
                 f"{used:.9g} s are taken.",
                 err=True,
             )
-    from bench.commands.terminal import show, waiting
+    from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve_cells
 
     cell = Cell(scene.spec, method.spec, end, resolution)
-    with waiting() as progress:
+    with RunProgress() as progress:
         ((record, rows),), names = solve_cells([cell], registry, 7, budget, progress=progress)
     if as_json:
         click.echo(json.dumps(summary.solution(record, rows), indent=2))
@@ -211,10 +211,10 @@ def order(
     scene = registry.problem(problem, **settings)
     method = registry.integrator(integrator)
     cells = order_cells(scene, method, steps, pattern, t_end)
-    from bench.commands.terminal import show, waiting
+    from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve_cells
 
-    with waiting() as progress:
+    with RunProgress() as progress:
         results, _ = solve_cells(cells, registry, 0, budget, progress=progress)
     records = [record for record, _ in results]
     orders = summary.orders(records)

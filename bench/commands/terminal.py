@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from typing import Any, TextIO
 
 from rich import table as rich_table
@@ -16,12 +15,10 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     SpinnerColumn,
-    TaskID,
     TextColumn,
     TimeElapsedColumn,
 )
 from rich.segment import Segment
-from rich.status import Status
 from rich.text import Text
 
 from bench.commands.standard_streams import behind
@@ -90,24 +87,6 @@ def say(line: Text | str, cut: bool = False) -> None:
     _PlainConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
-class _StatusLine(progress.OnStandardError):
-    """The work in hand on a line of its own."""
-
-    def __init__(self, line: Status) -> None:
-        super().__init__()
-        self._line = line
-
-    def working(self, text: str) -> None:
-        self._line.update(escape(text))
-
-
-@contextmanager
-def waiting() -> Iterator[progress.Progress]:
-    """Show on a terminal the work that is waited for; gives what is told of it."""
-    with _PlainConsole(sys.stderr).status("") as line:
-        yield _StatusLine(line)
-
-
 class _Bar(Progress):
     """A progress bar with a line below it."""
 
@@ -143,8 +122,7 @@ class RunProgress(progress.Progress):
             transient=True,
             disable=not self._console.is_terminal,
         )
-        self._task: TaskID | None = None
-        self._phase, self._done, self._total, self._spoken = "", 0, 0, 0.0
+        self._spoken = 0.0
 
     def __enter__(self) -> RunProgress:
         self._bar.start()
@@ -155,23 +133,22 @@ class RunProgress(progress.Progress):
 
     def phase(self, name: str, total: int) -> None:
         """Begin a phase of this many steps."""
-        if self._task is not None:
-            self._bar.remove_task(self._task)
-        self._task = self._bar.add_task("", total=total, phase=name)
-        self._phase, self._done, self._total = name, 0, total
+        for earlier in self._bar.task_ids:
+            self._bar.remove_task(earlier)
+        self._bar.add_task("", total=total, phase=name)
         self._say()
 
     def working(self, text: str) -> None:
-        """Show the name of the work in hand."""
-        if self._task is not None:
-            self._bar.update(self._task, description=escape(text))
+        """Show the name of the work in hand, which may belong to no phase."""
+        if not self._bar.tasks:
+            self._bar.add_task("", total=None, phase="")
+        self._bar.update(self._bar.task_ids[0], description=escape(text))
 
     def advance(self) -> None:
         """Count one step as done."""
-        if self._task is not None:
-            self._bar.advance(self._task)
-            self._done += 1
-            if self._done == self._total or time.monotonic() - self._spoken > _QUIET_SECONDS:
+        for task in self._bar.tasks:
+            self._bar.advance(task.id)
+            if task.finished or time.monotonic() - self._spoken > _QUIET_SECONDS:
                 self._say()
         self.after_step()
 
@@ -187,5 +164,6 @@ class RunProgress(progress.Progress):
 
     def _say(self) -> None:
         self._spoken = time.monotonic()
-        if not self._console.is_terminal:
-            self._console.print(f"{self._phase}: {self._done} of {self._total}")
+        for task in self._bar.tasks:
+            if task.total and not self._console.is_terminal:
+                self._console.print(f"{task.fields['phase']}: {task.completed:g} of {task.total:g}")
