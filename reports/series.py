@@ -119,14 +119,6 @@ def worst_component(record: Record, group: str, norm: str) -> int | None:
     return errors.index(max(errors)) if len(errors) > 1 else None
 
 
-def measured_at(record: Record) -> str:
-    """The steps at which errors were measured: "all steps", or how many."""
-    steps = record.work.get("steps")
-    if steps is None or record.rows >= steps:
-        return "all steps" if record.rows == steps else f"{record.rows} steps"
-    return f"{record.rows} of {steps} steps"
-
-
 def reference_error(records: Iterable[Record], group: str, norm: str) -> float:
     """The largest error of the references that the records were compared with."""
     return max((r.reference_error.get(group, {}).get(norm, 0.0) for r in records), default=0.0)

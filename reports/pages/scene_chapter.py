@@ -13,7 +13,7 @@ from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.study_section import ALL_FIGURES, StudySection, StudySections
 from reports.series import Series
 from reports.text.ranking_tables import targets_table
-from reports.text.run_tables import drift_table, runs_table, summary_table
+from reports.text.run_tables import invariants_table, runs_table, summary_table
 from reports.text.scene_tables import motion_table, parameters_table, scene_facts
 
 
@@ -77,8 +77,8 @@ def scene_chapter(
         targets=targets_table(series, names) if series else None,
         summary=summary_table(series) if series else None,
         studies=[sections.make(study, f"{anchor}-{n}") for n, study in enumerate(studies, 1)],
-        drift=drift_table(series),
-        runs=runs_table(series, sections.ids, sections.component_names, names),
+        drift=invariants_table(series),
+        runs=runs_table(series, sections.ids, sections.component_names),
     )
 
 

@@ -124,11 +124,7 @@ class StudySections:
             figures=[figure for figure in made if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
-            runs=runs_table(
-                series,
-                components=self.component_names,
-                names={label: style.name for label, style in self.styles.items()},
-            )
+            runs=runs_table(series, components=self.component_names)
             if "runs" in study.figures
             else None,
             links={s.label: self.ids[s.records[0].key] for s in series},

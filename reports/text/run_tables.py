@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from types import MappingProxyType
 
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST
@@ -21,7 +22,6 @@ from reports.series import (
     cost_of,
     error_of,
     groups_of,
-    measured_at,
     ok_runs,
     seconds_of,
     timing_spread,
@@ -35,58 +35,60 @@ from reports.text.measured_orders import orders_measured
 def summary_table(series: Sequence[Series]) -> Table:
     """One row per integrator: best errors, orders, work of its most accurate run, endings."""
     groups = groups_of(ok_runs(series))
-    rows, best_errors, doubtful = [], {}, False
-    for i, s in enumerate(series):
-        errors = {}
-        for j, group in enumerate(groups):
-            found = [e for r in s.ok if (e := error_of(r, group, NORM)) is not None]
-            errors[name := f"error in {group}"] = number(min(found, default=None))
-            if found:
-                if min(found) <= trusted_error(s.ok, group, NORM):
-                    errors[name] += " *"
-                    doubtful = True
-                else:
-                    best_errors.setdefault(j, []).append((min(found), i))
+    rows, best, doubtful = [], set(), False
+    for s in series:
         judged = with_values(s.ok, lambda r: error_of(r, "q", NORM))
-        run = min(judged, key=lambda pair: pair[0])[1] if judged else None
+        run = min(judged, key=itemgetter(0))[1] if judged else None
+        orders = orders_measured([s]) or "not determined"
         rows.append(
             {
                 "integrator": s.label,
-                **errors,
-                "orders": _orders(s),
-                "time in ms": milliseconds(seconds_of(run) if run else None),
-                "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
-                "operations": number(cost_of(run, "operations")) if run else NO_VALUE,
+                **{f"error in {group}": number(_smallest(s, group)) for group in groups},
+                "orders": orders if s.controls == "step" else "by tolerance",
+                **_costs(run),
                 "runs": s.statuses,
                 "most accurate run": run.resolution if run else NO_VALUE,
             }
         )
-    best = {(min(found)[1], 1 + j) for j, found in best_errors.items()} if len(rows) > 1 else set()
+    for j, group in enumerate(groups, 1):
+        errors = [(e, i) for i, s in enumerate(series) if (e := _smallest(s, group)) is not None]
+        trusted = [(e, i) for e, i in errors if e > trusted_error(series[i].ok, group, NORM)]
+        for _, i in set(errors) - set(trusted):
+            rows[i][f"error in {group}"] += " *"
+            doubtful = True
+        if trusted and len(rows) > 1:
+            best.add((min(trusted)[1], j))
     note = (
         f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is most "
+        "accurate in q."
     )
-    note += "accurate in q."
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
     return Table.from_dicts("All integrators", rows, best=best, note=note)
 
 
-def _orders(s: Series) -> str:
-    if s.controls != "step":
-        return "by tolerance"
-    return orders_measured([s]) or "not determined"
+def _smallest(s: Series, group: str) -> float | None:
+    errors = with_values(s.ok, lambda r: error_of(r, group, NORM))
+    return min((error for error, _ in errors), default=None)
+
+
+def _costs(run: Record | None) -> dict[str, str]:
+    """The costs of a run by column; signs for no value where there is no run."""
+    return {
+        "time in ms": milliseconds(seconds_of(run) if run else None),
+        "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
+        "operations": number(cost_of(run, "operations") if run else None),
+    }
 
 
 def runs_table(
     series: Sequence[Series],
     ids: Mapping[str, str] | None = None,
     components: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    names: Mapping[str, str] = MappingProxyType({}),
 ) -> Table | None:
     """Every run with its errors, work and ending.
 
-    ``ids`` are the anchors of the rows by key, ``components`` the names of components by group,
-    ``names`` short names by label.
+    ``ids`` are the anchors of the rows by key, ``components`` the names of components by group.
     """
     records = [(s, r) for s in series for r in s.records]
     groups = groups_of(r for _, r in records)
@@ -98,26 +100,25 @@ def runs_table(
             "run": r.resolution,
             "ending": r.status,
             **{f"error in {group}": _error(r, group, components) for group in groups},
-            "steps": _count(r.work.get("steps")),
+            "steps": _steps(r),
             "rejected": _count(r.work.get("rejected")),
-            "residual evaluations": _count(r.work.get("residuals")),
-            "operations": number(cost_of(r, "operations")),
-            "time in ms": milliseconds(seconds_of(r)),
+            **_costs(r),
         }
         for s, r in records
     ]
-    note = f"{ERROR_MEANING} The worst component is named. "
-    sampled = [
-        f"{r.resolution} of {names.get(s.label, s.label)} at {measured_at(r)}"
-        for s, r in records
-        if r.status == "ok" and r.rows < (r.work.get("steps") or 0)
-    ]
-    if sampled:
-        note += f"Not all steps were measured: {'; '.join(sampled)}. "
-    note += "The reasons of failed runs are below."
     return Table.from_dicts(
-        "All runs", rows, note=note, ids=[ids[r.key] for _, r in records] if ids else []
+        "All runs",
+        rows,
+        note=f"{ERROR_MEANING} The worst component is named. The reasons of failed runs are below.",
+        ids=[ids[r.key] for _, r in records] if ids else [],
     )
+
+
+def _steps(record: Record) -> str:
+    """The steps of a run; of one that reached the end also those at which errors were measured."""
+    steps = record.work.get("steps")
+    partly = record.status == "ok" and record.rows < (steps or 0)
+    return f"{steps}, {record.rows} of them measured" if partly else _count(steps)
 
 
 def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) -> str:
@@ -127,24 +128,21 @@ def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) 
     return f"{number(error_of(record, group, NORM))} {name}".strip()
 
 
-def drift_table(series: Sequence[Series]) -> Table | None:
+def invariants_table(series: Sequence[Series]) -> Table | None:
     """Constraint residuals and energy drift of each integrator's finest run."""
     runs = [(s, s.finest) for s in series if s.ok]
-    levels = [x for x in LEVELS if any(r.constraint.get(x) is not None for _, r in runs)]
-    energy = any(r.energy_drift is not None for _, r in runs)
-    if not levels and not energy:
+    columns = {f"{level} level": [r.constraint.get(level) for _, r in runs] for level in LEVELS}
+    columns["energy drift"] = [r.energy_drift for _, r in runs]
+    known = {name: own for name, own in columns.items() if any(x is not None for x in own)}
+    if not known:
         return None
-    rows = []
-    for s, run in runs:
-        cells = [number(run.constraint.get(level)) for level in levels]
-        rows.append([s.label, run.formulation, run.resolution, *cells])
-        if energy:
-            rows[-1].append(number(run.energy_drift))
-    heads = [f"{level} level" for level in levels] + (["energy drift"] if energy else [])
     return Table(
         "Constraint residuals and energy drift",
-        ["integrator", "formulation", "finest run", *heads],
-        rows,
+        ["integrator", "formulation", "finest run", *known],
+        [
+            [s.label, run.formulation, run.resolution, *map(number, cells)]
+            for (s, run), *cells in zip(runs, *known.values(), strict=True)
+        ],
         note="Largest over time; the energy relative to the largest kinetic energy.",
     )
 
