@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.results.records import Environment, Plan, Record, SceneRecord
@@ -15,41 +15,59 @@ from reports.text.measurement import state_sentence
 Key = tuple[str, float]
 
 
-def scene_keys(plan: Plan | None, scenes: Iterable[Key], records: Iterable[Record]) -> list[Key]:
-    """The scenes in the order of the plan, then of the records."""
-    keys = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
-    keys += [(r.problem, r.t_end) for r in records]
-    return list(dict.fromkeys([*keys, *scenes]))
-
-
-def scene_titles(keys: Sequence[Key]) -> dict[Key, str]:
-    """A scene's specification, with its interval where it has several."""
-    problems = [problem for problem, _ in keys]
-    return {
-        (problem, t_end): problem
-        if problems.count(problem) == 1
-        else f"{problem}, t_end={t_end:g} s"
-        for problem, t_end in keys
-    }
-
-
 @dataclass(frozen=True)
 class StoredRuns:
     """The runs of a store: ``series`` and ``scenes`` by the titles of the scenes.
 
-    ``state`` counts runs planned, measured and ended.
+    ``state`` counts runs planned, measured and ended; ``titles`` has those of all scenes by key, in
+    the order of the plan.
     """
 
     title: str
     series: dict[str, list[Series]]
     scenes: dict[str, SceneRecord]
-    environments: list[Environment]
-    state: str
+    environments: Mapping[int, Environment]
+    state: str = ""
+    plan: Plan | None = None
+    records: Mapping[str, Record] = field(default_factory=dict)
+    titles: Mapping[Key, str] = field(default_factory=dict)
+
+    @property
+    def scenes_by_key(self) -> dict[Key, SceneRecord]:
+        """The scenes that the store describes."""
+        return {k: self.scenes[title] for k, title in self.titles.items() if title in self.scenes}
 
     @property
     def tags(self) -> dict[str, list[str]]:
         """The tags of the scenes that the store describes."""
         return {title: scene.tags for title, scene in self.scenes.items()}
+
+    @classmethod
+    def of(cls, store: Store) -> StoredRuns:
+        """The runs of an open store."""
+        plan, described, records = store.plan(), store.scenes(), store.records()
+        runs = list(records.values())
+        planned = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
+        keys = dict.fromkeys([*planned, *((r.problem, r.t_end) for r in runs), *described])
+        problems = [problem for problem, _ in keys]
+        # A scene over several intervals says which.
+        titles = {
+            (name, end): name if problems.count(name) == 1 else f"{name}, t_end={end:g} s"
+            for name, end in keys
+        }
+        return cls(
+            title=plan.heading(runs) if plan else "Results",
+            series={
+                title: series_of(r for r in runs if (r.problem, r.t_end) == key)
+                for key, title in titles.items()
+            },
+            scenes={title: described[key] for key, title in titles.items() if key in described},
+            environments=store.environments(),
+            state=state_sentence(plan, runs),
+            plan=plan,
+            records=records,
+            titles=titles,
+        )
 
 
 def stored_runs(folder: Path) -> StoredRuns:
@@ -61,16 +79,4 @@ def stored_runs(folder: Path) -> StoredRuns:
         If the folder holds no readable store.
     """
     with Store(folder) as store:
-        plan, described = store.plan(), store.scenes()
-        records, environments = list(store.records().values()), store.environments()
-    titles = scene_titles(scene_keys(plan, described, records))
-    return StoredRuns(
-        plan.heading(records) if plan else "Results",
-        {
-            title: series_of(r for r in records if (r.problem, r.t_end) == key)
-            for key, title in titles.items()
-        },
-        {title: described[key] for key, title in titles.items() if key in described},
-        list(environments.values()),
-        state_sentence(plan, records),
-    )
+        return StoredRuns.of(store)

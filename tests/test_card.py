@@ -66,7 +66,7 @@ def stored(records, title="A suite"):
         date="2025-03-01T10:00:00+00:00", command="", cpu="Model 1", cores=8, memory_gib=1.0,
         platform="Linux", versions={},
     )  # fmt: skip
-    return StoredRuns(title, scenes_of(records), {}, [machine], "")
+    return StoredRuns(title, scenes_of(records), {}, {1: machine})
 
 
 def card_of(records, title="A suite", question=COUNTS):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -218,7 +217,7 @@ def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     assert linked.count("report/drift.html") == 1
     (chapter,) = report.chapters
     assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
-    bare = Site(replace(report, chapters=[]))
+    report.chapters, bare = [], Site(report)
     assert "report/drift.html" not in [page.path for page in bare.pages]
 
 

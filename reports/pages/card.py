@@ -122,8 +122,8 @@ def _measured(stored: StoredRuns) -> str:
     """Date and machine of the last measurement; how many others there are."""
     if not stored.environments:
         return ""
-    last = max(stored.environments, key=lambda e: e.date)
-    machines = {(e.cpu, e.cores) for e in stored.environments}
+    last = max(stored.environments.values(), key=lambda e: e.date)
+    machines = {(e.cpu, e.cores) for e in stored.environments.values()}
     more = f" and {len(machines) - 1} more" if len(machines) > 1 else ""
     return f"{last.date[:10]} · {last.cpu}, {last.cores} cores{more}"
 

@@ -118,7 +118,7 @@ def choosing_in_markdown(folder: Path) -> str:
     return markdown(
         "choosing.md.j2",
         stored=stored,
-        environments=measured_with(stored.environments),
+        environments=measured_with(list(stored.environments.values())),
         sections=sections(stored),
         norm=NORMS[NORM],
         silent=_wrapped(SILENT_NOTE),

@@ -148,7 +148,7 @@ def _pages(report: Report) -> Iterator[Page]:
 
 
 def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
-    scene = report.scene_records.get(chapter.name)
+    scene = report.stored.scenes.get(chapter.name)
     runs = [r for s in report.series[chapter.name] for r in s.records]
     values = {
         "scene": chapter,

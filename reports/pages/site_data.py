@@ -130,7 +130,7 @@ class SiteData:
             ],
             "methods": [self._method(label, family) for label, family in self.families.items()],
             "scenes": [
-                _scene(name, series, report.scene_records.get(name))
+                _scene(name, series, report.stored.scenes.get(name))
                 for name, series in report.series.items()
             ],
         }

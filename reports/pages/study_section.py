@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 from bench.results.quantities import ERROR_MEANING, NORM, NORMS
@@ -55,6 +54,11 @@ _HISTORIES = {
     ),
     "steps": (("h", "gamma"), "step size and weights of the recurrence"),
 }
+_BILLS = (
+    "Floating-point operations of each run by part; their sum stands after the name. They are "
+    "those of the scene's equations and of linear algebra, counted from its traced programs "
+    "and by formulas (LU of n unknowns 2/3 n^3)."
+)
 ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 
 
@@ -99,20 +103,20 @@ class StudySections:
         by_key = {r.key: r for r in self.records}
         records = [by_key[key] for key in study.cells if key in by_key]
         series = series_of(records)
-        makers = {
-            "trajectory": partial(self._trajectory, components=_components(study)),
-            "convergence": self._convergence,
-            "work_precision": self._work_precision,
-        }
-        figures = [figure for figure in study.figures if figure in makers]
-        made = [makers[figure](series, f"{anchor}-{figure}") for figure in figures]
-        if "work_precision" in figures:
-            made.append(_bills(series, self.styles, f"{anchor}-operations"))
-            made.append(self._accuracy(series, f"{anchor}-accuracy"))
-        if "trajectory" in figures:
-            made.insert(0, self._histories(series, f"{anchor}-errors", "time"))
-            made.append(self._histories(series, f"{anchor}-drift", "drift"))
-            made.append(self._histories(series, f"{anchor}-steps", "steps"))
+        figures: list[CaptionedCharts | None] = []
+        if "trajectory" in study.figures:
+            figures.append(self._histories(series, f"{anchor}-errors", "time"))
+            figures.append(self._trajectory(series, f"{anchor}-trajectory", _components(study)))
+        if "convergence" in study.figures:
+            figures.append(self._convergence(series, f"{anchor}-convergence"))
+        if "work_precision" in study.figures:
+            figures.append(self._work_precision(series, f"{anchor}-work_precision"))
+            operations = {f"{anchor}-operations": bills(series, self.styles)}
+            figures.append(captioned(_BILLS, operations))
+            figures.append(self._accuracy(series, f"{anchor}-accuracy"))
+        if "trajectory" in study.figures:
+            figures.append(self._histories(series, f"{anchor}-drift", "drift"))
+            figures.append(self._histories(series, f"{anchor}-steps", "steps"))
         first, every = orders_table(series, (study.norm,)), orders_table(series)
         fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudySection(
@@ -121,7 +125,7 @@ class StudySections:
             note=study.note,
             state=_study_state(study, records),
             observations=observations(series),
-            figures=[figure for figure in made if figure],
+            figures=[figure for figure in figures if figure],
             tables=[first] if first and fitted else [],
             folded_tables=[every] if every and fitted else [],
             runs=runs_table(series, components=self.component_names)
@@ -130,62 +134,57 @@ class StudySections:
             links={s.label: self.ids[s.records[0].key] for s in series},
         )
 
-    @property
-    def _most_lines(self) -> int:
-        """Most integrators in a chart of errors; all if a click can isolate one."""
-        return len(self.styles) if self.interactive else MOST_STILL
+    def _few(self, series: Sequence[Series]) -> tuple[Sequence[Series], str]:
+        """The series of a chart of errors: all if a click can isolate one."""
+        return _most_accurate(series, len(series) if self.interactive else MOST_STILL)
 
     def _convergence(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
         # An interactive chart offers every norm; of pictures there is one for each that matters.
         held = any(r.constraint for r in self.records)
         norms = [NORM, "end"] if held and not self.interactive else [NORM]
-        shown = _most_accurate(series, self._most_lines)
+        shown, left_out = self._few(series)
         made = {
             f"{name}-{norm}": convergence(shown, groups, self.styles, norm, self.interactive)
             for norm in norms
         }
         caption = (
             f"Error {self._norms_text(norms)} against step size; thin grey lines have the slope of "
-            f"a whole order. {self._reference_error(groups)}{_left_out(series, self._most_lines)}"
+            f"a whole order. {self._reference_error(groups)}{left_out}"
         )
         return captioned(caption, made)
 
     def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
+        shown, left_out = self._few(series)
         if self.interactive:
-            chart = work_precision_with_menus(series, groups, self.styles)
+            chart, where = work_precision_with_menus(series, groups, self.styles), ""
         else:
-            few = [g for g in groups if g in "qa"]
-            chart = work_precision(_most_accurate(series, self._most_lines), few, self.styles)
-        where = "" if self.interactive else f" {self._norms_text([NORM])}"
+            chart = work_precision(shown, [g for g in groups if g in "qa"], self.styles)
+            where = f" {self._norms_text([NORM])}"
         caption = (
             f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
             f"or counted work. A line joins the resolutions of one integrator. {ERROR_MEANING} "
-            f"{self._reference_error(groups)}{_left_out(series, self._most_lines)}"
+            f"{self._reference_error(groups)}{left_out}"
         )
         return captioned(caption, {name: chart})
 
     def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
-        shown = _most_accurate(series, self._most_lines)
+        shown, left_out = self._few(series)
         chart = acceleration_accuracy(shown, self.styles, NORM, self.interactive)
         caption = (
             f"Error in a against error in q, each {self._norms_text([NORM])}: good in q is not "
-            "always good in a. On the dashed line both have the same relative error."
-            f"{_left_out(series, self._most_lines)}"
+            f"always good in a. On the dashed line both have the same relative error.{left_out}"
         )
         return captioned(caption, {name: chart})
 
     def _histories(self, series: Sequence[Series], name: str, topic: str) -> CaptionedCharts | None:
         """Charts over time of the constraints and the energy (drift), or of the steps."""
         notes, said = _HISTORIES[topic]
-        shown = [
-            (s.label, rows)
-            for s in _most_accurate(series, MOST_LINES)
-            if (rows := self._rows(s.finest)) and rows.notes
-        ]
-        chart = histories(shown, self.styles, self.interactive, notes)
-        caption = f"Over time, for the finest run of each: {said}.{_left_out(series, MOST_LINES)}"
+        few, left_out = _most_accurate(series, MOST_LINES)
+        runs = [(s.label, rows) for s in few if (rows := self._rows(s.finest)) and rows.notes]
+        chart = histories(runs, self.styles, self.interactive, notes)
+        caption = f"Over time, for the finest run of each: {said}.{left_out}"
         return captioned(caption, {name: chart}, topic)
 
     def _norms_text(self, norms: Sequence[str]) -> str:
@@ -205,23 +204,22 @@ class StudySections:
     def _trajectory(
         self, series: Sequence[Series], name: str, components: Sequence[Sequence[Any]]
     ) -> CaptionedCharts | None:
+        few, left_out = _most_accurate(series, MOST_LINES)
         runs = [r for s in series for r in s.records]
-        if len(runs) > ALL_RUNS:
-            runs = [s.finest for s in _most_accurate(series, MOST_LINES)]
-        shown = [(r, run_name(r), rows) for r in runs if (rows := self._rows(r))]
+        runs = runs if len(runs) <= ALL_RUNS else [s.finest for s in few]
+        shown = [(r, rows) for r in runs if (rows := self._rows(r))]
         reference = self.scene.reference if self.scene else None
         if reference and not self.interactive:
             reference = thinned(reference)
         if not shown and reference is None:
             return None
-        if len({label_of(r) for r, _, _ in shown}) == len(shown):
-            styles = {label: self.styles[label_of(r)] for r, label, _ in shown}
-        else:
-            styles = line_styles(label for _, label, _ in shown)
-            for r, label, _ in shown:
-                own = f"{self.styles[label_of(r)].name}, {r.resolution}"
-                styles[label] = replace(styles[label], name=own)
-        lines = [(label, rows) for _, label, rows in shown]
+        by_name = {run_name(r): r for r, _ in shown}
+        styles = {k: self.styles[label_of(r)] for k, r in by_name.items()}
+        if len({label_of(r) for r, _ in shown}) < len(shown):  # several runs of one integrator
+            own = line_styles(by_name)
+            for k, r in by_name.items():
+                styles[k] = replace(own[k], name=f"{styles[k].name}, {r.resolution}")
+        lines = [(run_name(r), rows) for r, rows in shown]
         groups = groups_with_values(
             [rows for _, rows in lines] or [reference or Rows(t=[], values={})]
         )
@@ -229,7 +227,7 @@ class StudySections:
         chart = trajectory(lines, reference, groups, styles, names, self.interactive, components)
         caption = "Values over time"
         caption += "; the reference is the broad grey line." if reference else "."
-        caption += _left_out(series, MOST_LINES)
+        caption += left_out
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
             caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
@@ -248,17 +246,6 @@ class StudySections:
         return before_divergence(rows, self.scene.reference)
 
 
-def _bills(
-    series: Sequence[Series], styles: Mapping[str, LineStyle], name: str
-) -> CaptionedCharts | None:
-    caption = (
-        "Floating-point operations of each run by part; their sum stands after the name. They are "
-        "those of the scene's equations and of linear algebra, counted from its traced programs "
-        "and by formulas (LU of n unknowns 2/3 n^3)."
-    )
-    return captioned(caption, {name: bills(series, styles)})
-
-
 def _components(study: Study) -> list[list[Any]]:
     """The components that a study draws: "x5" is the fifth controller state over time, "q2:q1" the
     second coordinate over the first."""
@@ -266,19 +253,14 @@ def _components(study: Study) -> list[list[Any]]:
     return [[part for group, i in pairs for part in (group, int(i) - 1)] for pairs in found]
 
 
-def _most_accurate(series: Sequence[Series], most: int) -> Sequence[Series]:
-    """At most so many series, those with the smallest errors in q, in their order."""
+def _most_accurate(series: Sequence[Series], most: int) -> tuple[Sequence[Series], str]:
+    """At most so many series, those with the smallest errors in q; and a sentence that says so."""
     if len(series) <= most:
-        return series
+        return series, ""
     ranked = sorted(series, key=lambda s: error_of(s.finest, "q", NORM) or math.inf)
     chosen = {s.label for s in ranked[:most]}
-    return [s for s in series if s.label in chosen]
-
-
-def _left_out(series: Sequence[Series], most: int) -> str:
-    if len(series) <= most:
-        return ""
-    return f" Of {len(series)} integrators those {most} are shown that err least in q."
+    said = f" Of {len(series)} integrators those {most} are shown that err least in q."
+    return [s for s in series if s.label in chosen], said
 
 
 def _study_state(study: Study, records: Sequence[Record]) -> str:
