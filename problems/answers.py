@@ -6,6 +6,8 @@ sentence on what came and what was expected. `integrators.answers` does it for i
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
 import math
 import re
 import reprlib
@@ -253,37 +255,29 @@ def drawing(value: object) -> list[list[list[float]]]:
     return lines
 
 
-def description(value: object) -> dict[str, Any]:
-    """Return title, description and parameters of a scene."""
-    keys = {"title", "description", "parameters"}
-    if not isinstance(value, Mapping) or set(value) != keys:
-        raise refused("describe()", value, "a dictionary of title, description and parameters")
-    rows = value["parameters"]
-    if not isinstance(rows, list | tuple) or len(rows) > MOST_TEXTS:
-        raise refused("parameters of describe()", rows, f"a list of at most {MOST_TEXTS}")
+def description(scene: Any) -> dict[str, Any]:
+    """Return title, description and parameters of a scene, from its docstring and its fields."""
+    title, _, story = (inspect.getdoc(type(scene)) or scene.name).partition("\n\n")
+    fields = [f for f in dataclasses.fields(scene) if "unit" in f.metadata]
+    if len(fields) > MOST_TEXTS:
+        raise FalseAnswer(f"It has {len(fields)} parameters, expected at most {MOST_TEXTS}.")
     return {
-        "title": text(value["title"], "title of describe()"),
-        "description": paragraphs(value["description"], "description of describe()"),
-        "parameters": [_parameter(row) for row in rows],
+        "title": text(title, "its title"),
+        "description": paragraphs(story.strip(), "its description"),
+        "parameters": [_parameter(f, getattr(scene, f.name)) for f in fields],
     }
 
 
-def _parameter(row: object) -> dict[str, Any]:
-    what = "a parameter of describe()"
-    if not isinstance(row, Mapping) or not {"name", "value", "unit", "doc"} <= set(row):
-        raise refused(what, row, "a dictionary of name, value, unit and doc")
-    name = text(row["name"], f"the name of {what}")
-    value, unit, doc = row["value"], row["unit"], row["doc"]
-    if isinstance(value, int) and not isinstance(value, bool):
-        value = whole(value, f"the parameter {name}", -MOST_COUNT)
-    elif not isinstance(value, bool | str | None):
-        value = number(value, f"the parameter {name}")
-    return {
-        "name": name,
-        "value": text(value, name) if isinstance(value, str) else value,
-        "unit": text(unit, f"the unit of {name}"),
-        "doc": text(doc, f"the meaning of {name}"),
-    }
+def _parameter(field: dataclasses.Field[Any], value: Any) -> dict[str, Any]:
+    what = f"the parameter {field.name}"
+    if isinstance(value, str):
+        value = text(value, what)
+    elif isinstance(value, int) and not isinstance(value, bool):
+        value = whole(value, what, -MOST_COUNT)
+    elif not isinstance(value, bool | None):
+        value = number(value, what)
+    words = {key: text(field.metadata[key], f"the {key} of {what}") for key in ("unit", "doc")}
+    return {"name": field.name, "value": value} | words
 
 
 def natural_sizes(words: Iterable[str], component: str) -> tuple[float, ...]:

@@ -14,7 +14,6 @@ A scene is a frozen dataclass: its parameters are fields, its blocks are methods
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -322,18 +321,6 @@ class MechatronicSystem:
             found = [component.rate() for component in found]
         numbers = range(len(found), self.sizes.of(group))
         return found[: self.sizes.of(group)] + [Component(str(k + 1)) for k in numbers]
-
-    def describe(self) -> dict[str, Any]:
-        """Title, description and parameters as text and numbers, for reports and lists."""
-        title, _, text = (inspect.getdoc(type(self)) or self.name).partition("\n\n")
-        parameters = [
-            {"name": f.name, "value": getattr(self, f.name)}
-            | {key: f.metadata[key] for key in ("unit", "doc")}
-            for f in dataclasses.fields(self)
-            if "unit" in f.metadata
-        ]
-        title = " ".join(title.split())
-        return {"title": title, "description": text.strip(), "parameters": parameters}
 
     def with_parameters(
         self, values: Mapping[str, Float[Array | np.ndarray, ""] | float], cls: type | None = None

@@ -56,7 +56,7 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
     answers.texts(scene.tags, "tags")
     answers.texts(scene.difficulties, "difficulties")
     answers.text(scene.source, "source")
-    parameters = answers.description(scene.describe())["parameters"]
+    parameters = answers.description(scene)["parameters"]
     for item in parameters:
         if isinstance(item["value"], float) and not item["unit"].strip():
             raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")

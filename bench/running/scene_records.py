@@ -74,7 +74,7 @@ def scene_record(
             "rates": part("spectrum", lambda: rates(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
-    known |= part("description", lambda: answers.description(scene.describe()), nameless)
+    known |= part("description", lambda: answers.description(scene), nameless)
     if scene.has("energy"):
         part("energy", lambda: first_energy(scene), None)
     tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from false_methods import NAN, Explosive, Unspeakable
 
-from problems import State, jnp
+from problems import State, jnp, parameter
 from problems.scenes.oscillator import Oscillator
 
 
@@ -14,9 +16,9 @@ def closed(change):
     return {"exact": lambda self, t: change(Oscillator.exact(self, t))}
 
 
-def told(**parts):
-    """A description with other parts."""
-    return {"describe": lambda self: Oscillator.describe(self) | parts}
+def measured(unit):
+    """A parameter with another unit."""
+    return {"omega": parameter(1.0, unit, "frequency"), "__annotations__": {"omega": "float"}}
 
 
 def begun(value):
@@ -40,7 +42,6 @@ def leaving(*_):
 
 
 LINE = np.zeros((2, 2))
-PARAMETER = {"name": "m", "value": 1.0, "unit": "kg", "doc": "mass"}
 
 #: By name of the scene's class: what it states, the check that fails, and words of its sentence.
 SCENES = {
@@ -118,24 +119,7 @@ SCENES = {
         "description",
         "a component is 'q [m] ~ -1', expected positive numbers after '~'",
     ),
-    "DescribedByNothing": (
-        {"describe": lambda self: None},
-        "description",
-        "describe() is None, expected a dictionary of title, description and parameters",
-    ),
-    "DescribedByMore": (told(problem="x"), "description", "describe() is {'description'"),
-    "TitleNumber": (told(title=5), "description", "title of describe() is 5, expected text"),
-    "ParametersNone": (
-        told(parameters=[PARAMETER, 3]),
-        "description",
-        "a parameter of describe() is 3, expected a dictionary of name, value, unit and doc",
-    ),
-    "ParameterObject": (
-        told(parameters=[PARAMETER | {"value": {1}}]),
-        "description",
-        "the parameter m is {1}, expected a finite number",
-    ),
-    "DescribeRaising": ({"describe": raising}, "description", "Unspeakable: its message"),
+    "Unmeasured": (measured(5), "description", "the unit of the parameter omega is 5, expected t"),
 }
 #: The same for faults that leave no run possible.
 STARTS = {
@@ -184,7 +168,7 @@ TIMES = {
 def scene_class(name, stated):
     """A scene that differs from an oscillator in what is stated."""
     doc = {"__doc__": "A scene with a false answer.", "__module__": __name__}
-    return type(name, (Oscillator,), doc | stated)
+    return dataclass(frozen=True)(type(name, (Oscillator,), doc | stated))
 
 
 for _name, (_stated, *_) in (SCENES | STARTS | TIMES).items():

@@ -30,12 +30,6 @@ SCENE_SNIPPETS = {
     "draw_huge": ("def draw(self, q): return [np.zeros((10**8, 2))] * 50", "ok", ""),
     "energy_exits": ("def energy(self, q, v): os._exit(6)", "crashed or ok", ""),
     "energy_garbage": ("def energy(self, q, v): return 'much'", "ok", ""),
-    "describe_exits": ("def describe(self): os._exit(7)", "ok", ""),
-    "describe_huge": (
-        "def describe(self): return {'title': 'x' * 10**8, 'description': '', 'parameters': []}",
-        "ok",
-        "",
-    ),
     "interval_property": ("@property\ndef interval(self): os._exit(8)", "lost", ""),
     "interval_odd": ("interval = (0.0, float('nan'))", "lost", "interval"),
     "nominal_step_odd": ("nominal_step = property(lambda self: 1 / 0)", "lost", ""),
