@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
-from problems.named_equations import EQUATIONS, INDEX1, jitted, named
+from problems.named_equations import EQUATIONS, INDEX1, equation, jitted
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -30,7 +30,7 @@ FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
 
 
 # ---- the equations ---------------------------------------------------------------------
-@named
+@equation
 def constraint_force(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -47,7 +47,7 @@ def constraint_force(
     return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
 
 
-@named
+@equation
 def constraint_velocity(
     scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
 ) -> Float[Array, " nl"]:
@@ -61,7 +61,7 @@ def constraint_velocity(
     return jax.jvp(scene.constraint, (q, t), (q_rate(scene, q, v), jnp.ones_like(t)))[1]
 
 
-@named
+@equation
 def constraint_acceleration(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -80,7 +80,7 @@ def constraint_acceleration(
     return jax.jvp(lambda q, v, t: constraint_velocity(scene, q, v, t), (q, v, t), rates)[1]
 
 
-@named
+@equation
 def inertia(
     scene: MechatronicSystem, q: Float[Array, " nq"], a: Float[Array, " nv"]
 ) -> Float[Array, " nv"]:
@@ -101,7 +101,7 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
     return jnp.max(jnp.abs(scene.mass(q)))
 
 
-@named
+@equation
 def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nv"]:
     """Compute M a - g + Phi_q^T lam - L y, the residual of eq. (1).
 
@@ -118,7 +118,7 @@ def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " 
     return r
 
 
-@named
+@equation
 def control_residuals(
     scene: MechatronicSystem, z: Variables, xdot: Float[Array, " nx"]
 ) -> list[Array]:
@@ -165,7 +165,7 @@ class Start(NamedTuple):
     constrained_jerk: Float[Array, " nv"] | None = None
 
 
-@named
+@equation
 def algebraic_residual(
     scene: MechatronicSystem,
     u: Float[Array, " n"],
@@ -259,7 +259,7 @@ def algebraic_iterations(
     return _newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
 
 
-@named
+@equation
 def complete(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
@@ -337,7 +337,7 @@ def with_rates(
 
 
 # ---- DAE residuals for general-purpose solvers -----------------------------------------
-@named
+@equation
 def dae_residual(
     scene: MechatronicSystem,
     formulation: str,

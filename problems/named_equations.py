@@ -14,7 +14,7 @@ from problems.system import MechatronicSystem
 EQUATIONS, INDEX1 = "equations_of_a_scene", "newton_of_index_1"
 
 
-def named(function: Callable) -> Callable:
+def equation(function: Callable) -> Callable:
     """The same function, whose operations have the name `EQUATIONS` in traced programs."""
 
     @wraps(function)
@@ -43,5 +43,5 @@ def with_named_blocks(scene: MechatronicSystem) -> MechatronicSystem:
 
 @cache
 def _named_class(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
-    blocks = {name: named(getattr(cls, name)) for name in _BLOCKS if cls.has(name)}
+    blocks = {name: equation(getattr(cls, name)) for name in _BLOCKS if cls.has(name)}
     return type(cls.__name__, (cls,), blocks)

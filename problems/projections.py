@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from problems.formulations import constraint_velocity
 from problems.kinematics import advance, q_rate
 from problems.layouts import state_layout
-from problems.named_equations import named
+from problems.named_equations import equation
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
@@ -34,7 +34,7 @@ def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Arr
     return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(nv), r]))[:nv]
 
 
-@named
+@equation
 def constrained_part(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
 ) -> Float[Array, " nv"]:
@@ -49,7 +49,7 @@ def constrained_part(
     return _least_change(scene, q, t, along)
 
 
-@named
+@equation
 def projected_state(
     scene: MechatronicSystem, t: Float[Array, ""], s: Float[Array, " n"]
 ) -> Float[Array, " n"]:

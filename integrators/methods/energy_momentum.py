@@ -47,7 +47,7 @@ from problems import lagrange
 from problems.formulations import Start, constraint_velocity, inertia
 from problems.kinematics import advance
 from problems.layouts import Layout
-from problems.named_equations import named
+from problems.named_equations import equation
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -128,7 +128,7 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
         return EnergyMomentumState(shown, state.guess.after(z, xdot, h))
 
 
-@named
+@equation
 def _momentum_balance(
     scene: MechatronicSystem,
     now: Reading | Variables,
@@ -172,7 +172,7 @@ def _stabilised(
         q = advance(scene, base.q, slopes.q * (a + more[:nv]))
         return Variables(q, base.v + h * a, a, lam, base.x, y, t), xdot
 
-    @named
+    @equation
     def hidden(s: Array) -> Array:
         return constraint_velocity(scene, s[:nq], s[nq:], t)
 
@@ -231,7 +231,7 @@ def _explained_on(template: MechatronicSystem) -> Callable[..., Array]:
     return jax.jit(lambda p, q, v, t: _explained(template.with_parameters(p), q, v, t))
 
 
-@named
+@equation
 def _explained(scene: MechatronicSystem, q: Array, v: Array, t: Time) -> Array:
     """True if mass and energy give the forces of a scene."""
     of_energies = lagrange.force(

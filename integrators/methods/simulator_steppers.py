@@ -34,7 +34,7 @@ from problems.formulations import (
 )
 from problems.kinematics import advance
 from problems.layouts import stage_layout
-from problems.named_equations import named
+from problems.named_equations import equation
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -159,7 +159,7 @@ class ImplicitFast(SimulatorStepper):
             )
 
         force, along = jax.linearize(lambda v: scene.force(now.q, v, now.t), now.v)
-        _, along_of_mass = jax.linearize(named(of_mass), now.v)
+        _, along_of_mass = jax.linearize(equation(of_mass), now.v)
 
         def damping(a: Array) -> Array:
             return along(a) - along_of_mass(a)
