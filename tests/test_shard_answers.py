@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from test_shards import KILLED, REGISTRY, Here, Quiet, asked, run_all, whole  # noqa: F401 - a fixture
 
-from bench.commands import ensemble as command
+from bench.commands import sweeps as command
 from bench.plugins import fingerprint
 from bench.plugins.facts import Sources
 from bench.running.cluster import ClusterRunner

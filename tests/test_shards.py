@@ -288,7 +288,7 @@ def test_a_table_with_lost_members_is_written_and_the_command_fails(
         parts = TemporaryParts()
         return run_all(asked, parts, Here([None, dies]))[0], parts
 
-    monkeypatch.setattr("bench.commands.ensemble._run", _run)
+    monkeypatch.setattr("bench.commands.sweeps._run", _run)
     given = ("--vary", "k:0.8..1.2", "--ensemble", "40", "--step", "0.1")
     result = stepbench("solve", "spring_mass", "newmark", *given, "-o", tmp_path / "all.csv")
     assert result.exit_code == 1

@@ -5,19 +5,17 @@ from __future__ import annotations
 import click
 
 from bench.commands import (
-    atlas,
     completion,
-    drift,
     listing,
     options,
     orders_table,
-    outcome_map,
     plugins,
     results,
     scenes,
     single_runs,
-    stability,
+    studies,
     suite,
+    sweeps,
 )
 
 
@@ -57,6 +55,6 @@ for command in (
         results.card,
         results.choose,
     ),
-    *(stability.stability, orders_table.orders_table, drift.drift, atlas.atlas, outcome_map.map_),
+    *(studies.stability, orders_table.orders_table, studies.drift, studies.atlas, sweeps.map_),
 ):
     main.add_command(command)

@@ -15,7 +15,7 @@ import click
 from bench.commands import completion
 from bench.commands.paths import PathName
 from bench.commands.standard_streams import LostOutput, plain_streams
-from bench.plugins.facts import MethodFacts, SceneFacts, Sources
+from bench.plugins.facts import SceneFacts, Sources
 from bench.results.store import Store, StoreError, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
@@ -126,15 +126,6 @@ def usable_registry(plugins: Sequence[str]) -> Inventory:
     return registry
 
 
-def integrators_once(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
-    """Return the facts of integrators; raise SpecError if one is named twice."""
-    methods = [registry.integrator(name) for name in names]
-    for k, method in enumerate(methods):
-        if method in methods[:k]:
-            raise SpecError(f"{method.spec} is named twice.")
-    return methods
-
-
 def end_time(scene: SceneFacts, t_end: float | None) -> float:
     """Return the end time in s: the given one or the scene's own.
 
@@ -151,7 +142,7 @@ def guarded(
     job: Callable[..., Any],
     sources: Sources,
     budget_s: float,
-    arguments: tuple,
+    *arguments: Any,
     threads: bool = False,
 ) -> Any:
     """Do a job of a worker in a process of its own, with plugins and within a budget in s.

@@ -49,7 +49,7 @@ def show(
     path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
     task = scene.spec, end, _FRAMES if animate else GHOSTS
     about = f"{scene.spec} cannot be shown"
-    pictures = options.guarded(about, Worker.pictures, scene.sources, budget, task)
+    pictures = options.guarded(about, Worker.pictures, scene.sources, budget, *task)
     written = view("animation" if animate else "still")(scene.spec, pictures, path)
     click.echo(f"Picture: {written}")
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from bench.commands import completion, options
-from bench.commands import ensemble as ensembles
+from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.quantities import NORMS
@@ -30,7 +29,7 @@ from problems.spec import SpecError
 @options.with_tolerances
 @options.with_t_end
 @options.with_set
-@ensembles.with_ensemble
+@sweeps.with_ensemble
 @options.with_budget
 @options.with_plugins
 @options.with_as_json
@@ -76,9 +75,9 @@ def solve(
         request = EnsembleRequest(sweep, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
         made_by = f"{scene.fingerprint}-{method.fingerprint}"
-        ensembles.solve_ensemble(sources, request, made_by, jobs, cluster, out, as_json)
+        sweeps.solve_ensemble(sources, request, made_by, jobs, cluster, out, as_json)
         return
-    ensembles.refuse_alone(vary, seed, jobs, cluster, out)
+    sweeps.refuse_alone(vary, seed, jobs, cluster, out)
     end = options.end_time(scene, t_end)
     resolution = resolution_of(scene, method, step, pattern, rtol, atol)
     if isinstance(resolution, Steps):

@@ -1,0 +1,283 @@
+"""The commands of studies beside the suites: `drift`, `stability` and `atlas`.
+
+A job of a worker gives the data of a study, from which a table and a page are made.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.commands import completion, options
+from bench.commands.pages import view
+from bench.guard.interrupts import remark
+from bench.plugins.facts import MethodFacts
+from bench.running.inventory import Inventory
+from bench.running.plan import check_end
+from integrators.contract import Steps
+from problems.spec import SpecError
+
+#: Most steps of a long run that can be asked for.
+_MOST_STEPS = 10**9
+_SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
+_with_names = click.argument(
+    "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
+)
+
+
+def _of_each(
+    registry: Inventory, names: Sequence[str], one: Callable[[MethodFacts], Any]
+) -> tuple[list[Any], list[str]]:
+    """Call a function for each integrator; return what it gave, and sentences of those that failed.
+
+    Raises
+    ------
+    SpecError
+        If an integrator is named twice.
+    """
+    methods = [registry.integrator(name) for name in names]
+    for k, method in enumerate(methods):
+        if method in methods[:k]:
+            raise SpecError(f"{method.spec} is named twice.")
+    results, faults = [], []
+    for method in methods:
+        try:
+            results.append(one(method))
+        except SpecError as error:
+            faults.append(str(error))
+    return results, faults
+
+
+def _print_json(value: Any) -> None:
+    import msgspec
+
+    click.echo(json.dumps(msgspec.to_builtins(value), indent=2, allow_nan=False))
+
+
+# ---- long runs ---------------------------------------------------------------------------
+@click.command()
+@click.argument("problem", shell_complete=completion.scenes)
+@_with_names
+@click.option(
+    "--steps",
+    type=click.IntRange(2, _MOST_STEPS),
+    default=100_000,
+    show_default=True,
+    help="Number of steps.",
+)
+@click.option("--step", type=float, help="Step size h in s; the scene's nominal one if not given.")
+@options.with_set
+@options.with_budget
+@options.with_folder("stepbench-drift", "Folder of the long runs and their page.")
+@options.with_plugins
+@click.option("--csv", "form", flag_value="csv", help="Print a row for each integrator.")
+@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
+def drift(
+    problem: str,
+    names: tuple[str, ...],
+    steps: int,
+    step: float | None,
+    settings: dict[str, str],
+    budget: float,
+    out: Path,
+    plugins: tuple[str, ...],
+    form: str | None,
+) -> None:
+    """Measure what drifts over many constant steps.
+
+    It measures: the energy, relative to the largest kinetic energy; conserved momenta; residuals of
+    the constraints and of their rates; and the phase (the time by which a run is ahead), where a
+    conservative motion has a closed form. The table gives the largest absolute value of each, the
+    slope of a straight line through all rows, and whether the drift is none, linear, bounded or
+    neither. The folder keeps long runs beside other results, whose report has a chapter on them.
+
+    \b
+    Examples:
+      stepbench drift pendulum rattle energy_momentum generalized_alpha --steps 100000
+      stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
+      stepbench drift oscillator newmark bdf2 --csv > drift.csv
+    """
+    registry = options.usable_registry(plugins)
+    scene = registry.problem(problem, **settings)
+    if step is not None:
+        check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
+
+    from bench.commands.terminal import show
+    from bench.results.csv_text import csv_export
+    from bench.results.drift import LongRun, drift_table, flat
+    from bench.results.store import Store
+    from bench.running.drift import drift_job
+
+    with Store(out, create=True) as store:
+
+        def kept(method: MethodFacts) -> LongRun:
+            sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
+            found = options.guarded(method.spec, drift_job, sources, budget, *task)
+            store.save_long_run(found)
+            return found
+
+        results, faults = _of_each(registry, names, kept)
+        if results and form == "json":
+            _print_json(results)
+        elif results and form == "csv":
+            click.echo(csv_export([flat(run) for run in results]), nl=False)
+        elif results:
+            show(drift_table(results))
+        if results:
+            click.echo(f"Page: {view('drift')(store.long_runs(), out)}", err=bool(form))
+            if store.plan():
+                said = "The report of this folder has it as a chapter after `stepbench report`."
+                click.echo(said, err=bool(form))
+    faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
+    if faults:
+        raise click.ClickException(" ".join(faults))
+
+
+# ---- stability ---------------------------------------------------------------------------
+@click.command()
+@_with_names
+@click.option(
+    "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to report."
+)
+@options.with_pattern
+@click.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given.")
+@click.option(
+    "--system",
+    type=click.Choice(_SYSTEMS),
+    default=_SYSTEMS[0],
+    show_default=True,
+    help="Linear test system; for relaxation, omega is the decay rate.",
+)
+@click.option(
+    "--ratios",
+    type=click.Choice(["none", "alternating", "any"]),
+    default="alternating",
+    show_default=True,
+    help="Patterns in which the largest safe step ratio is sought: two steps in turns, which takes "
+    "seconds, or any of up to six, which takes a minute.",
+)
+@options.with_budget
+@options.with_folder("stepbench-stability", "Folder of the page.")
+@options.with_plugins
+@options.with_as_json
+def stability(
+    names: tuple[str, ...],
+    at: tuple[float, ...] | None,
+    pattern: tuple[float, ...] | None,
+    zeta: float | None,
+    system: str,
+    ratios: str,
+    budget: float,
+    out: Path,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Analyse stability at constant steps.
+
+    The amplification matrix of each integrator is found by taking its step on a linear system. From
+    it come the spectral radius, numerical damping, period error, overshoot, stability limit,
+    bifurcation, and the largest ratio of steps that is safe. Writes a page with charts and maps.
+    With --pattern omega h is that of the macro step, and so is the radius.
+
+    \b
+    Examples:
+      stepbench stability "generalized_alpha[rho_inf=0.8]" newmark kvaerno5
+      stepbench stability "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --at 4.47
+      stepbench stability "generalized_alpha[gamma=guarded]" --pattern 0.3,0.7 --at 4.47
+      stepbench stability "newmark[beta=0]" --at 1,1.9,2.1 --json
+      stepbench stability my_method --plugins my_method.py
+    """
+    for value in at or ():
+        if not 0 < value < float("inf"):
+            raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
+    if zeta is not None and system != _SYSTEMS[0]:
+        raise SpecError(f"--zeta damps the oscillator; the system {system} has no such number.")
+    registry = options.usable_registry(plugins)
+    from bench.commands.terminal import show
+    from bench.stability.analysis import analysis_job
+    from bench.stability.tables import stability_tables
+
+    def analysed(method: MethodFacts) -> dict[str, Any]:
+        task = method.spec, system, zeta, pattern or (1.0,), at or (), ratios
+        return options.guarded(method.spec, analysis_job, method.sources, budget, *task)
+
+    results, faults = _of_each(registry, names, analysed)
+    if results and as_json:
+        _print_json(results)
+    elif results:
+        facts, *tables = stability_tables(results)
+        for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
+            lines = (f"  {head}: {cell}" for head, cell in zip(facts.head[1:], cells, strict=True))
+            show(f"{name}, {results[0]['system']}", *lines)
+        show(*tables)
+        click.echo(f"Page: {view('stability')(results, out)}")
+    if faults:
+        raise click.ClickException(" ".join(faults))
+
+
+# ---- the failure atlas -------------------------------------------------------------------
+@click.command()
+@click.argument("names", nargs=-1, metavar="[EXPERIMENT]...", shell_complete=completion.experiments)
+@options.with_integrators("Put this integrator through every experiment, too; repeatable.")
+@click.option("--list", "only_list", is_flag=True, help="Name the experiments and stop.")
+@options.with_folder("stepbench-atlas", "Folder of the results and the page.")
+@options.with_fresh
+@options.with_jobs("Worker processes.")
+@options.with_given_budget("Processor time in s after which a run is stopped; 60 if not given.")
+@options.with_plugins
+@options.with_as_json
+def atlas(
+    names: tuple[str, ...],
+    integrators: tuple[str, ...],
+    only_list: bool,
+    out: Path,
+    fresh: bool,
+    jobs: int,
+    budget: float | None,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Show where methods fail, and what helps.
+
+    Every experiment of the failure atlas predicts numbers and measures them. The exit code is 1 if
+    a number is not as predicted. The folder keeps the results; an experiment runs again only if it
+    has changed.
+
+    \b
+    Examples:
+      stepbench atlas
+      stepbench atlas undamped_index3 start_transient
+      stepbench atlas -i "my_method[order=2]" --plugins my_method.py
+    """
+    from bench.atlas.experiments import read_experiments
+    from bench.atlas.runs import complete
+    from bench.commands.terminal import RunProgress, show
+    from bench.results.experiments import part_table
+    from bench.results.store import Store
+    from bench.results.table import Table
+
+    experiments = read_experiments(names)
+    if only_list:
+        rows = [[str(e.number), e.name, e.title] for e in experiments]
+        show(Table("Failure atlas", ["", "name", "what fails"], rows))
+        return
+    registry = options.usable_registry(plugins)
+    added = [registry.integrator(name).spec for name in integrators]
+    with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+        remark("Finished experiments are stored; the same command goes on.")
+        results = complete(experiments, added, store, registry, jobs, progress, budget or 60.0)
+    if as_json:
+        _print_json(results)
+    else:
+        for result in results:
+            show(
+                f"{result.number}. {result.title}: {result.verdict}", *map(part_table, result.parts)
+            )
+        click.echo(f"Page: {view('atlas')(results, out)}")
+    differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
+    if differ:
+        raise click.ClickException(f"Not all is as predicted: {', '.join(differ)}.")
