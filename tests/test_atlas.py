@@ -6,20 +6,20 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
 import pytest
 from helpers import long
 
-from bench.atlas.conditioning import condition
 from bench.atlas.experiments import (
     built_in_experiments,
     read_experiment,
     read_experiments,
 )
-from bench.atlas.measures import number_of
-from bench.atlas.runs import run_experiments
+from bench.atlas.measures import condition, number_of
+from bench.atlas.runs import complete
 from bench.results.experiments import bounds
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -70,7 +70,8 @@ def _short_ones_run_in_this_process(request):
 
 
 def run(experiments, *added, plugins=()):
-    found = run_experiments(experiments, added, Inventory(plugins), 1, 60.0, Progress())
+    with TemporaryDirectory() as folder, Store(Path(folder), create=True) as store:
+        found = complete(experiments, added, store, Inventory(plugins), 1, Progress())
     return {result.name: result for result in found}
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -109,11 +108,9 @@ class Experiment(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     name: str = ""
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """The runs of a case: settings, values ``x`` of the quantity ``axis``, and a cell for each."""
+class Sweep(NamedTuple):
+    """The runs of a case: values ``x`` of the quantity ``axis``, and a cell for each."""
 
-    settings: Settings
     axis: str
     x: tuple[float, ...]
     cells: tuple[Cell, ...] = ()
@@ -200,7 +197,7 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
     """
     if s.measure in ("linear", "condition"):
         x = s.omega_h if s.measure == "linear" else s.steps
-        return Sweep(s, "omega h" if s.measure == "linear" else "h", tuple(x or ()))
+        return Sweep("omega h" if s.measure == "linear" else "h", tuple(x or ()))
     if integrator is None or s.problem is None:
         raise SpecError(f"The measure {s.measure} needs an integrator and a scene.")
     grid = s.steps if integrator.controls == "step" else s.rtol
@@ -222,5 +219,5 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
             )
             cells.append(Cell(scene.spec, integrator.spec, check_end(t0, t_end), resolution))
     if s.over:
-        return Sweep(s, s.over, tuple(s.values or ()), tuple(cells))
-    return Sweep(s, "h" if integrator.controls == "step" else "rtol", tuple(grid), tuple(cells))
+        return Sweep(s.over, tuple(s.values or ()), tuple(cells))
+    return Sweep("h" if integrator.controls == "step" else "rtol", tuple(grid), tuple(cells))

@@ -5,15 +5,22 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from bench.atlas.conditioning import conditions
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
-from bench.atlas.measures import history, number_of, quantity, rounding_of, value_of, within
+from bench.atlas.measures import (
+    conditions,
+    history,
+    number_of,
+    quantity,
+    rounding_of,
+    value_of,
+    within,
+)
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import MethodFacts
@@ -32,16 +39,20 @@ from problems.spec import SpecError
 
 @dataclass(frozen=True)
 class _Trial:
-    """A case to be run; nothing is predicted for a method that was added."""
+    """A case to be run: the values ``x`` of the quantity ``axis``, and a cell for each.
+
+    Nothing is predicted for a method that was added.
+    """
 
     case: Case
     integrator: MethodFacts | None
+    settings: Settings
     sweep: Sweep
-    predicted: bool
+    predicted: bool = True
     message: str = ""
 
     def tasks(self, registry: Inventory) -> list[Task]:
-        s, x = self.sweep.settings, self.sweep.x
+        s, x = self.settings, self.sweep.x
         if s.measure == "condition":
             return [Task(conditions, (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
@@ -51,46 +62,6 @@ class _Trial:
             measure_task(cell, cell.sources(registry), s.measure == "error")
             for cell in self.sweep.cells
         ]
-
-
-def run_experiments(
-    experiments: Sequence[Experiment],
-    added: Sequence[str],
-    registry: Inventory,
-    jobs: int,
-    budget_s: float,
-    progress: Progress,
-    memory_gib: float = 4.0,
-) -> Iterator[ExperimentResult]:
-    """Run experiments and yield the result of each.
-
-    Parameters
-    ----------
-    experiments
-        As `bench.atlas.experiments.read_experiments` returns them.
-    added
-        Integrators that go through every part beside its own. Nothing is predicted for them; the
-        result says whether they are spared.
-    registry
-        Makes scenes and integrators; its plugin files are loaded in every worker.
-    jobs
-        Worker processes.
-    budget_s, memory_gib
-        Limits of one run.
-    progress
-        Shows the experiment in work.
-
-    Raises
-    ------
-    SpecError
-        If a name or an option is not known, or a case does not fit its integrator.
-    """
-    progress.phase("failure atlas", len(experiments))
-    with Runner(jobs, Limits(budget_s, memory_gib), progress) as runner:
-        for experiment in experiments:
-            progress.working(experiment.title)
-            yield _run(experiment, added, registry, runner)
-            progress.advance()
 
 
 def complete(
@@ -105,8 +76,30 @@ def complete(
 ) -> list[ExperimentResult]:
     """Run the experiments whose current results the store lacks; return the results of all.
 
-    Each result is stored before the next experiment begins. Parameters are those of
-    `run_experiments`.
+    Each result is stored before the next experiment begins.
+
+    Parameters
+    ----------
+    experiments
+        As `bench.atlas.experiments.read_experiments` returns them.
+    added
+        Integrators that go through every part beside its own. Nothing is predicted for them; the
+        result says whether they are spared.
+    store
+        Keeps the results.
+    registry
+        Makes scenes and integrators; its plugin files are loaded in every worker.
+    jobs
+        Worker processes.
+    progress
+        Shows the experiment in work.
+    budget_s, memory_gib
+        Limits of one run.
+
+    Raises
+    ------
+    SpecError
+        If a name or an option is not known, or a case does not fit its integrator.
     """
     stored = store.experiments()
     missing = [
@@ -117,17 +110,19 @@ def complete(
         or stored[e.name].digest != digest(e, added, registry)
     ]
     if missing:
-        for found in run_experiments(
-            missing, added, registry, jobs, budget_s, progress, memory_gib
-        ):
-            store.save_experiment(found)
-    stored = store.experiments()
+        progress.phase("failure atlas", len(missing))
+        with Runner(jobs, Limits(budget_s, memory_gib), progress) as runner:
+            for experiment in missing:
+                progress.working(experiment.title)
+                store.save_experiment(_run(experiment, added, registry, runner))
+                progress.advance()
+        stored = store.experiments()
     return [stored[e.name] for e in experiments]
 
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) -> str:
     """Return a digest of the experiment and of all code that its numbers come from."""
-    parts = [msgspec.json.encode((experiment, list(added))), fingerprint(run_experiments).encode()]
+    parts = [msgspec.json.encode((experiment, list(added))), fingerprint(complete).encode()]
     for part in experiment.part:
         for case in part.case:
             s = merged(part, case)
@@ -148,7 +143,7 @@ def _run(
         for trial in trials:
             for task in trial.tasks(registry):
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[trial.sweep.settings.problem, shared, task.sources]
+                group = groups[trial.settings.problem, shared, task.sources]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -164,7 +159,8 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
     trials = []
     for case in part.case:
         method = registry.integrator(case.integrator) if case.integrator else None
-        trials.append(_Trial(case, method, sweep_of(merged(part, case), method, registry), True))
+        settings = merged(part, case)
+        trials.append(_Trial(case, method, settings, sweep_of(settings, method, registry)))
     there = {trial.integrator.spec for trial in trials if trial.integrator}
     # The condition belongs to the equations: no method can be added.
     for name in added if part.measure != "condition" else ():
@@ -172,12 +168,12 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
         if method.spec in there:
             continue
         case = Case(predicted=(-math.inf, math.inf), integrator=name)
-        sweep, message = Sweep(Settings(), "", ()), ""
+        sweep, message = Sweep("", ()), ""
         try:
             sweep = sweep_of(merged(part), method, registry)
         except SpecError as error:  # the part has no resolutions for it
             message = str(error)
-        trials.append(_Trial(case, method, sweep, False, message))
+        trials.append(_Trial(case, method, merged(part), sweep, False, message))
     return trials
 
 
@@ -206,19 +202,19 @@ def _case(
         if task.job is Worker.measure:
             record, rows = result_of(task.arguments[0], answer, registry)
             stopped = stopped or bool(record.stopped) or record.status == INTERRUPTED
-            y.append(value_of(sweep.settings, record, rows))
-            rounding = max(rounding, rounding_of(sweep.settings, record))
+            y.append(value_of(trial.settings, record, rows))
+            rounding = max(rounding, rounding_of(trial.settings, record))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
-            shown = shown or history(sweep.settings.show or "", rows)
+            shown = shown or history(trial.settings.show or "", rows)
         elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
             stopped = stopped or answer.status in ("budget_exceeded", INTERRUPTED)
         else:
-            y = answer[sweep.settings.name or ""] if task.job is linear_response else answer
+            y = answer[trial.settings.name or ""] if task.job is linear_response else answer
     x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    number = None if stopped else number_of(sweep.settings.take or take, x, y, rounding)
+    number = None if stopped else number_of(trial.settings.take or take, x, y, rounding)
     if number is None and not stopped:
         lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
         messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")

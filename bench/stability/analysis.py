@@ -6,13 +6,14 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from bench.plugins.reasons import explain
 from bench.running.worker import Worker
 from bench.stability import patterns
-from bench.stability.matrices import matrices, steppable
-from bench.stability.spectra import FIRST_STEPS, eigenvalues, nearest, radii, spectrum, summary
+from bench.stability.matrices import steppable
+from bench.stability.spectra import FIRST_STEPS, nearest, radii, roots_of, spectrum
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
@@ -21,6 +22,8 @@ from problems.spec import SpecError, build
 SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
 #: omega h at which numbers are reported if none are asked for.
 REPORTED = (0.1, 0.5, 1.0, 10.0, 100.0)
+#: What is reported there.
+_COLUMNS = ("omega_h", "radius", "damping", "period_error", "overshoot_q", "overshoot_v")
 #: Grids of the maps: omega h, values of an option, ratios of steps.
 _ACROSS, _VALUES = np.geomspace(1e-2, 1e4, 43), 31
 _RATIOS = np.geomspace(1.0, 5.0, 31)
@@ -66,34 +69,39 @@ def analyse(
     reported = tuple(at) or REPORTED
     found = spectrum(method, system, pattern, reported)
     places = nearest(found, reported)
-    columns = ("omega_h", "radius", "damping", "period_error", "overshoot_q", "overshoot_v")
-    plain = summary(found)
     maps, safe = [], {}
     if isinstance(method, NativeMethod):
         maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
         safe = {} if found.growing or found.unsolved else _safe_ratios(method, system, ratios)
-    return plain | {
-        "family": method.family or method.name,
-        "at": {name: [plain[name][k] for k in places] for name in columns},
-        "first_steps": FIRST_STEPS,
-        "theory": _theory(method) if len(pattern) == 1 else None,
-        "maps": maps,
-        "safe": safe,
-    }
+    return plain(
+        vars(found)
+        | {
+            "stability_limit": found.limit,
+            "at": {name: getattr(found, name)[places] for name in _COLUMNS},
+            "first_steps": FIRST_STEPS,
+            "theory": _theory(method) if len(pattern) == 1 else None,
+            "maps": maps,
+            "safe": safe,
+        }
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return values of NumPy and complex numbers as those of JSON; None for what is not finite."""
+
+    def known(value: Any) -> Any:
+        if isinstance(value, complex):
+            return {"re": value.real, "im": value.imag}
+        return vars(value) if isinstance(value, patterns.Safe) else value.tolist()
+
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=known))
 
 
 def _safe_ratios(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
     """Safe ratios by kind of pattern."""
     tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.words()}
     kinds = list(tried)[: ["none", *tried].index(ratios)]
-    return {kind: vars(patterns.safe_ratio(method, tried[kind], system)) for kind in kinds}
-
-
-def _radii(
-    method: Integrator, system: LinearSystem, pattern: Sequence[float]
-) -> list[float | None]:
-    found = radii(eigenvalues(matrices(method, system, _ACROSS, pattern).a))
-    return [float(radius) if np.isfinite(radius) else None for radius in found]
+    return {kind: patterns.safe_ratio(method, tried[kind], system) for kind in kinds}
 
 
 def _option_map(
@@ -111,19 +119,20 @@ def _option_map(
                 member = dataclasses.replace(method, **{field.name: float(value)})
             except SpecError:  # not every value goes with the other options
                 continue
-            rows.append({"value": float(value), "radii": _radii(member, system, pattern)})
+            radius = radii(roots_of(member, system, _ACROSS, pattern))
+            rows.append({"value": value, "radii": radius})
         if len(rows) > 1:
-            return [{"over": field.name, "omega_h": _ACROSS.tolist(), "rows": rows}]
+            return [{"over": field.name, "omega_h": _ACROSS, "rows": rows}]
     return []
 
 
 def _ratio_map(method: NativeMethod, system: LinearSystem) -> dict[str, Any]:
     """Radii over omega H and the ratio of two steps that take turns."""
-    rows = [
-        {"value": float(r), "radii": _radii(method, system, patterns.fractions((1, -1), r))}
-        for r in _RATIOS
-    ]
-    return {"over": "step ratio", "omega_h": _ACROSS.tolist(), "rows": rows}
+    rows = []
+    for ratio in _RATIOS:
+        turns = patterns.fractions(patterns.ALTERNATING, ratio)
+        rows.append({"value": ratio, "radii": radii(roots_of(method, system, _ACROSS, turns))})
+    return {"over": "step ratio", "omega_h": _ACROSS, "rows": rows}
 
 
 def _theory(method: Integrator) -> dict[str, Any] | None:
@@ -132,18 +141,15 @@ def _theory(method: Integrator) -> dict[str, Any] | None:
     if form is None:
         return None
 
-    def plain(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
+    def counted(roots: list[tuple[complex, int]]) -> list[dict[str, Any]]:
         return [{"re": root.real, "im": root.imag, "times": count} for root, count in roots]
 
     formulas = {
         group: {
-            "rho": formula.rho.tolist(),
-            "sigma": formula.sigma.tolist(),
-            "power": formula.power,
-            "order": formula.order,
-            "zero_roots": plain(formula.zero_roots),
+            **{name: getattr(formula, name) for name in ("rho", "sigma", "power", "order")},
+            "zero_roots": counted(formula.zero_roots),
             "zero_stable": formula.zero_stable,
-            "infinity_roots": plain(formula.infinity_roots),
+            "infinity_roots": counted(formula.infinity_roots),
             "infinity_stable": formula.infinity_stable,
         }
         for group, formula in (("q", form.q), ("v", form.v), ("x", form.x))

@@ -15,8 +15,7 @@ from functools import cache
 
 import numpy as np
 
-from bench.stability.matrices import matrices
-from bench.stability.spectra import INFINITY, ONE_ROOT, eigenvalues, radii
+from bench.stability.spectra import INFINITY, ONE_ROOT, radii, roots_of
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
@@ -131,7 +130,7 @@ def _largest_roots(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Radii; the largest eigenvalues' distance from the real axis, 0 to 1; the roots at the last
     omega H."""
-    roots = eigenvalues(matrices(method, system, at, pattern).a)
+    roots = roots_of(method, system, at, pattern)
     sizes = radii(roots)
     largest = roots[np.arange(len(at)), np.abs(roots).argmax(axis=1)]
     with np.errstate(all="ignore"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -162,6 +162,16 @@ def eigenvalues(a: Float[np.ndarray, "k n n"]) -> Complex[np.ndarray, "k n"]:
     return roots
 
 
+def roots_of(
+    method: Integrator,
+    system: LinearSystem,
+    steps: Sequence[float] | np.ndarray,
+    pattern: Sequence[float],
+) -> Complex[np.ndarray, "k n"]:
+    """Return the eigenvalues of a method's `matrices`."""
+    return eigenvalues(matrices(method, system, steps, pattern).a)
+
+
 def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
     """Return spectral radii from eigenvalues."""
     return np.abs(roots).max(axis=1)
@@ -236,7 +246,7 @@ def growing(
         return sizes > 1 + GROWTH
 
     def again(steps: np.ndarray) -> np.ndarray:
-        return grows(radii(eigenvalues(matrices(method, system, steps, pattern).a)))
+        return grows(radii(roots_of(method, system, steps, pattern)))
 
     ranges, begin, flags = [], None, grows(sizes)
     for k, flag in enumerate(flags):
@@ -267,7 +277,7 @@ def _bifurcation(
         return ~np.any(np.imag(roots) > _REAL, axis=1)
 
     def again(steps: np.ndarray) -> np.ndarray:
-        return real(eigenvalues(matrices(method, system, steps, pattern).a))
+        return real(roots_of(method, system, steps, pattern))
 
     flags = real(roots) & np.isfinite(roots).all(axis=1)
     first = int(flags.argmax())
@@ -317,23 +327,6 @@ def _powers(at: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[int, int] | N
     of_q, of_v = power(q), power(v)
     finite = math.isfinite(of_q) and math.isfinite(of_v)
     return (max(0, round(of_q)), max(0, round(of_v))) if finite else None
-
-
-def summary(found: Spectrum) -> dict[str, Any]:
-    """Return the spectrum as plain values for JSON; NaN and infinity are None."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, np.ndarray | list | tuple):
-            return [plain(v) for v in value]
-        if isinstance(value, complex):
-            return {"re": plain(value.real), "im": plain(value.imag)}
-        if isinstance(value, float | np.floating):
-            return float(value) if math.isfinite(value) else None
-        return value
-
-    return {name: plain(value) for name, value in vars(found).items()} | {
-        "stability_limit": plain(found.limit)
-    }
 
 
 def nearest(found: Spectrum, omega_h: Sequence[float]) -> list[int]:
