@@ -9,7 +9,7 @@ import pytest
 
 from bench.conformance import integrators
 from bench.conformance.audit import audited, check_counts
-from bench.conformance.trials import TRIAL_STEPS, ForcedOscillator
+from bench.conformance.trials import TRIAL_STEPS, ForcedOscillator, Trial
 from bench.conformance.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import ImplicitStepMethod, Reading, StepMethod, Steps, option
@@ -111,7 +111,9 @@ def test_a_loop_of_its_own_has_no_bill_instead_of_a_guess():
 
 
 def test_the_check_of_the_work_finds_a_lie(monkeypatch):
-    monkeypatch.setattr(integrators, "trials", lambda registry, method: [ForcedOscillator()])
+    monkeypatch.setattr(
+        integrators, "trials", lambda registry, method: [Trial(method, ForcedOscillator())]
+    )
     told = integrators.check_work(Registry([]), Heun())
     assert told.endswith("its counts are true on forced_oscillator.")
     with pytest.raises(Failed, match="force was evaluated"):

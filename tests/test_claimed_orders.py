@@ -9,7 +9,7 @@ import pytest
 from radau2 import Radau2
 
 from bench.conformance.orders import check_order
-from bench.conformance.trials import GROUPS, order_trials, reference, trial_end
+from bench.conformance.trials import GROUPS, Trial, order_trials, reference
 from bench.conformance.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option
@@ -56,7 +56,7 @@ class Planted(Integrator):
 
 
 def judged(**how):
-    return check_order(Planted(**how), [(scene, trial_end(scene)) for scene in SCENES])
+    return check_order([Trial(Planted(**how), scene) for scene in SCENES])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_one_trial_scene_shows_normal_velocities_in_the_multipliers_and_the_pend
 def test_the_check_tries_two_scenes_with_constraints():
     registry = Registry()
     tried = order_trials(registry, registry.integrator("newmark"))
-    assert sorted(scene.sizes.nl for scene in tried if scene.sizes.nl) == [1, 2]
+    assert sorted(t.scene.sizes.nl for t in tried if t.scene.sizes.nl) == [1, 2]
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,13 @@ class Completed(Radau2):
 
 @pytest.mark.long
 def test_a_false_claim_that_the_pendulum_lets_pass_is_found():
-    alone, double = ((scene, trial_end(scene)) for scene in (Pendulum(), DoublePendulum()))
-    assert "3 in q a lam" in check_order(Completed(claimed=3), [alone])
+    def told(claimed, *scenes):
+        return check_order([Trial(Completed(claimed=claimed), scene) for scene in scenes])
+
+    alone, double = Pendulum(), DoublePendulum()
+    assert "3 in q a lam" in told(3, alone)
     with pytest.raises(Failed, match=r"claims only order 2 in a, is 3\.00"):
-        check_order(Completed(claimed=2), [alone])
+        told(2, alone)
     with pytest.raises(Failed, match=r"claims order 3 in lam on double_pendulum, is 1\.9"):
-        check_order(Completed(claimed=3), [alone, double])
-    assert "2 in v a lam on double_pendulum" in check_order(Completed(claimed=2), [alone, double])
+        told(3, alone, double)
+    assert "2 in v a lam on double_pendulum" in told(2, alone, double)

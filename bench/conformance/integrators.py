@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from bench.conformance.audit import check_counts
-from bench.conformance.endings import check_blow_up, check_empty_interval, check_nan
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
     GROUPS,
     TRIAL_RTOL,
-    measured,
+    FiniteTimeBlowUp,
+    Trial,
     moved,
-    must_take,
     names_of,
     order_trials,
-    prepared,
-    solved,
-    step_count,
-    trajectory,
-    trial_end,
+    spoilt,
     trials,
-    words,
 )
-from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
+from bench.conformance.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.running.measure import ignored_pattern
 from integrators import answers
-from integrators.contract import Integrator, Steps, Trajectory
+from integrators.contract import STATUSES, Integrator, Steps, Trajectory
 from problems.answers import FalseAnswer
 from problems.initial_values import consistent_start
 from problems.spec import SpecError
@@ -48,7 +44,7 @@ _DEEPEST = 4
 def check_facts(registry: Registry, method: Integrator) -> str:
     """Its statements on itself are text and whole numbers, and so are its claims on a scene."""
     facts = answers.facts(method)
-    scene = trials(registry, method)[0]
+    scene = trials(registry, method)[0].scene
     answers.orders(method.claims(scene), "claims()")
     return f"It states its formulation, {facts.formulation}, and what it is refined by."
 
@@ -79,10 +75,10 @@ def check_options(registry: Registry, method: Integrator) -> str:
 
 def check_rows(registry: Registry, method: Integrator) -> str:
     """Rows have the right shapes, start and end exactly, and lie on the grid of steps."""
-    scenes = trials(registry, method)
-    for scene in scenes:
-        run, (t0, t_end) = measured(method, scene), (scene.interval[0], trial_end(scene))
-        k, t = len(run.t), run.t
+    tried = trials(registry, method)
+    for trial in tried:
+        run, scene = trial.measured(), trial.scene
+        k, t, (t0, t_end) = len(run.t), run.t, (scene.interval[0], trial.t_end)
         if k < 2 or t[0] != t0 or t[-1] != t_end:
             raise Failed(
                 f"Rows on {scene.spec} go from {t[:1]} to {t[-1:]} s; the first has to be at "
@@ -97,8 +93,8 @@ def check_rows(registry: Registry, method: Integrator) -> str:
                     f"{wanted}; keep the start as the first row."
                 )
         if method.controls == "step":
-            _on_the_grid(scene, t, step_count(scene))
-    return f"Rows are complete and exact in time on {names_of(scenes)}."
+            _on_the_grid(scene, t, trial.steps)
+    return f"Rows are complete and exact in time on {names_of(tried)}."
 
 
 def _on_the_grid(scene: MechatronicSystem, t: np.ndarray, count: int) -> None:
@@ -114,10 +110,10 @@ def _on_the_grid(scene: MechatronicSystem, t: np.ndarray, count: int) -> None:
 
 def check_repeats(registry: Registry, method: Integrator) -> str:
     """Two prepared runs give the same bits and the same work."""
-    scenes = trials(registry, method)
-    for scene in scenes:
-        _same_run(measured(method, scene), measured(method, scene), f"Two runs on {scene.spec}")
-    return f"Two runs are equal to the last bit on {names_of(scenes)}."
+    tried = trials(registry, method)
+    for trial in tried:
+        _same_run(trial.measured(), trial.measured(), f"Two runs on {trial.scene.spec}")
+    return f"Two runs are equal to the last bit on {names_of(tried)}."
 
 
 def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
@@ -130,26 +126,25 @@ def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
 
 def check_execute(registry: Registry, method: Integrator) -> str:
     """A timed run gives the same results as a measured one, every time."""
-    scenes, silent = trials(registry, method), []
-    for scene in scenes:
-        run = prepared(method, scene)
-        before = trajectory(run, scene, trial_end(scene))
+    tried, seen = trials(registry, method), "execute() ends alike"
+    for trial in tried:
+        run, name = trial.prepared(), trial.scene.spec
+        before = trial.trajectory(run)
         results = [run.execute(), run.execute()]
-        after = trajectory(run, scene, trial_end(scene))
-        _same_run(before, after, f"measure() before and after execute() on {scene.spec}")
+        after = trial.trajectory(run)
+        _same_run(before, after, f"measure() before and after execute() on {name}")
         for result in results:
             numbers = np.concatenate([np.zeros(0), *_numbers(result)])
             if not numbers.size:
-                silent = [scene]
+                seen = "execute() returns no numbers to compare"
                 continue
             for value in np.concatenate([before.q[-1], before.v[-1]]):
                 if np.abs(numbers - value).min() > 1e-6 * max(1.0, abs(value)):
                     raise Failed(
-                        f"measure() on {scene.spec} ends with {value:.9g}, but execute() does not "
+                        f"measure() on {name} ends with {value:.9g}, but execute() does not "
                         f"return this value; both have to do the same solve."
                     )
-    seen = "execute() returns no numbers to compare" if silent else "execute() ends alike"
-    return f"measure() is unchanged by execute(), and {seen}, on {names_of(scenes)}."
+    return f"measure() is unchanged by execute(), and {seen}, on {names_of(tried)}."
 
 
 def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
@@ -168,77 +163,133 @@ def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
 
 def check_work(registry: Registry, method: Integrator) -> str:
     """Work is counted, grows with the number of steps, and is that of the compiled steps."""
-    scenes = trials(registry, method)
+    tried = trials(registry, method)
     pair = (1.0, 2.0) if method.controls == "step" else (0.01, 1.0)
-    for scene in scenes:
-        coarse, fine = (measured(method, scene, factor).work for factor in pair)
-        run = prepared(method, scene)
-        answers.bill(run.bill(trajectory(run, scene, trial_end(scene))), PARTS)
+    for trial in tried:
+        coarse, fine = (trial.measured(factor).work for factor in pair)
+        run, name = trial.prepared(), trial.scene.spec
+        answers.bill(run.bill(trial.trajectory(run)), PARTS)
         # A library may tell of Newton's iterations alone.
         told = "residuals" if coarse.residuals is not None or coarse.newton is None else "newton"
-        for name in ("steps", told):
-            few, many = getattr(coarse, name), getattr(fine, name)
+        for count in ("steps", told):
+            few, many = getattr(coarse, count), getattr(fine, count)
             if few is None or many is None or not 0 < few < many:
                 raise Failed(
-                    f"{name} on {scene.spec}: {few} at {words(method, scene, pair[0])}, "
-                    f"{many} at {words(method, scene, pair[1])}; count {name} where they happen."
+                    f"{count} on {name}: {few} at {trial.words(pair[0])}, {many} at "
+                    f"{trial.words(pair[1])}; count {count} where they happen."
                 )
-        if method.controls == "step" and coarse.steps != step_count(scene):
+        if method.controls == "step" and coarse.steps != trial.steps:
             raise Failed(
-                f"{coarse.steps} steps are counted on {scene.spec}, {step_count(scene)} were "
-                f"asked for; count each step once."
+                f"{coarse.steps} steps are counted on {name}, {trial.steps} were asked for; count "
+                f"each step once."
             )
-    audited = [scene for scene in scenes if check_counts(method, scene)]
+    audited = [trial for trial in tried if check_counts(method, trial.scene)]
     true = f"; its counts are true on {names_of(audited)}" if audited else ""
-    return f"Work is counted and grows with the steps on {names_of(scenes)}{true}."
+    return f"Work is counted and grows with the steps on {names_of(tried)}{true}."
 
 
 def check_pattern(registry: Registry, method: Integrator) -> str:
     """A step pattern is followed or refused."""
     if method.controls != "step":
         raise DoesNotApply("It chooses its steps.")
-    scene, words = trials(registry, method)[0], ",".join(f"{part:g}" for part in _PATTERN)
-    steps = Steps(scene.nominal_step, _PATTERN)
-
-    def run(steps: Steps) -> Trajectory:
-        return solved(method, scene, trial_end(scene), steps)
-
+    trial, words = trials(registry, method)[0], ",".join(f"{part:g}" for part in _PATTERN)
+    name, h = trial.scene.spec, trial.scene.nominal_step
     try:
-        varying = run(steps)
+        varying = trial.solved(Steps(h, _PATTERN))
     except SpecError as refusal:
         return f"Step patterns are refused: {refusal}"
-    if fault := ignored_pattern(varying, steps, scene.interval[0], trial_end(scene)):
-        raise Failed(f"On {scene.spec}: {fault}")
+    t0 = trial.scene.interval[0]
+    if fault := ignored_pattern(varying, Steps(h, _PATTERN), t0, trial.t_end):
+        raise Failed(f"On {name}: {fault}")
     for parts in (1, len(_PATTERN)):
-        constant = run(Steps(scene.nominal_step / parts))
-        if np.array_equal(varying.q[-1], constant.q[-1]):
+        if np.array_equal(varying.q[-1], trial.solved(Steps(h / parts)).q[-1]):
             raise Failed(
-                f"The pattern {words} on {scene.spec} ends as steps of "
-                f"{scene.nominal_step / parts:g} s do, to the last bit; follow resolution.pattern."
+                f"The pattern {words} on {name} ends as steps of {h / parts:g} s do, to the last "
+                f"bit; follow resolution.pattern."
             )
-    return f"The step pattern {words} is followed on {scene.spec}."
+    return f"The step pattern {words} is followed on {name}."
 
 
 def check_start_time(registry: Registry, method: Integrator) -> str:
     """A later start of the scene gives the same motion, later."""
-    scenes = trials(registry, method)
+    tried = trials(registry, method)
     allowed = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL
-    for scene in scenes:
-        must_take(method, moved(scene, _SHIFT), "with another start")
-        here, there = measured(method, scene), measured(method, moved(scene, _SHIFT))
+    for trial in tried:
+        later = trial.on(moved(trial.scene, _SHIFT), "with another start")
+        here, there = trial.measured(), later.measured()
         for group in ("q", "v"):
             one, two = getattr(here, group)[-1], getattr(there, group)[-1]
             difference = np.abs(one - two).max() / max(1.0, np.abs(one).max())
             if not difference <= allowed:
                 raise Failed(
-                    f"On {scene.spec} moved by {_SHIFT:g} s {group} ends {difference:.2g} away; "
-                    f"begin at scene.interval[0] and give the scene its own time."
+                    f"On {trial.scene.spec} moved by {_SHIFT:g} s {group} ends {difference:.2g} "
+                    f"away; begin at scene.interval[0] and give the scene its own time."
                 )
-    return f"The start may lie at any time on {names_of(scenes)}."
+    return f"The start may lie at any time on {names_of(tried)}."
 
 
-def _with_ends(scenes: list[MechatronicSystem]) -> list[tuple[MechatronicSystem, float]]:
-    return [(scene, trial_end(scene)) for scene in scenes]
+# ---- runs that cannot go well ------------------------------------------------------------
+def check_empty_interval(registry: Registry, method: Integrator) -> str:
+    """An interval of length zero gives one row or a clear refusal."""
+    trial = trials(registry, method)[0]
+    t0 = trial.scene.interval[0]
+    try:
+        run = trial.solved(trial.resolution(), t0)
+    except Failed:
+        raise
+    except SpecError as refused:
+        return f"An interval of length zero is refused: {refused}"
+    except Exception as error:
+        raise Failed(
+            f"An interval of length zero raises {shortly(error)} Return the start as the only "
+            f"row, or raise SpecError with a sentence."
+        ) from error
+    if run.status != "ok" or len(run.t) != 1 or run.t[0] != t0:
+        raise Failed(
+            f"An interval of length zero gives the status {run.status} and {len(run.t)} rows; "
+            f"return the start as the only row."
+        )
+    return "An interval of length zero gives the start alone."
+
+
+def check_nan(registry: Registry, method: Integrator) -> str:
+    """A force that is no longer a number ends the run with a status."""
+    trial = trials(registry, method)[0]
+    at = 0.5 * (trial.scene.interval[0] + trial.t_end)
+    wrong = trial.on(spoilt(trial.scene, at), "with another force")
+    return _ends_badly(wrong, f"A force that is NaN after t={at:g} s")
+
+
+def check_blow_up(registry: Registry, method: Integrator) -> str:
+    """A solution that ends in finite time ends the run with a status."""
+    scene = FiniteTimeBlowUp()
+    wrong = Trial(method, scene).on(scene, "whose solution blows up")
+    return _ends_badly(wrong, "A solution that is infinite at t=1 s")
+
+
+def _ends_badly(trial: Trial, what: str) -> str:
+    try:
+        # Behind the blow-up, however many steps that takes.
+        run = trial.solved(trial.resolution(), trial.scene.interval[1])
+    except Failed:
+        raise
+    except Exception as error:
+        raise Failed(
+            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
+            f"diverged, and a message that names the time."
+        ) from error
+    if run.status == "ok":
+        raise Failed(
+            f"{what} ends with the status {run.status!r}; look at the values of every step and "
+            f"end with one of {', '.join(STATUSES[1:5])}."
+        )
+    time = re.search(r"\bt ?= ?([-+.\deE]*\d)", run.message)
+    if not time or not math.isfinite(float(time[1])):
+        raise Failed(
+            f"{what} ends with {run.status} and the message {run.message!r}; name the time, as "
+            f"in 'diverged at t=0.5 s'."
+        )
+    return f"{what} ends with {run.status} at t={time[1]} s."
 
 
 CHECKS = {
@@ -254,6 +305,6 @@ CHECKS = {
     "empty interval": check_empty_interval,
     "nan": check_nan,
     "blow-up": check_blow_up,
-    "order": lambda *of: check_order(of[1], _with_ends(order_trials(*of))),
-    "tolerance": lambda *of: check_tolerance(of[1], _with_ends(trials(*of))),
+    "order": lambda *of: check_order(order_trials(*of)),
+    "tolerance": lambda *of: check_tolerance(trials(*of)),
 }

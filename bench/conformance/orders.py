@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from bench.conformance.trials import reference, solved
+from bench.conformance.trials import Trial, names_of, reference
 from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.results.orders import Fit, fit_order
 from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
 from integrators import answers
 from integrators.answers import refusal
-from integrators.contract import Integrator, Steps, Tolerances
-from problems.system import MechatronicSystem
+from integrators.contract import Steps, Tolerances
 
 #: Allowed difference of a measured order from the claimed one: 0.2, or 6 % of the claimed one if
 #: that is more. A claim is too modest if the order is larger by 0.3 more on every scene.
@@ -40,12 +39,11 @@ _FEWEST_RTOLS = 3
 #: that of a first-order method falls just so, but for a few percent.
 _FALL, _ALMOST = 0.5, 0.9
 
-Trial = tuple[MechatronicSystem, float]
 #: Steps with their errors, coarse to fine.
 Levels = list[tuple[float, float]]
 
 
-def check_order(method: Integrator, trials: list[Trial]) -> str:
+def check_order(trials: list[Trial]) -> str:
     """The order in every group is at least the claimed one; up to 4 after the start transient.
 
     On some scene the order is larger by no more than 0.5 (from order 4 on 0.3 and 6 % of it): a
@@ -58,19 +56,19 @@ def check_order(method: Integrator, trials: list[Trial]) -> str:
     DoesNotApply
         If nothing is claimed, or steps cannot be constant.
     """
-    steady = method.at_constant_steps()
+    steady = trials[0].method.at_constant_steps()
     if steady is None:
         raise DoesNotApply("It cannot take constant steps, so that no order can be measured.")
     found, faults = [], []
     orders: dict[tuple[str, int], list[tuple[float, str]]] = {}
-    for scene, t_end in trials:
+    for scene in (trial.scene for trial in trials):
         if refusal(steady, scene):
             continue
         stated = answers.orders(steady.claims(scene), "claims()")
         claims = {g: p for g, p in stated.items() if scene.sizes.of(g)}
         if not claims:
             continue
-        levels, floors = _refine(steady, scene, t_end, claims)
+        levels, floors = _refine(Trial(steady, scene), claims)
         seen = {}
         for group, claimed in claims.items():
             by_norm, floor = levels[group], floors[group]
@@ -111,11 +109,12 @@ def _norms(claimed: int) -> tuple[str, ...]:
 
 
 def _refine(
-    method: Integrator, scene: MechatronicSystem, t_end: float, claims: dict[str, int]
+    trial: Trial, claims: dict[str, int]
 ) -> tuple[dict[str, dict[str, Levels]], dict[str, float]]:
     """Return errors by norm, at ever smaller steps until every order shows, and their floors."""
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
-    length, known = t_end - scene.interval[0], reference(scene, t_end)
+    length = trial.t_end - trial.scene.interval[0]
+    known = reference(trial.scene, trial.t_end)
     levels: dict[str, dict[str, Levels]] = {
         group: {norm: [] for norm in _norms(claimed)} for group, claimed in claims.items()
     }
@@ -123,7 +122,7 @@ def _refine(
     while True:
         steps = round(count)
         count *= ratio
-        run = solved(method, scene, t_end, Steps(length / steps))
+        run = trial.solved(Steps(length / steps))
         trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
         if not trouble:  # coarse steps may be too coarse
             errors, own, *_ = relative_errors(run, known)
@@ -138,7 +137,8 @@ def _refine(
         if count > _MOST:
             break
     if trouble:
-        raise Failed(f"On {scene.spec} at h={length / steps:.2g} s it ends with {trouble}")
+        h = f"h={length / steps:.2g} s"
+        raise Failed(f"On {trial.scene.spec} at {h} it ends with {trouble}")
     return levels, floors
 
 
@@ -179,7 +179,7 @@ def _in_words(fit: Fit, levels: Levels) -> str:
     return f"shows none (errors {shown})"
 
 
-def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
+def check_tolerance(trials: list[Trial]) -> str:
     """Errors in q and v fall with the tolerance, by a factor of 100 from 1e-4 to 1e-8.
 
     Where a method's own budget ends before 1e-8, they fall by as much less.
@@ -191,20 +191,21 @@ def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
     DoesNotApply
         If the method has fixed steps.
     """
-    if method.controls != "tolerance":
+    if trials[0].method.controls != "tolerance":
         raise DoesNotApply("It has fixed steps.")
-    for scene, t_end in trials:
+    for trial in trials:
+        scene = trial.scene
         errors: dict[str, list[float]] = {"q": [], "v": []}
         done: list[float] = []
         for rtol in _RTOLS:
-            run = solved(method, scene, t_end, Tolerances(rtol))
+            run = trial.solved(Tolerances(rtol))
             if run.status == "budget_exceeded" and len(done) >= _FEWEST_RTOLS:
                 break
             if run.status != "ok":
                 raise Failed(
                     f"On {scene.spec} at rtol={rtol:g} it ends with {run.status}: {run.message}"
                 )
-            measured, *_ = relative_errors(run, reference(scene, t_end))
+            measured, *_ = relative_errors(run, reference(scene, trial.t_end))
             done.append(rtol)
             for group, values in errors.items():
                 values.append(measured[group]["max"] or 0.0)
@@ -219,4 +220,4 @@ def check_tolerance(method: Integrator, trials: list[Trial]) -> str:
                     f"{done[-1]:g}; they have to fall steadily, by {wanted:.0f} at least: let "
                     f"rtol and atol control the error of q and v."
                 )
-    return f"Errors fall with the tolerance on {', '.join(scene.spec for scene, _ in trials)}."
+    return f"Errors fall with the tolerance on {names_of(trials)}."

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -111,8 +111,93 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
 
 
 # ---- trial runs -----------------------------------------------------------------------
-def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
-    """Return the trial scenes that a method takes, or the first other scene that it takes.
+@dataclass(frozen=True)
+class Trial:
+    """Runs of a method on a scene over `TRIAL_STEPS` nominal steps, or as long as the scene lasts.
+
+    Its step or tolerance is made finer by a factor ``finer``.
+    """
+
+    method: Integrator
+    scene: MechatronicSystem
+
+    @property
+    def t_end(self) -> float:
+        """End time in s."""
+        t0, t_end = self.scene.interval
+        return min(t_end, t0 + TRIAL_STEPS * self.scene.nominal_step)
+
+    @property
+    def steps(self) -> int:
+        """Number of fixed steps."""
+        return Steps(self.scene.nominal_step).count(self.scene.interval[0], self.t_end)
+
+    def resolution(self, finer: float = 1.0) -> Steps | Tolerances:
+        """Return the step or tolerances of a run."""
+        if self.method.controls == "step":
+            return Steps(self.scene.nominal_step / finer)
+        return Tolerances(TRIAL_RTOL / finer)
+
+    def words(self, finer: float = 1.0) -> str:
+        """Return the resolution of a run in words."""
+        refined = self.resolution(finer)
+        return f"h={refined.h:g} s" if isinstance(refined, Steps) else f"rtol={refined.rtol:g}"
+
+    def prepared(self) -> PreparedRun:
+        """Prepare a run."""
+        return answers.prepared(self.method.prepare(self.scene, self.t_end, self.resolution()))
+
+    def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
+        """Measure a run up to t_end in s.
+
+        Raises
+        ------
+        Failed
+            If it does not give a trajectory.
+        """
+        end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
+        try:
+            return answers.trajectory(run.measure(), self.scene.sizes, t0, end)
+        except FalseAnswer as fault:
+            raise Failed(f"On {self.scene.spec}: {fault}") from fault
+
+    def solved(self, refined: Steps | Tolerances, t_end: float | None = None) -> Trajectory:
+        """Prepare and measure a run up to t_end in s; see `trajectory`."""
+        end = self.t_end if t_end is None else t_end
+        run = answers.prepared(self.method.prepare(self.scene, end, refined))
+        return self.trajectory(run, end)
+
+    def measured(self, finer: float = 1.0) -> Trajectory:
+        """Measure a run that has to succeed.
+
+        Raises
+        ------
+        Failed
+            If it does not.
+        """
+        run = self.solved(self.resolution(finer))
+        if run.status != "ok":
+            raise Failed(
+                f"On {self.scene.spec} at {self.words(finer)} it ends with {run.status}: "
+                f"{run.message}; a smooth scene at this resolution has to go well."
+            )
+        return run
+
+    def on(self, scene: MechatronicSystem, what: str) -> Trial:
+        """Return the trial on a changed scene.
+
+        Raises
+        ------
+        DoesNotApply
+            If the method does not take this scene ``what``, a clause.
+        """
+        if reason := refusal(self.method, scene):
+            raise DoesNotApply(f"It does not take a scene {what}: {reason}")
+        return Trial(self.method, scene)
+
+
+def trials(registry: Registry, method: Integrator) -> list[Trial]:
+    """Return trials on the trial scenes that a method takes, or on the first other scene.
 
     Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance".
 
@@ -121,14 +206,26 @@ def trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
     DoesNotApply
         If it takes no scene at all.
     """
-    tried = [ForcedOscillator(), *_tagged(registry, TAG)]
-    taken = [scene for scene in tried if refusal(method, scene) is None]
-    every = map(registry.problem, _classes(registry))
-    others = (scene for scene in every if refusal(method, scene) is None)
-    taken = taken or list(islice(others, 1))
-    if not taken:
+    tried = _taken(method, [ForcedOscillator(), *_tagged(registry, TAG)])
+    tried = tried or _taken(method, map(registry.problem, _classes(registry)))[:1]
+    if not tried:
         raise DoesNotApply("It takes no scene.")
-    return taken
+    return tried
+
+
+def order_trials(registry: Registry, method: Integrator) -> list[Trial]:
+    """Return trials on the trial scenes that a method takes, and on those with the tag "orders".
+
+    Raises
+    ------
+    DoesNotApply
+        If it takes no scene at all.
+    """
+    return trials(registry, method) + _taken(method, _tagged(registry, ORDERS_TAG))
+
+
+def _taken(method: Integrator, scenes: Iterable[MechatronicSystem]) -> list[Trial]:
+    return [Trial(method, scene) for scene in scenes if refusal(method, scene) is None]
 
 
 def _classes(registry: Registry) -> dict[str, type]:
@@ -147,102 +244,6 @@ def _tags(cls: type) -> tuple[str, ...]:
         return ()
 
 
-def order_trials(registry: Registry, method: Integrator) -> list[MechatronicSystem]:
-    """Return the trial scenes that a method takes, and those with the tag "orders".
-
-    Raises
-    ------
-    DoesNotApply
-        If it takes no scene at all.
-    """
-    more = _tagged(registry, ORDERS_TAG)
-    return trials(registry, method) + [scene for scene in more if refusal(method, scene) is None]
-
-
-def must_take(method: Integrator, scene: MechatronicSystem, what: str) -> None:
-    """Go on with a changed scene only if the method takes it.
-
-    Raises
-    ------
-    DoesNotApply
-        If it does not take this scene ``what``, a clause.
-    """
-    if reason := refusal(method, scene):
-        raise DoesNotApply(f"It does not take a scene {what}: {reason}")
-
-
-def trial_end(scene: MechatronicSystem) -> float:
-    """Return the end time of a trial run, in s."""
-    t0, t_end = scene.interval
-    return min(t_end, t0 + TRIAL_STEPS * scene.nominal_step)
-
-
-def resolution(
-    method: Integrator, scene: MechatronicSystem, finer: float = 1.0
-) -> Steps | Tolerances:
-    """Return the step or tolerances of a trial run, ``finer`` by a factor."""
-    if method.controls == "step":
-        return Steps(scene.nominal_step / finer)
-    return Tolerances(TRIAL_RTOL / finer)
-
-
-def prepared(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> PreparedRun:
-    """Prepare a trial run."""
-    refined = resolution(method, scene, finer)
-    return answers.prepared(method.prepare(scene, trial_end(scene), refined))
-
-
-def trajectory(run: PreparedRun, scene: MechatronicSystem, t_end: float) -> Trajectory:
-    """Measure a run up to t_end in s.
-
-    Raises
-    ------
-    Failed
-        If it does not give a trajectory.
-    """
-    try:
-        return answers.trajectory(run.measure(), scene.sizes, scene.interval[0], t_end)
-    except FalseAnswer as fault:
-        raise Failed(f"On {scene.spec}: {fault}") from fault
-
-
-def solved(
-    method: Integrator, scene: MechatronicSystem, t_end: float, refined: Steps | Tolerances
-) -> Trajectory:
-    """Prepare and measure a run up to t_end in s; see `trajectory`."""
-    return trajectory(answers.prepared(method.prepare(scene, t_end, refined)), scene, t_end)
-
-
-def measured(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> Trajectory:
-    """Measure a trial run that has to succeed.
-
-    Raises
-    ------
-    Failed
-        If it does not.
-    """
-    run = solved(method, scene, trial_end(scene), resolution(method, scene, finer))
-    if run.status != "ok":
-        raise Failed(
-            f"On {scene.spec} at {words(method, scene, finer)} it ends with {run.status}: "
-            f"{run.message}; a smooth scene at this resolution has to go well."
-        )
-    return run
-
-
-def words(method: Integrator, scene: MechatronicSystem, finer: float = 1.0) -> str:
-    """Return the resolution of a trial run in words."""
-    refined = resolution(method, scene, finer)
-    if isinstance(refined, Steps):
-        return f"h={refined.h:g} s"
-    return f"rtol={refined.rtol:g}"
-
-
-def names_of(scenes: list[MechatronicSystem]) -> str:
-    """Return the names of scenes for a sentence."""
-    return ", ".join(scene.spec for scene in scenes)
-
-
-def step_count(scene: MechatronicSystem) -> int:
-    """Return the number of fixed steps in a trial run."""
-    return Steps(scene.nominal_step).count(scene.interval[0], trial_end(scene))
+def names_of(tried: list[Trial]) -> str:
+    """Return the names of the scenes of trials for a sentence."""
+    return ", ".join(trial.scene.spec for trial in tried)
