@@ -10,54 +10,77 @@ from bench.results.records import NOT_TRIED
 from problems.spec import SpecError, suggest
 from reports.formatting import cost_text, number, times
 from reports.questions.answers import Answer, SceneAnswer, answer
-from reports.questions.phrases import Part, Sentence, listed, plain
+from reports.questions.phrases import Sentence, listed, plain
 from reports.questions.question import FIRST, Question
 from reports.questions.words import Words, accuracy, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
 from reports.series import Series, error_of
 
+#: What an integrator is on a scene, in the order in which a card tells it.
+_STATES = {
+    "alone": "Cheapest alone: ",
+    "tied": "Tied for the cheapest: ",
+    "dearer": "Dearer than the cheapest: ",
+    "single": "With none to compare: ",
+    "unknown": "At a cost that is not measured: ",
+    "far": "Does not reach it: ",
+    "failed": "Fails: ",
+}
+
 
 def card(
     label: str, found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words
 ) -> list[Sentence]:
     """The sentences about one integrator; those of which there is nothing to say are left out."""
-    tried = {name: s for name, s in found.scenes.items() if label in s.entries}
     me, question = words.method(label), found.question
-    if not tried:
+    own = {name: s for name, s in found.scenes.items() if label in s.entries}
+    if not own:
         return [[me, " was tried on no scene on which this can be judged."]]
-    own = {name: s.entries[label] for name, s in tried.items()}
-    reached = {name: e for name, e in own.items() if e.reached}
-    said: list[Sentence] = [
-        [
-            me,
-            " reaches ",
-            *accuracy(question),
-            f" on {len(reached)} of {len(tried)} scene{'s' * (len(tried) > 1)} tried.",
-        ]
-    ]
-    wins = {name: s for name, s in tried.items() if s.votes and label in s.winners}
-    alone = {name: s for name, s in wins.items() if len(s.first) == 1}
-    said += _listed("Cheapest alone: ", [_win(name, s, words) for name, s in alone.items()])
-    ties: list[Sentence] = [[scene_ref(name)] for name in wins if name not in alone]
-    said += _listed("Tied for the cheapest: ", ties)
-    if not wins and any(s.votes for s in tried.values()):
+    series = {name: s for name in scenes for s in scenes[name] if s.label == label}
+    states = {name: _state(label, answer) for name, answer in own.items()}
+    entries = [s.entries[label] for s in own.values()]
+    reached = [e for e in entries if e.reached]
+    count = f" on {len(reached)} of {len(own)} scene{'s' * (len(own) > 1)} tried."
+    said: list[Sentence] = [[me, " reaches ", *accuracy(question), count]]
+    if any(s.votes for s in own.values()) and not {"alone", "tied"} & {*states.values()}:
         said.append(["Cheapest on no scene."])
-    losses = [(e.ratio or 0.0, name) for name, e in reached.items() if e.ratio and name not in wins]
-    losses = [pair for pair in losses if tried[pair[1]].votes]
-    said += _listed(
-        "Dearer than the cheapest: ",
-        [_loss(name, ratio, tried[name], words) for ratio, name in sorted(losses, reverse=True)],
-    )
-    single = [name for name, e in reached.items() if e.ratio and not tried[name].votes]
-    said += _listed("With none to compare: ", [[scene_ref(name)] for name in single])
-    unknown = [name for name, e in own.items() if e.state == "unknown"]
-    said += _listed("At a cost that is not measured: ", [[scene_ref(name)] for name in unknown])
-    missed = [name for name, e in own.items() if e.state == "far"]
-    said += _listed("Does not reach it: ", [_missed(k, label, scenes[k], question) for k in missed])
-    failed = [name for name, e in own.items() if e.state == "failed"]
-    said += _listed("Fails: ", [_failed(name, label, scenes[name]) for name in failed])
-    return [*said, *_ends(label, scenes), *_costs(reached, question)]
+    for state, head in _STATES.items():
+        names = [name for name in own if states[name] == state]
+        if state == "dearer":  # the dearest first
+            names.sort(key=lambda name: own[name].entries[label].ratio or 0.0, reverse=True)
+        where = [
+            [scene_ref(k), *_detail(state, label, own[k], series[k], question, words)]
+            for k in names
+        ]
+        said += [[head, *listed(where), "."]] if where else []
+    return [*said, *_endings(series), *_costs(reached, question)]
+
+
+def _state(label: str, answer: SceneAnswer) -> str:
+    entry = answer.entries[label]
+    if entry.ratio is None:
+        return str(entry.state)
+    if not answer.votes:
+        return "single"
+    if label not in answer.winners:
+        return "dearer"
+    return "alone" if len(answer.first) == 1 else "tied"
+
+
+def _detail(
+    state: str, label: str, answer: SceneAnswer, own: Series, question: Question, words: Words
+) -> Sentence:
+    """What stands in brackets behind a scene."""
+    if state == "alone" and (second := answer.second):
+        return [" (next: ", words.method(second.label), f", {times(second.ratio)})"]
+    if state == "dearer":
+        first = words.methods((s.label for s in answer.first), most=1)
+        return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]
+    if state == "far":
+        errors = [e for r in own.ok if (e := error_of(r, question.group, NORM)) is not None]
+        return [f" (smallest error: {number(min(errors))})"] if errors else []
+    return [f" ({own.statuses.replace('_', ' ')})"] if state == "failed" else []
 
 
 def method_card(folder: Path, integrator: str) -> list[str]:
@@ -80,42 +103,9 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     return [plain(sentence) for k in chosen for sentence in card(k, found, scenes, words)]
 
 
-def _listed(head: str, items: Sequence[Sentence]) -> list[Sentence]:
-    return [[head, *listed(items), "."]] if items else []
-
-
-def _win(name: str, scene: SceneAnswer, words: Words) -> Sentence:
-    second = scene.second
-    if not second:
-        return [scene_ref(name)]
-    return [scene_ref(name), " (next: ", words.method(second.label), f", {times(second.ratio)})"]
-
-
-def _loss(name: str, ratio: float, scene: SceneAnswer, words: Words) -> Sentence:
-    first = words.methods((s.label for s in scene.first), most=1)
-    return [scene_ref(name), f" ({times(ratio)} the cost of ", *first, ")"]
-
-
-def _missed(name: str, label: str, series: Sequence[Series], question: Question) -> Sentence:
-    errors = [error_of(r, question.group, NORM) for s in series if s.label == label for r in s.ok]
-    known = [e for e in errors if e is not None]
-    part: list[Part] = [f" (smallest error: {number(min(known))})"] if known else []
-    return [scene_ref(name), *part]
-
-
-def _failed(name: str, label: str, series: Sequence[Series]) -> Sentence:
-    ends = (s.statuses.replace("_", " ") for s in series if s.label == label)
-    return [scene_ref(name), *(f" ({end})" for end in ends)]
-
-
-def _ends(label: str, scenes: Mapping[str, Sequence[Series]]) -> list[Sentence]:
+def _endings(series: Mapping[str, Series]) -> list[Sentence]:
     """How many of all its runs failed, and where most of them."""
-    runs = {
-        name: [
-            r for s in series if s.label == label for r in s.records if r.status not in NOT_TRIED
-        ]
-        for name, series in scenes.items()
-    }
+    runs = {k: [r for r in s.records if r.status not in NOT_TRIED] for k, s in series.items()}
     failed = {name: sum(r.status != "ok" for r in own) for name, own in runs.items()}
     count, tried = sum(failed.values()), sum(map(len, runs.values()))
     if not count:
@@ -125,8 +115,8 @@ def _ends(label: str, scenes: Mapping[str, Sequence[Series]]) -> list[Sentence]:
     return [[f"{count} of its {tried} runs failed: ", *where, "."]]
 
 
-def _costs(reached: Mapping[str, RankEntry], question: Question) -> list[Sentence]:
-    values = sorted(e.value for e in reached.values() if e.value is not None)
+def _costs(reached: Sequence[RankEntry], question: Question) -> list[Sentence]:
+    values = sorted(e.value for e in reached if e.value is not None)
     if not values:
         return []
     ends = dict.fromkeys(cost_text(v, question.cost) for v in (values[0], values[-1]))
