@@ -9,7 +9,7 @@ import numpy as np
 
 from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
 from integrators.adapters.ode import ODEMethod, given_ode
-from integrators.adapters.sundials_native import NativeCVODE, NativeSolver
+from integrators.adapters.sundials_native import NativeCVODE
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Tolerances, option
 from integrators.operations import dense
@@ -63,23 +63,20 @@ class CVODE(LibrarySolver, ODEMethod):
 
 
 class _CVODERun(SundialsRun):
-    keeps_no_jacobian = False
+    native = NativeCVODE
 
     def __init__(
         self, method: CVODE, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
-        given, self._formulas = given_ode(scene, method.baumgarte(scene)), method.method
-        highest = _BDF_ORDER if self._formulas == "bdf" else method.max_order
+        given = given_ode(scene, method.baumgarte(scene))
+        highest = _BDF_ORDER if method.method == "bdf" else method.max_order
         options = {
+            "method": method.method,
             "max_order": min(method.max_order, highest),
             "rtol": resolution.rtol,
             "atol": np.full(given.size, resolution.atol),
         }
         super().__init__(method, given, t_end, dense(given.size), options)
-
-    def _native_solver(self) -> NativeSolver:
-        limit = self._method.max_calls
-        return NativeCVODE(self.given, self._t_end, self.options, limit, method=self._formulas)
 
     def _python_solver(self, equations: CountedEquations) -> Any:
         from sksundae import cvode
@@ -90,4 +87,4 @@ class _CVODERun(SundialsRun):
         def jacobian(t: float, s: np.ndarray, value: np.ndarray, jac: np.ndarray) -> None:
             jac.T[:] = equations.jacobian(t, s)
 
-        return cvode.CVODE(rate, method=self._formulas, jacfn=jacobian, **self.options)
+        return cvode.CVODE(rate, jacfn=jacobian, **self.options)

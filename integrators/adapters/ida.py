@@ -9,7 +9,7 @@ import numpy as np
 
 from integrators.adapters import dae
 from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
-from integrators.adapters.sundials_native import NativeIDA, NativeSolver
+from integrators.adapters.sundials_native import NativeIDA
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Tolerances, Work, option
 from integrators.operations import dense, sparse
@@ -90,16 +90,15 @@ class IDA(LibrarySolver):
 
 
 class _IDARun(SundialsRun):
-    keeps_no_jacobian = True
+    native, keeps_no_jacobian = NativeIDA, True
 
     def __init__(
         self, method: IDA, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> None:
         key = scene.template(), method.formulation
         self.layout = dae_layout(scene.sizes, method.formulation)
-        self._suppresses = method.suppress_algebraic
         # With IDA's own switch, tolerances are for Newton's method alone.
-        tested = method.multipliers_in_error_test or self._suppresses
+        tested = method.multipliers_in_error_test or method.suppress_algebraic
         atol = dae.absolute_tolerances(scene.sizes, key[1], resolution.atol, tested)
         options = {"max_order": method.max_order, "rtol": resolution.rtol, "atol": atol}
         n = self.layout.size
@@ -113,22 +112,13 @@ class _IDARun(SundialsRun):
             given = dae.given_dae(scene, key[1], jacobian, rows, starts)
         else:
             algebra, given = dense(n), dae.given_dae(scene, key[1], dae.packed_jacobian(*key))
-        super().__init__(method, given, t_end, algebra, options)
-        if self._suppresses and self.why:
-            raise SpecError(f"suppress_algebraic needs compiled equations, but {self.why}.")
-
-    def _native_solver(self) -> NativeSolver:
-        differential = np.zeros(self.layout.size)
+        differential = np.zeros(n)
         for part in (self.layout.q, self.layout.v, self.layout.x):
             differential[part] = 1.0
-        return NativeIDA(
-            self.given,
-            self._t_end,
-            self.options,
-            self._method.max_calls,
-            differential=differential,
-            suppress_algebraic=self._suppresses,
-        )
+        more = {"differential": differential, "suppress_algebraic": method.suppress_algebraic}
+        super().__init__(method, given, t_end, algebra, options, **more)
+        if method.suppress_algebraic and self.why:
+            raise SpecError(f"suppress_algebraic needs compiled equations, but {self.why}.")
 
     def _python_solver(self, equations: CountedEquations) -> Any:
         from sksundae import ida

@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -274,21 +274,6 @@ class CountedEquations:
         )
 
 
-class Solver(Protocol):
-    """A solver at the start of a run. Its methods raise `EarlyEnd` where it ends there."""
-
-    def whole(self) -> Any:
-        """Solve to the end."""
-
-    def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
-        """Take one step of the solver's own; return time and unknowns, an array of their own."""
-        ...
-
-    def work(self, steps: int) -> Work:
-        """Return the counts of so many steps."""
-        ...
-
-
 class LibraryRun(PreparedRun):
     """A run of a solver of another library.
 
@@ -324,10 +309,12 @@ class LibraryRun(PreparedRun):
         """Raise NotLowered if the library takes no functions in C."""
 
     @abstractmethod
-    def _solver(self, counts: bool) -> contextlib.AbstractContextManager[Solver]:
+    def _solver(self, counts: bool) -> contextlib.AbstractContextManager[Any]:
         """A new solver at the start of the run, as a used one keeps counters and history.
 
-        ``counts`` tells whether counts that cost time are wanted.
+        Its methods are ``whole()``, which solves to the end, ``step()``, which returns time and
+        unknowns after one step of its own, and ``work(steps)``; they raise `EarlyEnd` where the run
+        ends. ``counts`` tells whether counts that cost time are wanted.
         """
 
     def execute(self) -> Any:

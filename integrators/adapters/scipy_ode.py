@@ -17,7 +17,6 @@ from integrators.adapters.library_runs import (
     GivenEquations,
     LibraryRun,
     LibrarySolver,
-    Solver,
     callbacks_option,
 )
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
@@ -110,7 +109,7 @@ class ScipyRun(LibraryRun):
         """Change the solver's state at the end of an accepted step."""
 
     @contextlib.contextmanager
-    def _solver(self, counts: bool) -> Iterator[Solver]:
+    def _solver(self, counts: bool) -> Iterator[_ScipySolver]:
         equations = self.counted_equations()
         if counts:
             self._measured = equations

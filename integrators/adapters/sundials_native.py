@@ -174,7 +174,7 @@ class NativeSolver(ABC):
         unknowns = it.N_VGetArrayPointer(self._state[0])
         self._values = np.ctypeslib.as_array(unknowns, vectors[0].shape)
         matrix, solver = self._linear_algebra(len(vectors[0]))
-        self._memory.value = _made(f"{self._name}Create", self._create())
+        self._memory.value = _made(f"{self._name}Create", self._create(options))
         self._memories.callback(lambda: getattr(it, f"{self._name}Free")(byref(self._memory)))
         functions = load(_CALLED)
         self._run = self._described(max_calls)
@@ -211,7 +211,7 @@ class NativeSolver(ABC):
         )
 
     @abstractmethod
-    def _create(self) -> int:
+    def _create(self, options: dict[str, Any]) -> int:
         """New memory of the solver."""
 
     @abstractmethod
@@ -314,30 +314,18 @@ def _made(name: str, address: int | None) -> int:
 class NativeIDA(NativeSolver):
     """IDA at the start of a run.
 
-    Parameters
-    ----------
-    given
-        Those of `NativeSolver`.
-    differential
-        1 for unknowns whose derivatives are in the equations, else 0.
-    suppress_algebraic
-        Whether the error test leaves the others out.
+    Further options are ``differential``, 1 for unknowns whose derivatives are in the equations and
+    else 0, and ``suppress_algebraic``: whether the error test leaves the others out.
     """
 
     _name, _calls = "IDA", "ResEvals"
 
-    def __init__(
-        self, *given: Any, differential: Float[np.ndarray, " n"], suppress_algebraic: bool
-    ) -> None:
-        self._differential, self._suppressed = differential, int(suppress_algebraic)
-        super().__init__(*given)
-
     def _set_up(self, options: dict[str, Any], max_calls: int) -> None:
         super()._set_up(options, max_calls)
-        self._do("SetId", self._vector(self._differential))
-        self._do("SetSuppressAlg", self._suppressed)
+        self._do("SetId", self._vector(options["differential"]))
+        self._do("SetSuppressAlg", int(options["suppress_algebraic"]))
 
-    def _create(self) -> int:
+    def _create(self, options: dict[str, Any]) -> int:
         return self._library.IDACreate(self._context)
 
     def _go_on(self, task: int) -> int:
@@ -346,17 +334,13 @@ class NativeIDA(NativeSolver):
 
 
 class NativeCVODE(NativeSolver):
-    """CVODE at the start of a run, with the formulas of ``method``: adams or bdf."""
+    """CVODE at the start of a run, with the formulas of the option ``method``: adams or bdf."""
 
     _name, _calls = "CVode", "RhsEvals"
-    _FORMULAS: ClassVar = {"adams": 1, "bdf": 2}
 
-    def __init__(self, *given: Any, method: str) -> None:
-        self._method = self._FORMULAS[method]
-        super().__init__(*given)
-
-    def _create(self) -> int:
-        return self._library.CVodeCreate(self._method, self._context)
+    def _create(self, options: dict[str, Any]) -> int:
+        formulas = {"adams": 1, "bdf": 2}[options["method"]]
+        return self._library.CVodeCreate(formulas, self._context)
 
     def _go_on(self, task: int) -> int:
         (s,) = self._state

@@ -18,7 +18,6 @@ from integrators.adapters.library_runs import (
     GivenEquations,
     LibraryRun,
     LibrarySolver,
-    Solver,
 )
 from integrators.adapters.sundials import check_step, library
 from integrators.adapters.sundials_native import NativeSolver
@@ -39,10 +38,13 @@ class SundialsRun(LibraryRun):
     ----------
     options
         Those of scikit-sundae's solver.
+    more
+        Further options of the library's own solver.
     """
 
-    #: Whether the solver factorises each Jacobian once.
-    keeps_no_jacobian: ClassVar[bool]
+    #: The library's own solver, and whether it factorises each Jacobian once.
+    native: ClassVar[type[NativeSolver]]
+    keeps_no_jacobian: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -51,13 +53,10 @@ class SundialsRun(LibraryRun):
         t_end: float,
         algebra: Algebra,
         options: dict[str, Any],
+        **more: Any,
     ) -> None:
-        self.options = {**options, "max_num_steps": _NO_LIMIT}
+        self.options, self._more = {**options, "max_num_steps": _NO_LIMIT}, more
         super().__init__(method, given, t_end, algebra)
-
-    @abstractmethod
-    def _native_solver(self) -> NativeSolver:
-        """A new solver of the library."""
 
     @abstractmethod
     def _python_solver(self, equations: CountedEquations) -> Any:
@@ -67,13 +66,15 @@ class SundialsRun(LibraryRun):
         library()
 
     @contextlib.contextmanager
-    def _solver(self, counts: bool) -> Iterator[Solver]:
+    def _solver(self, counts: bool) -> Iterator[Any]:
+        limit = self._method.max_calls
         if not self.why:
-            with contextlib.closing(self._native_solver()) as solver:
+            options = self.options | self._more
+            solver = self.native(self.given, self._t_end, options, limit)
+            with contextlib.closing(solver):
                 yield solver
             return
         # After a NaN IDA would repeat the step without end.
-        limit = self._method.max_calls
         equations = CountedEquations(*self.functions, limit, ends_at_not_finite=True)
         # SUNDIALS writes its warnings to standard output; the status says the same.
         with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
