@@ -11,7 +11,6 @@ from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
 from integrators.adapters.counting import run_counted
-from integrators.adapters.diffrax_adaptive import adaptive_programs
 from integrators.adapters.diffrax_constant import DiffraxStepMethod
 from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
@@ -24,6 +23,7 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
+from integrators.adapters.diffrax_runs import adaptive_programs
 from integrators.native import constant_steps
 from problems import MechatronicSystem, jnp
 from problems.scenes.pendulum import Pendulum

@@ -14,7 +14,7 @@ import pytest
 
 from bench.running.progress import Progress
 from integrators import Integrator, Steps, Tolerances
-from integrators.adapters import diffrax_adaptive, packed_functions
+from integrators.adapters import diffrax_runs, packed_functions
 from integrators.adapters.diffrax_methods import ImplicitEuler
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import BDF
@@ -199,8 +199,8 @@ def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
     tried = (
         *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
-        *(packed_functions.memory_is_shared, diffrax_adaptive._traced_once, klu.works),
-        *(diffrax_adaptive.adaptive_programs, sparsity._asdex),
+        *(packed_functions.memory_is_shared, diffrax_runs._traced_once, klu.works),
+        *(diffrax_runs.adaptive_programs, sparsity._asdex),
     )
     for remembered in tried:
         remembered.cache_clear()
@@ -333,7 +333,7 @@ def test_a_solver_of_diffrax_that_takes_no_step_of_ours_keeps_its_own(monkeypatc
             raise TypeError("sealed")
         return type(kind)
 
-    monkeypatch.setattr(diffrax_adaptive, "type", sealed, raising=False)
+    monkeypatch.setattr(diffrax_runs, "type", sealed, raising=False)
     assert solved(ImplicitEuler(), Tolerances(1e-2)).status == "ok"
     assert "they take no step of ours (sealed)" in caplog.text
     assert logging.getLogger("problems.runtime").isEnabledFor(logging.WARNING)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from integrators.adapters.diffrax_adaptive import DiffraxAdaptiveRun
 from integrators.adapters.diffrax_constant import DiffraxConstantRun, DiffraxStepMethod
-from integrators.adapters.diffrax_runs import DiffraxScheme
+from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme
 from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod

@@ -10,8 +10,8 @@ import pytest
 from helpers import errors_at, long, slope
 
 from integrators import Integrator, Tolerances, Trajectory
-from integrators.adapters.diffrax_adaptive import adaptive_programs
 from integrators.adapters.diffrax_methods import Dopri8, Kvaerno3
+from integrators.adapters.diffrax_runs import adaptive_programs
 from integrators.adapters.scipy_ode import BDF, Radau
 from problems import jax, jnp
 from problems.formulations import constraint_velocity
