@@ -5,7 +5,7 @@ Either way eliminates with pivots: that of a column is its largest entry, as in 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -59,9 +59,8 @@ def _called(
 ) -> Int[np.ndarray, "n m"]:
     """Solve A X = B by a function of C."""
     given = (*matrix.ravel().tolist(), *right.ravel().tolist())
-    return np.array(graph.left_by(Solve(*right.shape), given, "f" * right.size)).reshape(
-        right.shape
-    )
+    left = graph.left_by(Solve(*right.shape), given, "f" * right.size)
+    return np.array(left, int).reshape(right.shape)
 
 
 def _eliminated(
@@ -72,38 +71,34 @@ def _eliminated(
     The rows that compete for a place change places where a comparison says so. Entries that are
     known to be zero take part in nothing.
     """
-    rows, (n, m) = np.hstack([matrix, right]).tolist(), right.shape
+    rows, n = np.hstack([matrix, right]), len(matrix)
+
+    def without(row: np.ndarray, factor: Any, other: np.ndarray) -> np.ndarray:
+        return graph.each("subtract", row, graph.each("multiply", factor, other))
+
     for k in range(n):
         for i in range(k + 1, n):
             _bring_up_the_larger(graph, rows, k, i)
         for i in range(k + 1, n):
-            if rows[i][k] in graph.zeros:
-                continue
-            factor = graph.apply("divide", rows[i][k], rows[k][k])
-            for j in range(k + 1, n + m):
-                product = graph.apply("multiply", factor, rows[k][j])
-                rows[i][j] = graph.apply("subtract", rows[i][j], product)
-    x = np.empty((n, m), int)
+            if rows[i, k] not in graph.zeros:
+                factor = graph.each("divide", rows[i, k], rows[k, k])
+                rows[i, k + 1 :] = without(rows[i, k + 1 :], factor, rows[k, k + 1 :])
+    x = rows[:, n:]
     for k in reversed(range(n)):
-        for column in range(m):
-            left = rows[k][n + column]
-            for j in range(k + 1, n):
-                product = graph.apply("multiply", rows[k][j], int(x[j, column]))
-                left = graph.apply("subtract", left, product)
-            x[k, column] = graph.apply("divide", left, rows[k][k])
+        for j in range(k + 1, n):
+            x[k] = without(x[k], rows[k, j], x[j])
+        x[k] = graph.each("divide", x[k], rows[k, k])
     return x
 
 
-def _bring_up_the_larger(graph: Graph, rows: list[list[int]], k: int, i: int) -> None:
+def _bring_up_the_larger(graph: Graph, rows: Int[np.ndarray, "n m"], k: int, i: int) -> None:
     """Exchange rows k and i from column k on if the entry of row i there is larger."""
-    if rows[i][k] in graph.zeros:
+    upper, lower = rows[k, k:].copy(), rows[i, k:].copy()
+    if lower[0] in graph.zeros:
         return
-    if rows[k][k] in graph.zeros:
-        rows[k], rows[i] = rows[i], rows[k]
+    if upper[0] in graph.zeros:
+        rows[k, k:], rows[i, k:] = lower, upper
         return
-    sizes = (graph.apply("abs", rows[at][k]) for at in (i, k))
-    exchanged = graph.apply("GT", *sizes)
-    for j in range(k, len(rows[k])):
-        upper, lower = rows[k][j], rows[i][j]
-        rows[k][j] = graph.apply("select", exchanged, lower, upper)
-        rows[i][j] = graph.apply("select", exchanged, upper, lower)
+    exchanged = graph.each("GT", graph.each("abs", lower[0]), graph.each("abs", upper[0]))
+    rows[k, k:] = graph.each("select", exchanged, lower, upper)
+    rows[i, k:] = graph.each("select", exchanged, upper, lower)

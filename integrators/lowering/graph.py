@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -121,9 +120,12 @@ class Graph:
             known = self._known[key] = self._simplest(operator, given, key)
         return known
 
-    def any(self, nodes: Iterable[int]) -> int:
-        """The node that is true if one of the nodes is."""
-        return reduce(lambda a, b: self.apply("or", a, b), nodes)
+    def each(self, operator: str, *given: Any) -> np.ndarray:
+        """The nodes of an operation on arrays of nodes of equal shapes, or scalars."""
+        arrays = np.broadcast_arrays(*given)
+        rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
+        nodes = [self.apply(operator, *row) for row in rows]
+        return np.array(nodes, int).reshape(arrays[0].shape)
 
     def needed(self, results: Iterable[int]) -> list[int]:
         """The operations that the results need; each stands shortly before its first use.

@@ -11,7 +11,6 @@ are counters, true and false, spoils only the results that need it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from integrators.lowering.graph import Graph, Loop, NotLowered, Program
 from integrators.lowering.known import on_numbers
 from integrators.lowering.moves import INDICES, MOVES
 from integrators.lowering.operators import OPERATORS, operator
-from integrators.lowering.rules import RULES, entrywise
+from integrators.lowering.rules import RULES
 from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
 
@@ -135,7 +134,7 @@ class _Follower(Follower[_Value]):
             raise NotLowered
         by = operator(step)
         if by and OPERATORS[by].c:
-            return [entrywise(self._graph, by, *nodes)]
+            return [self._graph.each(by, *nodes)]
         if "getrf" in name:
             return self._factors(step, *nodes)
         if name == "triangular_solve" or "trsm" in name:
@@ -153,7 +152,7 @@ class _Follower(Follower[_Value]):
         ]
         if known:
             return _Known(MOVES[step.name](step, *arrays))
-        combined = [partial(entrywise, self._graph)] if step.name == "scatter" else []
+        combined = [self._graph.each] if step.name == "scatter" else []
         return MOVES[step.name](step, *arrays, *combined)
 
     # ---- linear systems ----------------------------------------------------------------
@@ -260,7 +259,7 @@ class _Follower(Follower[_Value]):
         for k, results in reversed([*enumerate(others)]):
             taken = graph.apply("EQ", index, graph.constant(k))
             pairs = zip(results, chosen, strict=True)
-            chosen = [entrywise(graph, "select", taken, yes, no) for yes, no in pairs]
+            chosen = [graph.each("select", taken, yes, no) for yes, no in pairs]
         return chosen
 
     def _unknown(self, name: str, made: Type, given: Sequence[_Value]) -> np.ndarray:

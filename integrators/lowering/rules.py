@@ -6,7 +6,6 @@ A rule gets the graph, the step and its arrays of nodes, and returns the array o
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -23,66 +22,32 @@ _OF_NOTHING = {
     "and": True,
     "or": False,
 }
-RULES: dict[str, Callable[..., np.ndarray]] = {}
 
 
-def entrywise(graph: Graph, operator: str, *given: Any) -> np.ndarray:
-    """Apply an operator to arrays of nodes of equal shapes, or scalars."""
-    arrays = np.broadcast_arrays(*given)
-    rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
-    nodes = [graph.apply(operator, *row) for row in rows]
-    return np.array(nodes, int).reshape(arrays[0].shape)
-
-
-def _rule(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
-    RULES[function.__name__[1:]] = function
-    return function
-
-
-# ---- entry by entry --------------------------------------------------------------------
-@_rule
-def _square(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    return entrywise(graph, "multiply", x, x)
-
-
-@_rule
-def _rsqrt(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    return entrywise(graph, "divide", graph.one, entrywise(graph, "sqrt", x))
-
-
-@_rule
 def _logistic(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    decay = entrywise(graph, "exponential", entrywise(graph, "negate", x))
-    return entrywise(graph, "divide", graph.one, entrywise(graph, "add", graph.one, decay))
+    decay = graph.each("exponential", graph.each("negate", x))
+    return graph.each("divide", graph.one, graph.each("add", graph.one, decay))
 
 
-@_rule
-def _clamp(graph: Graph, step: Step, low: Any, x: np.ndarray, high: Any) -> np.ndarray:
-    return entrywise(graph, "minimum", entrywise(graph, "maximum", x, low), high)
-
-
-@_rule
 def _convert(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
     source, target = step.taken[0].dtype.kind, step.made[0].dtype.kind
     if source == target:
         return x
     if target == "f":
-        return entrywise(graph, TO_FLOAT, x)
+        return graph.each(TO_FLOAT, x)
     if (source, target) == ("b", "i"):
-        return entrywise(graph, TO_COUNT, x)
+        return graph.each(TO_COUNT, x)
     if (source, target) == ("f", "b"):
-        return entrywise(graph, "NE", x, graph.zero)
+        return graph.each("NE", x, graph.zero)
     raise NotLowered("whole numbers depend on the state")
 
 
-@_rule
 def _reduce_precision(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
     if [*step.numbers("exponent_bits"), *step.numbers("mantissa_bits")] != [11, 52]:
         raise NotLowered("it rounds to fewer digits")
     return x
 
 
-# ---- several into one ------------------------------------------------------------------
 def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Fold the last axis away by the operation of a step, from the first entry to the last."""
     by = step.operation
@@ -92,11 +57,10 @@ def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np
     start = [] if neutral and rows.shape[-1] else [np.full(rows.shape[:-1], first)]
     result, *others = *start, *np.moveaxis(rows, -1, 0)
     for other in others:
-        result = entrywise(graph, by, result, other)
+        result = graph.each(by, result, other)
     return result
 
 
-@_rule
 def _reduce(graph: Graph, step: Step, x: np.ndarray, *others: np.ndarray) -> np.ndarray:
     if len(others) != 1:
         raise NotLowered("it folds several arrays at once")
@@ -107,7 +71,6 @@ def _reduce(graph: Graph, step: Step, x: np.ndarray, *others: np.ndarray) -> np.
     return _folded(graph, step, rows, *others)
 
 
-@_rule
 def _reduce_window(graph: Graph, step: Step, x: np.ndarray, first: np.ndarray) -> np.ndarray:
     plain = "window_strides", "base_dilations", "window_dilations"
     if any(number != 1 for name in plain for number in step.numbers(name)):
@@ -122,7 +85,6 @@ def _reduce_window(graph: Graph, step: Step, x: np.ndarray, first: np.ndarray) -
     return _folded(graph, step, rows, first)
 
 
-@_rule
 def _dot_general(graph: Graph, step: Step, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     numbers = step.fields("dot_dimension_numbers")
 
@@ -138,6 +100,22 @@ def _dot_general(graph: Graph, step: Step, a: np.ndarray, b: np.ndarray) -> np.n
     rows, columns = arranged(a, "lhs"), arranged(b, "rhs")
     result = np.full((len(rows), rows.shape[1], columns.shape[1]), graph.zero)
     for k in range(rows.shape[2]):
-        product = entrywise(graph, "multiply", rows[:, :, None, k], columns[:, None, :, k])
-        result = entrywise(graph, "add", result, product)
+        product = graph.each("multiply", rows[:, :, None, k], columns[:, None, :, k])
+        result = graph.each("add", result, product)
     return result
+
+
+#: Functions of the graph, a step and its arrays of nodes.
+RULES: dict[str, Callable[..., np.ndarray]] = {
+    "clamp": lambda graph, step, low, x, high: graph.each(
+        "minimum", graph.each("maximum", x, low), high
+    ),
+    "convert": _convert,
+    "dot_general": _dot_general,
+    "logistic": _logistic,
+    "reduce": _reduce,
+    "reduce_precision": _reduce_precision,
+    "reduce_window": _reduce_window,
+    "rsqrt": lambda graph, step, x: graph.each("divide", graph.one, graph.each("sqrt", x)),
+    "square": lambda graph, step, x: graph.each("multiply", x, x),
+}
