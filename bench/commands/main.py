@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import sys
+from typing import Any
+
 import click
 
 from bench.commands import (
     completion,
     listing,
-    options,
     orders_table,
     plugins,
     results,
@@ -17,10 +20,65 @@ from bench.commands import (
     suite,
     sweeps,
 )
+from bench.commands.standard_streams import LostOutput, plain_streams
+from bench.results.store import StoreError
+from problems.plain_text import shortened, text_of
+from problems.spec import SpecError, suggest
+
+_MODULES = listing, plugins, scenes, single_runs, suite, results, studies, sweeps, orders_table
+#: Exit code of a command that Ctrl-C ended.
+_INTERRUPTED = 130
+
+
+class ShortErrors(click.Group):
+    """A command group that names the nearest command and shows errors in one sentence."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            raise click.ClickException(
+                f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
+            )
+        return super().resolve_command(ctx, args)
+
+    def main(self, *args: Any, **more: Any) -> Any:
+        """Run a command line and end the process with its exit code."""
+        code = 0
+        try:
+            with plain_streams():
+                code = self._run(*args, **more | {"standalone_mode": False})
+        except LostOutput as error:
+            if not code:  # else the reason was said
+                code = 1
+                click.echo(f"Error: {error}", err=True)
+        sys.exit(code)
+
+    def _run(self, *args: Any, **more: Any) -> int:
+        try:
+            return super().main(*args, **more) or 0
+        except click.ClickException as error:
+            refusal = error
+        except OSError as error:
+            name = f" ({error.filename})" if error.filename else ""
+            refusal = click.ClickException(
+                f"The system refused: {error.strerror or error}{name}; check the path, its "
+                f"permissions and the free space."
+            )
+        except click.Abort:
+            return _INTERRUPTED
+        told = io.StringIO()
+        refusal.show(told)
+        click.echo(shortened(told.getvalue()), err=True, nl=False)
+        return refusal.exit_code
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (SpecError, StoreError) as error:
+            raise click.ClickException(text_of(error)) from error
 
 
 @click.group(
-    cls=options.ShortErrors,
+    cls=ShortErrors,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
 Examples:
@@ -42,19 +100,7 @@ def main() -> None:
     """
 
 
-for command in (
-    *(listing.list_, plugins.check, plugins.new, scenes.show, scenes.catalogue),
-    *(single_runs.solve, single_runs.order, suite.run, suite.report),
-    *(
-        results.export,
-        results.compare_,
-        results.merge_,
-        results.history_,
-        results.open_,
-        results.figure,
-        results.card,
-        results.choose,
-    ),
-    *(studies.stability, orders_table.orders_table, studies.drift, studies.atlas, sweeps.map_),
-):
-    main.add_command(command)
+for module in _MODULES:
+    for command in vars(module).values():
+        if isinstance(command, click.Command):
+            main.add_command(command)

@@ -1,11 +1,9 @@
-"""Options and arguments that several commands share, and short error messages."""
+"""Options and arguments that several commands share."""
 
 from __future__ import annotations
 
-import io
 import math
 import os
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,68 +11,16 @@ from typing import Any
 import click
 
 from bench.commands import completion
-from bench.commands.paths import PathName
-from bench.commands.standard_streams import LostOutput, plain_streams
+from bench.commands.paths import ClusterAddress, PathName
 from bench.plugins.facts import SceneFacts, Sources
-from bench.results.store import Store, StoreError, set_aside_text
+from bench.results.store import Store, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
 from bench.running.progress import OnStandardError
 from integrators.contract import Tolerances
-from problems.plain_text import shortened, text_of
-from problems.spec import SpecError, suggest
 
-#: Exit code of a command that Ctrl-C ended.
-_INTERRUPTED = 130
 #: Most worker processes that can be asked for.
 MOST_JOBS = 1000
-
-
-class ShortErrors(click.Group):
-    """A command group that names the nearest command and shows errors in one sentence."""
-
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            raise click.ClickException(
-                f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
-            )
-        return super().resolve_command(ctx, args)
-
-    def main(self, *args: Any, **more: Any) -> Any:
-        """Run a command line and end the process with its exit code."""
-        code = 0
-        try:
-            with plain_streams():
-                code = self._run(*args, **more | {"standalone_mode": False})
-        except LostOutput as error:
-            if not code:  # else the reason was said
-                code = 1
-                click.echo(f"Error: {error}", err=True)
-        sys.exit(code)
-
-    def _run(self, *args: Any, **more: Any) -> int:
-        try:
-            return super().main(*args, **more) or 0
-        except click.ClickException as error:
-            refusal = error
-        except OSError as error:
-            name = f" ({error.filename})" if error.filename else ""
-            refusal = click.ClickException(
-                f"The system refused: {error.strerror or error}{name}; check the path, its "
-                f"permissions and the free space."
-            )
-        except click.Abort:
-            return _INTERRUPTED
-        told = io.StringIO()
-        refusal.show(told)
-        click.echo(shortened(told.getvalue()), err=True, nl=False)
-        return refusal.exit_code
-
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except (SpecError, StoreError) as error:
-            raise click.ClickException(text_of(error)) from error
 
 
 # ---- values of options -------------------------------------------------------------------
@@ -215,6 +161,11 @@ def with_jobs(words: str) -> Callable:
     )
 
 
+def with_cluster(words: str) -> Callable:
+    """Add --cluster."""
+    return click.option("--cluster", type=ClusterAddress(), metavar="ADDRESS", help=words)
+
+
 def with_tolerances(command: Callable) -> Callable:
     """Add --rtol and --atol."""
     for name, words in (
@@ -266,14 +217,11 @@ with_as_json = click.option(
 )
 
 
-def tell_set_aside(store: Store, more: str = "") -> None:
-    """Say on standard error which rows of a store cannot be read, if any; ``more`` follows."""
-    if text := set_aside_text(store.set_aside()):
-        click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)
-
-
-def tell_set_aside_of(*folders: Path) -> None:
-    """Say of several folders which rows cannot be read."""
-    for folder in folders:
-        with Store(folder) as store:
-            tell_set_aside(store)
+def tell_set_aside(*stores: Store | Path, more: str = "") -> None:
+    """Say on standard error which rows of stores cannot be read, if any; ``more`` follows."""
+    for store in stores:
+        if isinstance(store, Path):
+            with Store(store) as opened:
+                tell_set_aside(opened, more=more)
+        elif text := set_aside_text(store.set_aside()):
+            click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)

@@ -101,7 +101,7 @@ def compare_(
 
     comparison = compare(old, new)
     worse = regressions(comparison, limits)
-    options.tell_set_aside_of(old, new)
+    options.tell_set_aside(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
@@ -136,7 +136,7 @@ def history_(folders: tuple[Path, ...], form: str | None) -> None:
     from bench.commands.terminal import show
 
     found = history(folders)
-    options.tell_set_aside_of(*folders)
+    options.tell_set_aside(*folders)
     if form == "csv":
         click.echo(csv_export(found.rows()), nl=False)
         return
@@ -181,7 +181,7 @@ def merge_(folders: tuple[Path, ...], out: Path) -> None:
       stepbench merge laptop-results cluster-results --out all-results
     """
     merged = merge(folders, out)
-    options.tell_set_aside_of(*folders)
+    options.tell_set_aside(*folders)
     click.echo(
         f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
         f"environments, are in {out}."
@@ -283,7 +283,7 @@ def _draw(kind: str, folder: Path, out: Path, question: Mapping[str, Any], *more
     """Draw results into a file; what the question leaves open, the writer decides."""
     asked = {name: value for name, value in question.items() if value is not None}
     written = view(kind)(*more, folder, out, **asked)
-    options.tell_set_aside_of(folder)
+    options.tell_set_aside(folder)
     click.echo(f"{kind.capitalize()}: {written}")
 
 
@@ -301,5 +301,5 @@ def choose(folder: Path, out: Path | None) -> None:
       stepbench choose stepbench-families -o docs/choosing.md
     """
     text = view("choosing_in_markdown")(folder)
-    options.tell_set_aside_of(folder)
+    options.tell_set_aside(folder)
     _tell(text, out, f"Guide: {out}")

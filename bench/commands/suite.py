@@ -11,7 +11,6 @@ import click
 
 from bench.commands import completion, options
 from bench.commands.pages import GrowingPage, view, write_reports
-from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
@@ -91,7 +90,7 @@ def run_suite(
         if drawn:
             progress.after_step = page.look
         remark("Finished runs are stored; the same command goes on.")
-        options.tell_set_aside(store, "What the suite needs of them is measured anew.")
+        options.tell_set_aside(store, more="What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner)
@@ -119,11 +118,8 @@ def run_suite(
 @options.with_folder(options.RESULTS, "Folder of the results.")
 @options.with_fresh
 @options.with_jobs("Worker processes; timing is done by one at a time.")
-@click.option(
-    "--cluster",
-    type=ClusterAddress(),
-    metavar="ADDRESS",
-    help="Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here.",
+@options.with_cluster(
+    "Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here."
 )
 @options.with_given_budget(
     "Processor time of a run in s, after which it is stopped; the suite's if not given. Runs "
@@ -198,6 +194,5 @@ def report(folder: Path, single_file: bool) -> None:
       stepbench report
       stepbench report before --single-file
     """
-    with Store(folder) as store:  # says clearly if there is none
-        options.tell_set_aside(store)
+    options.tell_set_aside(folder)  # says clearly if there is none
     write_reports(folder, single_file)

@@ -15,7 +15,6 @@ import click
 
 from bench.commands import completion, options
 from bench.commands.pages import view
-from bench.commands.paths import ClusterAddress
 from bench.guard.interrupts import remark
 from bench.results.table import Table
 from problems.spec import SpecError
@@ -164,11 +163,8 @@ def with_ensemble(command: Callable) -> Callable:
             "shards are kept in PATH.parts/; the same command continues there. Without it members "
             "are in the system's temporary folder, which may be memory."
         ),
-        click.option(
-            "--cluster",
-            type=ClusterAddress(),
-            metavar="ADDRESS",
-            help="Run the members on the workers of a dask scheduler, such as tcp://host:8786.",
+        options.with_cluster(
+            "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
         ),
         click.option(
             "--jobs",
