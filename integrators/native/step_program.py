@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from integrators.native import klu
+from integrators.native.dependencies import with_constants
 from integrators.native.endings import Ending
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.step_functions import StepFunctions
@@ -22,6 +23,7 @@ from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
     from jax import Array
+    from jax.extend.core import ClosedJaxpr
     from jaxtyping import Bool
 
     from integrators.native.step_records import MethodState, Scalar, Time
@@ -191,10 +193,21 @@ def _sparse_tangents(
     # One pattern serves all numbers, so no number may be zero and hide an entry.
     generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
     method = functions.with_numbers(jax.tree.unflatten(tree, generic))
-    finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
-    start = _at_rest(template)
-    method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
-    patterns = tuple(Pattern(residual, size) for residual, size, _ in finder.found)
+    residuals: list[ClosedJaxpr] = []
+
+    def constants() -> list[list[Array]]:
+        """What the residuals close over; compiled, as each operation of a step takes as long."""
+        finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
+        start = _at_rest(template)
+        method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
+        residuals[:] = (jax.make_jaxpr(f)(jnp.zeros(size)) for f, size, _ in finder.found)
+        return [residual.consts for residual in residuals]
+
+    values = jax.jit(constants)()
+    patterns = tuple(
+        Pattern(partial(with_constants, residual, known), residual.in_avals[0].size)
+        for residual, known in zip(residuals, values, strict=True)
+    )
     symbolic = tuple(
         klujax.analyze(jnp.asarray(p.rows), jnp.asarray(p.columns), p.size) for p in patterns
     )
