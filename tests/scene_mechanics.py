@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -17,68 +19,166 @@ def cross(a, b):
     return a[0] * b[1] - a[1] * b[0]
 
 
-def solved(scene, q, v, t=0.0):
-    """a and lam of the equations of motion at one state.
-
-    Not the compiled functions of the project: compiling each of a hundred mutants takes minutes.
-    """
-    q, v, t = jnp.asarray(q, dtype=float), jnp.asarray(v, dtype=float), jnp.asarray(float(t))
-    m, g = np.asarray(scene.mass(q)), np.asarray(scene.force(q, v, t))
-    if not scene.has("constraint"):
-        return np.linalg.solve(m, g), np.zeros(0)
-    jacobian = np.asarray(jax.jacfwd(scene.constraint)(q, t))
-    rest = np.asarray(formulations.constraint_acceleration(scene, q, v, 0 * q, t))
-    corner = np.zeros((len(rest), len(rest)))
-    augmented = np.block([[m, jacobian.T], [jacobian, corner]])
-    return np.split(np.linalg.solve(augmented, np.concatenate([g, -rest])), [len(q)])
-
-
-def assembled(scene):
-    """The scene's start satisfies its constraints."""
-    q, v, _ = scene.initial_state()
-    t = scene.interval[0]
-    assert np.abs(np.asarray(scene.constraint(q, t))).max() < 1e-12
-    rate = np.asarray(formulations.constraint_velocity(scene, q, v, t))
-    assert np.abs(rate).max() < 1e-12 * max(1.0, np.abs(v).max())
-
-
 def options(scene):
     return {field.name: getattr(scene, field.name) for field in fields(scene)}
 
 
-def flipped(scene: MechatronicSystem, block: str, what: str) -> MechatronicSystem:
-    """The scene with a sign error in one of its blocks.
+# ---- sign errors -----------------------------------------------------------------------
+def with_signs(cls: type[MechatronicSystem], signs: dict[str, tuple[dict, dict]]) -> type:
+    """A class of scenes whose blocks use parameters and arguments with other signs.
 
-    ``what`` is a parameter, or q0, q1, ... or v0, v1, ... for an entry of the first or second
-    argument: wherever the block uses it, it uses its negative.
+    ``signs`` has for a block the signs of parameters by name, and those of the entries of its
+    arguments by place; all may be traced.
     """
-    right = getattr(type(scene), block)
 
-    def wrong(self, *given):
-        if hasattr(self, what):
-            return right(self.with_parameters({what: -getattr(self, what)}), *given)
-        place, entry = "qv".index(what[0]), int(what[1:])
-        sign = np.ones(len(given[place]))
-        sign[entry] = -1.0
-        parts = [part * sign if k == place else part for k, part in enumerate(given)]
-        return right(self, *parts)
+    def block(name: str) -> Any:
+        right, (of_parameters, of_arguments) = getattr(cls, name), signs[name]
 
-    return type("Flipped", (type(scene),), {block: wrong})(**options(scene))
+        def wrong(self, *given):
+            changed = {key: sign * getattr(self, key) for key, sign in of_parameters.items()}
+            parts = [
+                part * of_arguments[k] if k in of_arguments and jnp.ndim(part) == 1 else part
+                for k, part in enumerate(given)
+            ]
+            return right(self.with_parameters(changed), *parts)
+
+        return wrong
+
+    return type("Flipped", (cls,), {name: block(name) for name in signs})
 
 
-def keeps_energy(scene, q, v, t, tolerance=1e-11):
-    """d/dt E = lam . Phi_t: only a constraint that time moves does work."""
-    assert np.abs(np.asarray(scene.constraint(q, t))).max() < 1e-12
-    a, lam = solved(scene, q, v, t)
+def flip(scene: MechatronicSystem, what: str) -> tuple[dict, dict]:
+    """The sign of a parameter; or of q0, q1, ... or v0, v1, ..., an entry of the first or second
+    argument."""
+    if hasattr(scene, what):
+        return {what: -1.0}, {}
+    sign = np.ones(scene.sizes.nq)
+    sign[int(what[1:])] = -1.0
+    return {}, {"qv".index(what[0]): sign}
+
+
+def flipped(scene: MechatronicSystem, block: str, what: str) -> MechatronicSystem:
+    """The scene with a sign error: wherever one of its blocks uses something, its negative."""
+    return with_signs(type(scene), {block: flip(scene, what)})(**options(scene))
+
+
+# ---- values at a state -----------------------------------------------------------------
+def _of_motion(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, Any]:
+    found = {"mass": scene.mass(q), "force": scene.force(q, v, t)}
+    if scene.has("constraint"):
+        found["jacobian"] = jax.jacfwd(scene.constraint)(q, t)
+        found["rest"] = formulations.constraint_acceleration(scene, q, v, 0 * q, t)
+    return found
+
+
+def _of_all(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, Any]:
+    found = _of_motion(scene, q, v, t)
+    if scene.has("constraint"):
+        found["constraint"] = scene.constraint(q, t)
+        found["velocity"] = formulations.constraint_velocity(scene, q, v, t)
+        found["moved"] = jax.jacfwd(scene.constraint, 1)(q, t)
+    if hasattr(scene, "kinetic_energy"):
+        found["kinetic_energy"] = scene.kinetic_energy(q, v)
+        found["potential_energy"] = scene.potential_energy(q)
 
     def energy(q, v):
-        return (
-            scene.energy(q, v)
-            if scene.has("energy")
-            else scene.kinetic_energy(q, v) + scene.potential_energy(q)
-        )
+        if scene.has("energy"):
+            return scene.energy(q, v)
+        return scene.kinetic_energy(q, v) + scene.potential_energy(q)
 
-    by_q, by_v = jax.grad(energy, (0, 1))(q, v)
-    moved = np.asarray(jax.jacfwd(scene.constraint, 1)(q, float(t)))
-    terms = np.concatenate([by_q * v, by_v * a, -lam * moved])
+    if scene.has("energy") or hasattr(scene, "kinetic_energy"):
+        found["energy"], found["slopes"] = jax.value_and_grad(energy, (0, 1))(q, v)
+    if scene.has("momentum"):
+        found["momentum"] = scene.momentum(q, v)
+    return found
+
+
+@cache
+def _program(template: MechatronicSystem, blocks: tuple[str, ...]) -> Any:
+    def values(p, signs, q, v, t):
+        cls = with_signs(type(template), dict(zip(blocks, signs, strict=True)))
+        return _of_all(template.with_parameters(p, cls), q, v, t)
+
+    return jax.jit(values)
+
+
+class Measured:
+    """Values of a scene's blocks at states, by one compiled program for all its sign errors.
+
+    Compiling each of a hundred mutants, or each operation of a block, would take minutes.
+    """
+
+    def __init__(self, scene: MechatronicSystem, blocks: tuple[str, ...] = ()) -> None:
+        self._scene, self._blocks, self._wrong = scene, blocks, ("", "")
+
+    def with_error(self, block: str, what: str) -> Measured:
+        """The same with a flipped sign."""
+        other = Measured(self._scene, self._blocks)
+        other._wrong = block, what
+        return other
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._scene, name)
+
+    def at(self, q: Any, v: Any, t: float = 0.0) -> dict[str, Any]:
+        scene, signs = self._scene, []
+        names, n = scene.parameters(), scene.sizes.nq
+        for block in self._blocks:
+            of = flip(scene, self._wrong[1]) if block == self._wrong[0] else ({}, {})
+            ones = dict.fromkeys(names, 1.0), {0: np.ones(n), 1: np.ones(n)}
+            signs.append(tuple(one | other for one, other in zip(ones, of, strict=True)))
+        state = np.asarray(q, dtype=float), np.asarray(v, dtype=float), float(t)
+        found = _program(scene.template(), self._blocks)(names, signs, *state)
+        return jax.tree.map(np.asarray, found)
+
+    def energy(self, q, v):
+        return self.at(q, v)["energy"]
+
+    def kinetic_energy(self, q, v):
+        return self.at(q, v)["kinetic_energy"]
+
+    def potential_energy(self, q):
+        return self.at(q, 0 * q)["potential_energy"]
+
+    def momentum(self, q, v):
+        return self.at(q, v)["momentum"]
+
+    def constraint(self, q, t):
+        return self.at(q, 0 * q, t)["constraint"]
+
+    def slopes(self, q, v):
+        """Derivatives of the energy by q and v."""
+        return self.at(q, v)["slopes"]
+
+
+def solved(scene: MechatronicSystem | Measured, q: Any, v: Any, t: float = 0.0) -> tuple:
+    """a and lam of the equations of motion at one state."""
+    if isinstance(scene, Measured):
+        found = scene.at(q, v, t)
+    else:
+        state = jnp.asarray(q, dtype=float), jnp.asarray(v, dtype=float), jnp.asarray(float(t))
+        found = jax.tree.map(np.asarray, _of_motion(scene, *state))
+    if "jacobian" not in found:
+        return np.linalg.solve(found["mass"], found["force"]), np.zeros(0)
+    jacobian, rest = found["jacobian"], found["rest"]
+    augmented = np.block([[found["mass"], jacobian.T], [jacobian, np.zeros((len(rest),) * 2)]])
+    right = np.concatenate([found["force"], -rest])
+    return tuple(np.split(np.linalg.solve(augmented, right), [len(q)]))
+
+
+def assembled(scene: Measured) -> None:
+    """The scene's start satisfies its constraints."""
+    q, v, _ = scene.initial_state()
+    found = scene.at(q, v, scene.interval[0])
+    assert np.abs(found["constraint"]).max() < 1e-12
+    assert np.abs(found["velocity"]).max() < 1e-12 * max(1.0, np.abs(v).max())
+
+
+def keeps_energy(scene: Measured, q: Any, v: Any, t: float, tolerance: float = 1e-11) -> None:
+    """d/dt E = lam . Phi_t: only a constraint that time moves does work."""
+    found = scene.at(q, v, t)
+    assert np.abs(found["constraint"]).max() < 1e-12
+    a, lam = solved(scene, q, v, t)
+    by_q, by_v = found["slopes"]
+    terms = np.concatenate([by_q * v, by_v * a, -lam * found["moved"]])
     assert abs(terms.sum()) < tolerance * np.abs(terms).sum()

@@ -7,8 +7,8 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from helpers import long, slope
+from scene_mechanics import flipped, options, solved
 from scipy.integrate import solve_ivp
-from test_scenes_identities import flipped, options, solved
 
 from bench.running.errors import relative_errors
 from integrators import Steps

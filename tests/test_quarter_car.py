@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 from helpers import slope
+from scene_mechanics import flipped
 from scipy.integrate import solve_ivp
-from test_scenes_identities import flipped
 
 from bench.running.errors import relative_errors
 from integrators import Steps

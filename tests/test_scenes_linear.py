@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import errors_at, long, slope
-from test_scenes_identities import flipped, solved
+from scene_mechanics import Measured, solved
 
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.initial_values import InconsistentStart, consistent_start
@@ -63,7 +63,7 @@ FLIPS = {
 
 @pytest.mark.parametrize("scene", [Oscillator(omega=3.0), Friction(mu=0.7), DrivenSprings(m2=2.0)])
 def test_the_equations_of_motion_are_newtons(scene):
-    CHECKS[type(scene)](scene)
+    CHECKS[type(scene)](Measured(scene, ("force",)))
 
 
 @pytest.mark.parametrize(
@@ -71,13 +71,13 @@ def test_the_equations_of_motion_are_newtons(scene):
 )
 def test_a_flipped_sign_is_caught(cls, what):
     with pytest.raises(AssertionError):
-        CHECKS[cls](flipped(cls(), "force", what))
+        CHECKS[cls](Measured(cls(), ("force",)).with_error("force", what))
 
 
 def test_a_spring_that_pushes_is_caught():
     pushing = type("Pushing", (Oscillator,), {"force": lambda self, q, v, t: self.omega**2 * q})
     with pytest.raises(AssertionError):
-        check_oscillator(pushing())
+        check_oscillator(Measured(pushing()))
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,7 @@ def test_all_groups_are_second_order_from_the_first_step(scene, t_end):
         assert found[group].order_of_largest == pytest.approx(2.0, abs=0.1), group
 
 
+@pytest.mark.long
 def test_it_has_the_spectrum_of_the_trapezoidal_rule():
     assert radii(ALI3P()) == pytest.approx([1.0] * 4, abs=1e-12)
 
@@ -77,6 +78,7 @@ def test_other_methods_fail_on_them_and_say_so(method):
     assert "t=0.36" in failed.message
 
 
+@pytest.mark.long
 def test_the_penalty_changes_the_iterations_and_nothing_else():
     weak, strong = (run(ALI3P(penalty=penalty), Doubled()) for penalty in (1e2, 1e8))
     assert weak.q == pytest.approx(strong.q, abs=1e-11)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import long
-from proofs import OMEGA_H, TWO_RODS, damping_and_period, orders, radii
+from proofs import OMEGA_H, SWING, TWO_RODS, damping_and_period, orders, radii
 
 from integrators import Steps
 from integrators.methods.bdf2 import BDF2
@@ -24,16 +24,18 @@ def test_its_spectrum_has_the_digits_of_the_formula():
 
 
 @pytest.mark.parametrize("formulation", ["index3", *long("index2", "stabilised_index2")])
-def test_all_is_second_order_and_multipliers_recover_from_the_first_step(formulation):
-    found = orders(BDF2(formulation=formulation), 400)
+@pytest.mark.parametrize("on", [SWING, *long((TWO_RODS,))], ids=["one", "two"])
+def test_all_is_second_order_and_multipliers_recover_from_the_first_step(formulation, on):
+    found = orders(BDF2(formulation=formulation), 400, on)
+    if on is TWO_RODS:
+        assert min(found[group].order_at_end for group in ("q", "v", "lam")) > 1.8
+        return
     for group in ("q", "v", "lam"):
         assert found[group].order_at_end == pytest.approx(2.0, abs=0.12), group
     assert found["lam"].order_of_largest == pytest.approx(1.0, abs=0.1)
-    two = orders(BDF2(formulation=formulation), 400, TWO_RODS)
-    assert min(two[group].order_at_end for group in ("q", "v", "lam")) > 1.8
 
 
-@pytest.mark.parametrize("formulation", ["index3", "stabilised_index2", *long("index2")])
+@pytest.mark.parametrize("formulation", ["index3", *long("stabilised_index2", "index2")])
 def test_the_constraints_of_the_formulation_hold(formulation):
     run = BDF2(formulation=formulation).prepare(Pendulum(), 1.35, Steps(0.01)).measure()
     positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
@@ -56,8 +58,10 @@ def test_positions_are_corrected_in_the_directions_of_the_constraints_before_the
     run = BDF2(formulation="stabilised_index2").prepare(scene, h, Steps(h)).measure()
     corrected = run.q[1] - run.q[0] - h * run.v[0] - h**2 / 2 * run.a[1]
 
+    jacobian = jax.jit(jax.jacfwd(scene.constraint))
+
     def off(q, t):
-        directions = np.asarray(jax.jacfwd(scene.constraint)(q, t)).T
+        directions = np.asarray(jacobian(q, t)).T
         part = np.linalg.lstsq(directions, corrected)[0]
         return np.linalg.norm(corrected - directions @ part) / np.linalg.norm(corrected)
 

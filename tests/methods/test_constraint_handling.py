@@ -113,7 +113,7 @@ def test_the_projection_takes_the_least_changes_onto_moving_constraints():
     assert np.abs(scene.constraint(q, t)).max() < 1e-15
     assert np.abs(constraint_velocity(scene, q, v, t)).max() < 1e-14
     # Of all changes to these velocities it is the least: M-orthogonal to what constraints leave.
-    jacobian = np.asarray(jax.jacfwd(scene.constraint)(q, t))
+    jacobian = np.asarray(jax.jit(jax.jacfwd(scene.constraint))(q, t))
     free = np.linalg.svd(jacobian)[2][len(jacobian) :]
     change = v - (z.v + noise[n:])
     assert np.abs(free @ np.asarray(scene.mass(q)) @ change).max() < 1e-13 * np.abs(change).max()

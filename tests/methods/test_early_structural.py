@@ -21,6 +21,7 @@ def test_wilson_has_the_digits_of_the_formula():
     assert damping_and_period(WilsonTheta()) == pytest.approx(digits, abs=1e-9)
 
 
+@pytest.mark.long
 def test_houbolt_has_the_spectral_radii_of_generalized_alpha_that_damps_most():
     wanted = (0.999951917652, 0.906563333305, 0.242535625036, 0.0478312816831)
     assert radii(Houbolt()) == pytest.approx(wanted, abs=1e-9)
@@ -29,6 +30,7 @@ def test_houbolt_has_the_spectral_radii_of_generalized_alpha_that_damps_most():
     assert damping_and_period(Houbolt()) == pytest.approx(digits, abs=1e-9)
 
 
+@pytest.mark.long
 def test_park_has_the_roots_of_its_polynomial():
     # (10 r^3 - 15 r^2 + 6 r - 1)/(6 r^3) = i omega h: the formula on u' = i omega u.
     wanted = [

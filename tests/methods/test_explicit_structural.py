@@ -64,6 +64,7 @@ def test_explicit_generalized_alpha_has_the_digits_and_limits_of_the_formulas():
         assert np.abs(a @ np.linalg.matrix_power(a + rho * np.eye(4), 3)).max() < 1e-12
 
 
+@pytest.mark.long
 def test_noh_bathe_is_stable_up_to_the_published_limits():
     for p, limit in ((0.54, 3.745), (0.7, 3.482)):
         below, above = _radii(NohBathe(p=p), [limit - 2e-3, limit + 2e-3])

@@ -42,6 +42,7 @@ def test_the_tableau_satisfies_the_order_conditions():
     assert abs(embedded @ c**4 - 1 / 5) > 1e-4
 
 
+@pytest.mark.long
 def test_without_constraints_a_step_is_that_of_dormand_and_prince():
     scene, h = ForcedOscillator(), 0.1
     run = CONSTANT.prepare(scene, h, Steps(h)).measure()
@@ -140,7 +141,7 @@ def test_steps_follow_the_tolerance():
     assert errors[0] > 300 * errors[2]
 
 
-@pytest.mark.parametrize("projection", ["positions", *long("none")])
+@pytest.mark.parametrize("projection", long("positions", "none"))
 def test_a_projection_holds_positions_to_rounding(projection):
     run = PHEM56(steps="constant", projection=projection).prepare(*SWING, Steps(0.05)).measure()
     positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()

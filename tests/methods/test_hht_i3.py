@@ -23,6 +23,7 @@ from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("alpha", [-0.2, *long(-0.3)])
 def test_on_linear_systems_it_is_hht(alpha):
     assert radii(HHTI3(alpha=alpha, steps="constant")) == pytest.approx(

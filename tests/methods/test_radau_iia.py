@@ -56,6 +56,7 @@ def test_the_coefficients_are_the_published_ones():
     np.testing.assert_allclose(of_increments @ three.a, -three.to_powers[0], atol=1e-13)
 
 
+@pytest.mark.long
 def test_its_spectrum_has_the_digits_of_the_formula():
     # Independent computation in 50 digits.
     wanted = [0.999999999861, 0.999869306671, 0.321402950403, 0.0300224988042]

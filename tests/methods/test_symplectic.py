@@ -86,8 +86,8 @@ def change_of_form(method: Integrator, scene: MechatronicSystem, h: float) -> fl
     ("method", "scene"),
     [
         (RATTLE(), Pendulum()),
-        (StormerVerlet(), SOFT_BAR),
         *long(
+            (StormerVerlet(), SOFT_BAR),
             (RATTLE(), TWO_RODS[0]),
             (VariationalMidpoint(), TurningMass()),
             (RATTLE(), SOFT_BAR),
@@ -190,6 +190,7 @@ def test_with_damping_stormer_verlet_is_the_implicit_central_difference_method()
     assert abs(left).max() < 1e-12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [StormerVerlet(), *long(RATTLE(), SHAKE())])
 def test_the_limit_of_stability_is_two(method):
     steps = [0.1, 1.0, 1.999, 2.01]
