@@ -43,7 +43,6 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/sizes_ida.py
 	$(BIN)/python tests/benchmarks/callbacks.py
-	$(BIN)/python tests/benchmarks/ida_in_c.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 clean:

@@ -167,6 +167,7 @@ def test_accepted_steps_keep_to_the_guarded_ratios():
     assert GeneralizedAlphaAdaptive(rho_inf=0.3).numbers().growth == 2.0
 
 
+@pytest.mark.long
 def test_rows_do_not_grow_with_the_number_of_steps():
     scene, end = Pendulum(), 10.35
     run = GeneralizedAlphaAdaptive().prepare(scene, end, Tolerances(1e-7)).measure()
@@ -287,6 +288,7 @@ def test_an_old_tangent_from_within_a_wall_is_not_believed(rtol):
     assert modified.q[-1] == pytest.approx(full.q[-1], rel=1e-6)
 
 
+@pytest.mark.long
 def test_what_is_not_a_number_is_left_at_once():
     class Broken(SoftImpact):
         def force(self, q, v, t):

@@ -146,6 +146,7 @@ def test_without_damping_lambda_does_not_converge_on_index_3():
     assert slope(steps, [e["q"].max() for e in errors]) == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_a_flipped_sign_of_the_constraint_force_spoils_lambda(mutant):
     right = formulations.constraint_force
     mutant(formulations, "constraint_force", lambda *given: -right(*given))

@@ -35,6 +35,11 @@ def test_tables_of_families():
     assert min(ida["parts_ms"].values()) > 0
     assert "the library" in families.ida_table(rows)
 
+    rows = families.beside_python(families.CarAxis(), 1e-6, families._SOLVERS[0], rounds=1)
+    assert rows[0]["ratio"]["median"] == 1.0
+    assert "arithmetic" in families.ida_table(rows)
+    assert all(0 < row["agreement"][families._ERROR] < 0.1 for row in rows)
+
 
 def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeypatch, capsys):
     import opponents
@@ -46,17 +51,6 @@ def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeyp
         opponents.c_program()
     assert opponents.peak() is None
     assert "The peak was left out: cc" in capsys.readouterr().out
-
-
-@pytest.mark.long
-def test_the_table_of_what_python_costs():
-    import ida_in_c
-
-    rows = ida_in_c.costs(ida_in_c.CarAxis(), rounds=1)
-    assert [row["contestant"] for row in rows] == [*ida_in_c._SOLVERS]
-    assert {row["ratio"][0] for row in rows if row["against"] == row["contestant"]} == {1.0}
-    assert all(0 < row["error"] < 0.1 for row in rows)
-    assert len(ida_in_c.costs_table(rows).splitlines()) == 2 + len(rows)
 
 
 @pytest.mark.long

@@ -48,7 +48,7 @@ def test_what_is_right_passes_every_check(registry, kind, text):
             "supports() is '', expected None, or the reason in a sentence",
         ),
         ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
-        ("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05 (h ="),
+        *long(("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05")),
         ("wrong[how=unchanging]", "pattern", "It counts 50 steps where the step pattern has 100"),
         ("wrong[how=evenly]", "pattern", "ends as steps of 0.05 s do, to the last bit"),
         ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),

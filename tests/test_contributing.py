@@ -84,7 +84,8 @@ def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integra
         assert orders[group]["max"] == pytest.approx(order, abs=0.1)
 
 
-@pytest.mark.parametrize("newton", ["full", *long("modified")])
+@pytest.mark.long
+@pytest.mark.parametrize("newton", ["full", "modified"])
 def test_stages_in_a_loop_are_those_one_by_one_with_fewer_traces(plugins, monkeypatch, newton):
     example = type(Registry([plugins]).integrator("sdirk3"))
     runs, traced, solve = [], [0, 0], step_work.newton

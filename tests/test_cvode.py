@@ -14,7 +14,6 @@ from integrators import Tolerances
 from integrators.adapters.cvode import CVODE
 from problems.runtime import jax
 from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
 
 every_callback = pytest.mark.parametrize("callbacks", ["compiled", "python"])
@@ -40,12 +39,6 @@ def test_the_error_falls_with_the_tolerance(method):
     assert errors[2] < errors[1] / 10
 
 
-def test_controller_states_and_outputs_are_followed_too():
-    trajectory = run(SpringMass(), 1e-10, 0.5)
-    for group in ("q", "v", "a", "x", "y"):
-        assert worst(trajectory, SpringMass(), group) < 1e-8
-
-
 def test_baumgarte_keeps_the_constraint_that_index_1_leaves():
     def violation(constraints):
         z = run(Pendulum(), 1e-5, 10.0, constraints=constraints)
@@ -69,10 +62,10 @@ def test_adams_takes_orders_beyond_those_of_bdf():
 @pytest.mark.parametrize(
     ("name", "constraints"),
     [
-        ("pendulum", "index1"),
         ("pendulum", "baumgarte"),
-        ("spring_mass", "index1"),
         *long(
+            ("pendulum", "index1"),
+            ("spring_mass", "index1"),
             *(
                 (name, "index1")
                 for name in (
@@ -82,7 +75,7 @@ def test_adams_takes_orders_beyond_those_of_bdf():
                     "slider_crank_minimal",
                     "heavy_top",
                 )
-            )
+            ),
         ),
         *long(("slider_crank", "baumgarte"), ("chain[links=3]", "baumgarte")),
     ],
@@ -118,39 +111,6 @@ def test_counts_are_cvodes_own_and_the_timed_solve_takes_the_same_steps(callback
 
 
 # ---- ways to end -----------------------------------------------------------------------
-@every_callback
-def test_a_budget_ends_the_run_after_exactly_that_many_calls_and_keeps_its_rows(callbacks):
-    trajectory = run(Pendulum(), 1e-8, max_calls=100, callbacks=callbacks)
-    assert trajectory.status == "budget_exceeded"
-    assert "raise max_calls" in trajectory.message
-    assert trajectory.work.residuals == 100
-    assert len(trajectory.t) == len(trajectory.q) == len(trajectory.a) > 10
-    assert worst(trajectory, Pendulum(), "q") < 1e-6
-
-
-@every_callback
-@pytest.mark.parametrize("breaks_at", [0.0, 0.5])
-def test_a_force_that_becomes_nan_ends_the_run_at_once_and_names_the_time(
-    callbacks, breaks_at, capfd
-):
-    started = prepared(Probe(breaks_at=breaks_at), 2.0, callbacks=callbacks)
-    trajectory = started.measure()
-    assert trajectory.status == "diverged"
-    assert trajectory.t[-1] <= breaks_at
-    assert trajectory.a[0] == pytest.approx(-4.0)
-    assert f"t={trajectory.t[-1]:.6g} s" in trajectory.message
-    assert trajectory.work.residuals < 1000
-    assert started.execute() is None
-    assert capfd.readouterr().out == ""
-
-
-def test_a_pole_of_the_solution_ends_the_run_near_it():
-    # q'' = 6 q^2 with q = 1/(1-t)^2.
-    trajectory = run(Probe(k=0.0, c=6.0, v0=2.0), 1e-6, 2.0)
-    assert trajectory.status in ("step_too_small", "newton_failed", "diverged", "budget_exceeded")
-    assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-3)
-
-
 @dataclass(frozen=True)
 class CallingBack(Probe):
     """Its force is a function of Python, which raises after t = 0.5 s."""

@@ -61,6 +61,7 @@ def test_a_state_that_nothing_feeds_back_diverges(method, t_end):
     assert run.work.steps == len(run.t) - 1
 
 
+@pytest.mark.long
 def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
     method = REGISTRY.integrator("generalized_alpha_adaptive")
     run = method.prepare(Filtered(rate=-100.0), 6.0, Tolerances(1e-3)).measure()

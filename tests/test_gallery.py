@@ -50,6 +50,7 @@ def test_drawings_follow_the_motion():
         "exact solution."  # fmt: skip
 
 
+@pytest.mark.usefixtures("without_processes")
 @pytest.mark.parametrize("suffix", ["svg", *long("png")])
 def test_show_writes_a_picture(stepbench, tmp_path, suffix):
     file = tmp_path / f"swing.{suffix}"
@@ -61,6 +62,7 @@ def test_show_writes_a_picture(stepbench, tmp_path, suffix):
         assert file.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_an_animation_has_all_it_needs_in_one_file(stepbench, tmp_path):
     file = tmp_path / "play.html"
     result = stepbench("show", "pendulum", "--animate", "--t-end", "0.85", "-o", file)

@@ -31,7 +31,7 @@ def guarded():
 
     def process() -> GuardedProcess:
         if not made or not made[-1].alive:
-            made.append(GuardedProcess(jobs.prepare, (10,), Limits(1.0, 0.3)))
+            made.append(GuardedProcess(jobs.prepare, (10,), Limits(0.5, 0.3)))
         return made[-1]
 
     yield process
@@ -57,7 +57,7 @@ def test_answers_come_back_as_data_of_the_stated_type(guarded):
         (jobs.ends_by, (signal.SIGSEGV,), "crashed", "died while running (SIGSEGV)"),
         (jobs.ends_by, (signal.SIGKILL,), "interrupted", "from outside while running (SIGKILL)"),
         (jobs.ends_by, (signal.SIGTERM,), "interrupted", "from outside while running (SIGTERM)"),
-        (jobs.computes, (60.0,), "budget_exceeded", "more than 1 s of processor time"),
+        (jobs.computes, (60.0,), "budget_exceeded", "more than 0.5 s of processor time"),
     ],
 )
 def test_a_job_that_fails_has_a_fate_and_the_next_one_an_answer(
@@ -85,7 +85,7 @@ def test_a_refusal_keeps_its_sentence(guarded):
 def test_a_phase_has_a_budget_of_its_own(guarded, monkeypatch):
     process, told = guarded(), []
     process.told = lambda *phase: told.append(phase)
-    assert process.ask(jobs.computes_a_reference, 1.5) == 1
+    assert process.ask(jobs.computes_a_reference, 0.8) == 1
     assert ("reference", "making the reference of x") in told
     monkeypatch.setattr(limits, "LEAST_SECONDS", 0.2)
     monkeypatch.setattr(limits, "_MORE", 0.1)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import long
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
@@ -17,7 +18,7 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
 every_callback = pytest.mark.parametrize("callbacks", ["compiled", "python"])
-FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
+FORMULATIONS = ("stabilised_index2", *long("index1", "index2", "index3"))
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ def run(scene: MechatronicSystem, rtol: float, t_end: float = 0.0, **options) ->
 
 
 # ---- accuracy --------------------------------------------------------------------------
-@pytest.mark.parametrize("scene", [SpringMass(), Pendulum()], ids=lambda s: s.name)
+@pytest.mark.parametrize("scene", [Pendulum(), *long(SpringMass())], ids=lambda s: s.name)
 def test_it_reaches_eight_digits_in_positions_velocities_and_accelerations(scene):
     t_end = 5.0 if scene.name == "spring_mass" else 1.35
     trajectory = run(scene, 1e-11, t_end)
@@ -47,7 +48,7 @@ def test_it_reaches_eight_digits_in_positions_velocities_and_accelerations(scene
         assert worst(trajectory, scene, group) < 1e-8
 
 
-@pytest.mark.parametrize("formulation", ["index1", "index2", "stabilised_index2"])
+@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index1", "index2")])
 def test_the_error_falls_with_the_tolerance(formulation):
     errors = [
         worst(run(Pendulum(), rtol, formulation=formulation), Pendulum(), "q")
@@ -56,15 +57,6 @@ def test_the_error_falls_with_the_tolerance(formulation):
     assert errors[0] < 1e-3
     assert errors[1] < errors[0] / 10
     assert errors[2] < errors[1] / 10
-
-
-def test_controller_states_and_outputs_are_followed_too():
-    trajectory = run(SpringMass(), 1e-10, 5.0)
-    for group in ("x", "y"):
-        assert worst(trajectory, SpringMass(), group) < 1e-8
-    assert trajectory.y == pytest.approx(
-        np.stack([trajectory.x[:, 0], np.tanh(trajectory.y[:, 0])], axis=1), abs=1e-8
-    )
 
 
 def test_the_stabilised_form_keeps_position_and_velocity_constraints_and_index_1_drifts():
@@ -93,17 +85,10 @@ def test_outputs_that_measure_a_multiplier_do_not_stop_the_stabilised_form():
     assert trajectory.y == pytest.approx(trajectory.lam, abs=1e-6)
 
 
-def test_another_end_and_other_parameters_are_taken():
-    scene = replace(Pendulum(), length=2.0)
-    trajectory = run(scene, 1e-9, 0.8)
-    assert trajectory.t[-1] == 0.8
-    assert worst(trajectory, scene, "q") < 1e-6
-
-
 # ---- equations given to the solver -----------------------------------------------------
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize(
-    "scene", [SpringMass(), Pendulum(), WeighedPendulum()], ids=lambda s: s.name
+    "scene", [WeighedPendulum(), *long(SpringMass(), Pendulum())], ids=lambda s: s.name
 )
 def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(scene, formulation):
     at = dae_layout(scene.sizes, formulation)
@@ -124,7 +109,7 @@ def test_the_start_satisfies_the_equations_and_the_jacobian_is_their_derivative(
 
 # ---- work ------------------------------------------------------------------------------
 @every_callback
-@pytest.mark.parametrize("scene", [SpringMass(), Pendulum()], ids=lambda s: s.name)
+@pytest.mark.parametrize("scene", [Pendulum(), *long(SpringMass())], ids=lambda s: s.name)
 def test_counts_agree_with_idas_own_and_the_timed_solve_takes_the_same_steps(scene, callbacks):
     prepared = IDA(callbacks=callbacks).prepare(scene, 1.0, Tolerances(1e-7))
     trajectory, timed = prepared.measure(), prepared.execute()
@@ -139,14 +124,6 @@ def test_counts_agree_with_idas_own_and_the_timed_solve_takes_the_same_steps(sce
     assert trajectory.q[-1].tolist() == timed.y[at.q].tolist()
 
 
-def test_runs_are_equal_to_the_bit():
-    prepared = IDA().prepare(Pendulum(), 1.0, Tolerances(1e-6))
-    first, second = prepared.measure(), prepared.measure()
-    assert first.work == second.work
-    for name in ("t", "q", "v", "a", "lam"):
-        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
-
-
 # ---- ways to end -----------------------------------------------------------------------
 @every_callback
 def test_raw_index_3_ends_within_its_budget_and_says_what_to_use(callbacks):
@@ -157,7 +134,7 @@ def test_raw_index_3_ends_within_its_budget_and_says_what_to_use(callbacks):
     assert 0.35 <= trajectory.t[-1] < 1.35
 
 
-@pytest.mark.parametrize("formulation", ["index2", "stabilised_index2"])
+@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index2")])
 @every_callback
 def test_multipliers_in_the_error_test_fail_with_a_reason_and_without_a_word(
     formulation, callbacks, capfd
@@ -173,42 +150,6 @@ def test_multipliers_in_the_error_test_fail_with_a_reason_and_without_a_word(
     assert trajectory.status in ("budget_exceeded", "newton_failed", "step_too_small")
     assert "; use " in trajectory.message
     assert capfd.readouterr().out == ""
-
-
-@every_callback
-def test_a_budget_ends_the_run_after_exactly_that_many_calls_and_keeps_its_rows(callbacks):
-    trajectory = run(Pendulum(), 1e-8, max_calls=100, callbacks=callbacks)
-    assert trajectory.status == "budget_exceeded"
-    assert "raise max_calls" in trajectory.message
-    assert trajectory.work.residuals == 100
-    assert len(trajectory.t) == len(trajectory.q) == len(trajectory.a) > 10
-    assert worst(trajectory, Pendulum(), "q") < 1e-6
-
-
-@every_callback
-def test_a_run_that_ends_before_its_first_step_keeps_the_start(callbacks):
-    trajectory = run(Probe(breaks_at=0.0), 1e-6, callbacks=callbacks)
-    assert trajectory.status == "diverged"
-    assert trajectory.t.tolist() == [0.0]
-    assert trajectory.a == pytest.approx(-4.0)
-
-
-@every_callback
-def test_a_force_that_becomes_nan_ends_the_run_at_once_and_names_the_time(callbacks):
-    trajectory = run(Probe(breaks_at=0.5), 1e-6, callbacks=callbacks)
-    assert trajectory.status == "diverged"
-    assert trajectory.t[-1] <= 0.5
-    assert f"t={trajectory.t[-1]:.6g} s" in trajectory.message
-    assert trajectory.work.residuals < 1000
-    prepared = IDA(callbacks=callbacks).prepare(Probe(breaks_at=0.5), 2.0, Tolerances(1e-6))
-    assert prepared.execute() is None
-
-
-def test_a_pole_of_the_solution_ends_the_run_near_it():
-    # q'' = 6 q^2 with q = 1/(1-t)^2.
-    trajectory = run(Probe(k=0.0, c=6.0, v0=2.0), 1e-6)
-    assert trajectory.status in ("step_too_small", "newton_failed", "diverged", "budget_exceeded")
-    assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-3)
 
 
 # ---- options ---------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
 
 pytest.importorskip("klujax")
-FORMULATIONS = ("index1", "stabilised_index2", *long("index2", "index3"))
+FORMULATIONS = ("stabilised_index2", *long("index1", "index2", "index3"))
 SCENES = [*long(SliderCrank(), QuarterCar()), SpringMass(), Chain(links=5)]
 PARTS = ("q", "v", "a", "lam", "x", "y")
 every_scene = pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
@@ -108,7 +108,7 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
 
 # ---- runs ------------------------------------------------------------------------------
 @every_scene
-@pytest.mark.parametrize("formulation", ["index1", "index2", "stabilised_index2"])
+@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index1", "index2")])
 def test_sparse_and_dense_runs_are_the_same(scene, formulation):
     t_end = 15 * scene.nominal_step
     sparse, dense = (
@@ -134,7 +134,7 @@ def test_a_wrong_entry_costs_calls_that_the_dense_run_does_not_make(factor):
 
 
 def test_the_timed_solve_takes_the_same_steps():
-    run = prepared(Chain(links=12), 0.02, linear_solver="sparse")
+    run = prepared(Chain(links=5), 0.02, linear_solver="sparse")
     assert is_sparse(run)
     trajectory, timed = run.measure(), run.execute()
     assert (trajectory.work.residuals, trajectory.work.jacobians) == (timed.nfev, timed.njev)
@@ -153,7 +153,7 @@ def test_a_thousand_links_follow_generalized_alpha_and_keep_their_length_and_ene
 
 
 def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
-    scene = Chain(links=6)
+    scene = Chain(links=5)
     z = finished(scene, 0.05)
     states = scene, z.t, z.q, z.v, z.x
     dense = trajectories.trajectory_from_states(*states)
@@ -168,8 +168,8 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
 
 def test_other_parameters_compile_nothing_new():
     for mass in (0.1, 0.3):
-        finished(Chain(links=12, m=mass), 0.01, linear_solver="sparse")
-    programs = dae.sparse_jacobian(*of(Chain(links=12), "stabilised_index2"))
+        finished(Chain(links=5, m=mass), 0.01, linear_solver="sparse")
+    programs = dae.sparse_jacobian(*of(Chain(links=5), "stabilised_index2"))
     assert programs.values.program._cache_size() == 1
 
 
@@ -222,6 +222,7 @@ def test_another_word_is_refused_with_the_words_that_are_allowed():
 
 
 # ---- ways to end -----------------------------------------------------------------------
+@pytest.mark.long
 def test_a_run_that_ends_before_its_first_factorisation_does_not_crash_the_process():
     program = (
         "from integrators import Tolerances\n"

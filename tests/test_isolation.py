@@ -161,7 +161,7 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("def broken(:\n", "SyntaxError"),
+        *long(("def broken(:\n", "SyntaxError")),
         (
             "from problems import MechatronicSystem\n"
             "class Half(MechatronicSystem):\n    'Half a scene.'\n",
@@ -177,10 +177,12 @@ def test_a_run_with_failures_is_complete_and_reported(stepbench, tmp_path):
                 "is taken by stepbench",
             ),
         ),
-        (
-            "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
-            "class Bare(Pendulum):\n    'No decorator.'\n    c = parameter(1.0, 'kg', 'c')\n",
-            "decorate Bare",
+        *long(
+            (
+                "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
+                "class Bare(Pendulum):\n    'No decorator.'\n    c = parameter(1.0, 'kg', 'c')\n",
+                "decorate Bare",
+            ),
         ),
     ],
 )

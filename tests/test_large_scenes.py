@@ -8,7 +8,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_banded
 
@@ -31,6 +31,8 @@ from integrators.native import constant_steps
 from problems import compiled, jnp, start_equations
 from problems.scenes.chain import Chain
 
+#: Long runs are counted step by step.
+few = settings(max_examples=25)
 widths, steps = st.integers(1, 10**8), st.integers(1, 10**6)
 #: Memory in bytes that a run of the largest chain may take.
 MOST_MEMORY = 3e9
@@ -41,6 +43,7 @@ def of_equal_steps(count, width=1):
     return kept_rows(np.linspace(0.0, 1.0, count + 1), width)
 
 
+@few
 @given(steps, widths)
 def test_rows_of_a_trajectory_are_bounded_by_their_numbers(count, width):
     rows = of_equal_steps(count, width)
@@ -58,6 +61,7 @@ def test_rows_of_small_scenes_are_those_of_any_width():
         np.testing.assert_array_equal(of_equal_steps(count), of_equal_steps(count, 1000))
 
 
+@few
 @given(st.integers(0, 3000), st.integers(MOST_NUMBERS // 100, 10**8), st.floats(0.2, 5.0))
 def test_rows_of_a_run_of_unknown_length_are_those_of_one_that_is_over(count, width, power):
     times = 3.0 + 2.0 * np.linspace(0.0, 1.0, count + 1) ** power
@@ -76,6 +80,7 @@ def test_rows_of_a_run_of_unknown_length_are_those_of_one_that_is_over(count, wi
         assert len(rows) <= most // 4 + FIRST_ROWS + 2
 
 
+@few
 @given(st.integers(50, 2000), st.integers(1, 100), st.sampled_from([(1.0,), (0.1, 0.2, 0.7)]))
 def test_rows_of_steps_known_beforehand_are_those_of_one_that_is_over(count, times, pattern):
     clock, steps = constant_steps.grid(3.0, 5.0, Steps(2.0 / count, pattern))

@@ -65,7 +65,6 @@ def test_merged_results_keep_their_machine_samples_rows_and_scenes(tmp_path, ste
     assert len(merged) == 2 * len(STEPS)
     # The invocation that both stores begin with is one; those of the machines are apart.
     assert [e.cpu for e in environments.values()] == ["Model 1", "A", "B"]
-    assert stepbench("report", out).exit_code == 0
 
 
 @pytest.mark.parametrize("later_first", [False, True])
@@ -142,6 +141,12 @@ def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):
     merge([first, second], tmp_path / "out")
     merged = records(tmp_path / "out")[run.key]
     assert merged.rounds == [(2, 0), (2, 1), (1, 4)]
+
+
+@pytest.mark.long
+def test_merged_results_have_a_report(old, tmp_path, stepbench):
+    merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
+    assert stepbench("report", tmp_path / "all").exit_code == 0
 
 
 def test_merging_with_oneself_changes_nothing(old, tmp_path):

@@ -129,6 +129,7 @@ def test_parts_are_of_about_the_same_size():
     assert sorted(name for part in parts for name in part) == sorted(texts)
 
 
+@pytest.mark.long
 def test_a_drawing_process_does_not_import_what_lies_where_the_user_stands(tmp_path):
     (tmp_path / "reports").mkdir()
     (tmp_path / "reports" / "__init__.py").write_text("raise SystemExit('the wrong one')")

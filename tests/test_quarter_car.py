@@ -163,6 +163,7 @@ def body_shaking(scene):
     return np.sqrt(np.trapezoid(run.a[:, 0] ** 2, run.t) / 4.0), run.y[:, 0]
 
 
+@pytest.mark.long
 def test_the_controlled_body_shakes_less_than_with_any_constant_current():
     controlled, current = body_shaking(QuarterCar())
     assert current.min() < 0.35

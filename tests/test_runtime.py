@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.running.progress import Progress
 from integrators import Integrator, Steps, Tolerances
@@ -274,7 +275,7 @@ def test_a_program_that_cannot_be_rewritten_stays_as_it_is(monkeypatch, caplog):
     assert "cannot be rewritten" in caplog.text
 
 
-@pytest.mark.parametrize("drop", ["names", "calls"])
+@pytest.mark.parametrize("drop", ["names", *long("calls")])
 def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, drop):
     from scipy.integrate import BDF as Library  # noqa: N811
 
@@ -308,7 +309,7 @@ def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, 
 
 
 @pytest.mark.usefixtures("_forgotten")
-@pytest.mark.parametrize("library", ["asdex", "klujax"])
+@pytest.mark.parametrize("library", ["asdex", *long("klujax")])
 def test_without_what_sparse_tangents_need_large_scenes_are_dense(
     monkeypatch, caplog, tmp_path, library
 ):
@@ -326,6 +327,7 @@ def test_without_what_sparse_tangents_need_large_scenes_are_dense(
     assert f"Large scenes run slowly: {library}" in caplog.text
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_forgotten")
 def test_a_solver_of_diffrax_that_takes_no_step_of_ours_keeps_its_own(monkeypatch, caplog):
     def sealed(kind, *new):

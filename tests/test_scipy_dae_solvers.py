@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import Probe, worst
+from helpers import long
+from probe import worst
 
 from integrators import Tolerances, Trajectory
 from integrators.adapters import dae, scipy_dae
@@ -14,11 +15,10 @@ from integrators.adapters.scipy_dae import BDFDAE, RadauDAE, ScipyDAESolver, pac
 from problems import MechatronicSystem
 from problems.formulations import dae_layout
 from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
 from problems.spec import build
 
-INDEX_UP_TO_2 = ("index1", "index2", "stabilised_index2")
-pytestmark = pytest.mark.parametrize("cls", [RadauDAE, BDFDAE], ids=lambda c: c.name)
+INDEX_UP_TO_2 = ("stabilised_index2", *long("index1", "index2"))
+pytestmark = pytest.mark.parametrize("cls", [RadauDAE, *long(BDFDAE)], ids=lambda c: c.name)
 
 
 def run(
@@ -39,13 +39,6 @@ def test_errors_fall_with_the_tolerance_in_every_group_and_formulation(cls, form
         assert worst(tight, Pendulum(), group) < worst(loose, Pendulum(), group) / 50
 
 
-def test_controller_states_and_outputs_are_followed_too(cls):
-    trajectory = run(cls(), SpringMass(), 1e-9, 5.0)
-    assert trajectory.status == "ok", trajectory.message
-    for group in ("q", "v", "a", "x", "y"):
-        assert worst(trajectory, SpringMass(), group) < 1e-6
-
-
 def test_the_stabilised_form_keeps_both_constraints_and_index_1_drifts(cls):
     def violation(formulation):
         z = run(cls(formulation=formulation), Pendulum(), 1e-4, 5.0)
@@ -62,7 +55,7 @@ def test_the_reported_multiplier_is_the_solvers_own_and_the_acceleration_that_of
     assert 1e-7 < np.abs(z.lam[:, 0] - exact).max() < 1e-1
 
 
-@pytest.mark.parametrize("formulation", [*INDEX_UP_TO_2, "index3"])
+@pytest.mark.parametrize("formulation", [*INDEX_UP_TO_2, *long("index3")])
 def test_the_jacobians_are_the_derivatives_of_the_equations(cls, formulation):
     scene, generator = Pendulum(), np.random.default_rng(2)
     n = dae_layout(scene.sizes, formulation).size
@@ -123,30 +116,6 @@ def test_raw_index_3_ends_with_a_reason_at_small_tolerances(cls):
     trajectory = run(cls(formulation="index3", max_calls=10_000), Pendulum(), 1e-10)
     assert trajectory.status in ("step_too_small", "budget_exceeded", "newton_failed")
     assert "use formulation=stabilised_index2" in trajectory.message
-
-
-def test_a_budget_ends_the_run_after_exactly_that_many_calls_and_keeps_its_rows(cls):
-    trajectory = run(cls(max_calls=90), Pendulum(), 1e-6)
-    assert trajectory.status == "budget_exceeded"
-    assert trajectory.work.residuals == 90
-    assert "raise max_calls" in trajectory.message
-    assert len(trajectory.t) == len(trajectory.a) > 3
-    assert f"t={trajectory.t[-1]:.6g} s of 1.35 s" in trajectory.message
-
-
-@pytest.mark.parametrize("breaks_at", [0.0, 0.5])
-def test_a_force_that_becomes_nan_ends_the_run_as_diverged_and_names_the_time(cls, breaks_at):
-    trajectory = run(cls(), Probe(breaks_at=breaks_at), 1e-5)
-    assert trajectory.status == "diverged"
-    assert trajectory.t[-1] == pytest.approx(breaks_at, abs=1e-9)
-    assert f"t={trajectory.t[-1]:.6g} s of 2 s" in trajectory.message
-    assert trajectory.work.residuals < 5000
-
-
-def test_a_pole_of_the_solution_ends_the_run_near_it(cls):
-    trajectory = run(cls(), Probe(k=0.0, c=6.0, v0=2.0), 1e-4)
-    assert trajectory.status in ("step_too_small", "diverged", "budget_exceeded", "newton_failed")
-    assert trajectory.t[-1] == pytest.approx(1.0, abs=1e-2)
 
 
 # ---- options ---------------------------------------------------------------------------

@@ -22,6 +22,12 @@ def bordered(pivot):
     )
 
 
+def wanted(residual_of, u, p):
+    """The same of each run by itself."""
+    parts = jax.jit(lambda u, p: (jax.jacfwd(residual_of(p))(u), residual_of(p)(u)))
+    return [np.linalg.solve(*parts(*run)) for run in zip(u, p, strict=True)]
+
+
 def updates(residual_of, u, p):
     """Updates of runs side by side, with unknowns and a parameter each."""
     program = jax.jit(jax.vmap(lambda u, p: linear_solvers.DENSE.once(residual_of(p), u)))
@@ -38,10 +44,9 @@ def switched(p):
 def test_updates_of_many_are_those_of_each(residual_of, n):
     random = np.random.default_rng(1)
     u, p = random.uniform(0.5, 1.5, (9, n)), random.uniform(0.5, 1.5, 9)
-    for found, at, value in zip(updates(residual_of, u, p), u, p, strict=True):
-        residual = residual_of(value)
-        wanted = np.linalg.solve(jax.jacfwd(residual)(at), residual(at))
-        assert found == pytest.approx(wanted, rel=1e-12)
+    assert updates(residual_of, u, p) == pytest.approx(
+        np.array(wanted(residual_of, u, p)), rel=1e-12
+    )
     program = jax.make_jaxpr(switched(jnp.asarray(1.0)))(jnp.ones(3))
     order = linear_solvers._order(program, 3)
     assert order is not None
@@ -79,9 +84,7 @@ def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks):  # no
         return lambda u: turns(u)[1] + p * u - 1
 
     u, p = np.linspace(0.5, 1.5, 8).reshape(4, 2), np.arange(1.0, 5.0)
-    for found, at, value in zip(updates(looped, u, p), u, p, strict=True):
-        wanted = np.linalg.solve(jax.jacfwd(looped(value))(at), looped(value)(at))
-        assert found == pytest.approx(wanted, rel=1e-12)
+    assert updates(looped, u, p) == pytest.approx(np.array(wanted(looped, u, p)), rel=1e-12)
     jax.effects_barrier()
     assert fallbacks
 

@@ -145,7 +145,7 @@ def test_members_of_the_family_coincide():
 @pytest.mark.parametrize(
     ("true", "classical"),
     [
-        (GeneralizedAlpha(), GeneralizedAlphaClassical()),
+        *long((GeneralizedAlpha(), GeneralizedAlphaClassical())),
         *long((HHT(), HHTClassical()), (WBZ(), WBZClassical())),
     ],
 )
@@ -162,6 +162,7 @@ def test_damping_at_low_frequency_is_of_third_order(rho_inf):
     assert math.log2(high / low) == pytest.approx(3.0, abs=0.02)
 
 
+@pytest.mark.long
 def test_the_other_newton_and_the_corrected_start_change_no_spectrum():
     plain = matrices(GeneralizedAlpha(), Loop(), OMEGA_H).a
     for other in (GeneralizedAlpha(newton="modified"), GeneralizedAlpha(start="corrected")):
@@ -181,7 +182,7 @@ def test_a_constraint_acts_like_infinite_frequency(rho_inf):
             assert found == pytest.approx(wanted, rel=1e-9)
 
 
-@pytest.mark.parametrize(("formulation", "power"), [("index3", 1), ("stabilised_index2", 0)])
+@pytest.mark.parametrize(("formulation", "power"), [("index3", 1), *long(("stabilised_index2", 0))])
 def test_a_multiple_root_on_the_unit_circle_grows_unless_the_constraint_is_stabilised(
     formulation, power
 ):
@@ -191,6 +192,7 @@ def test_a_multiple_root_on_the_unit_circle_grows_unless_the_constraint_is_stabi
     assert math.log2(late / early) == pytest.approx(power, abs=0.2)
 
 
+@pytest.mark.long
 def test_stiff_modes_beside_slow_ones():
     roots = eigenvalues(matrices(GeneralizedAlpha(rho_inf=0.5), Coupled(), [0.05]).a)[0]
     slow, fast = (

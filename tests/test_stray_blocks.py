@@ -156,8 +156,9 @@ def test_all_built_in_scenes_state_their_blocks():
     "arguments",
     [
         ("solve", "sleigh", "newmark", "--plugins", "FILE"),
-        *long((("run", "-p", "sleigh", "-i", "newmark", "--plugins", "FILE"),)),
-        ("check", "FILE"),
+        *long(
+            (("run", "-p", "sleigh", "-i", "newmark", "--plugins", "FILE"),), (("check", "FILE"),)
+        ),
     ],
 )
 def test_a_sleigh_without_its_constraint_passes_nowhere(stepbench, tmp_path, arguments):

@@ -46,7 +46,7 @@ def test_a_loop_of_a_scene_runs_in_c_with_the_work_of_python(method):
 
 @every_method
 @pytest.mark.parametrize("callbacks", ["compiled", "python"])
-@pytest.mark.parametrize("force", [odd_forces.CeasingForce, odd_forces.CeasingSearch])
+@pytest.mark.parametrize("force", [odd_forces.CeasingForce, *long(odd_forces.CeasingSearch)])
 def test_a_value_that_is_not_finite_keeps_what_was_before(method, callbacks, force):
     whole = prepared(method, force(breaks_at=9.0), callbacks=callbacks).measure()
     run = prepared(method, force(), callbacks=callbacks)
@@ -167,7 +167,7 @@ def test_a_solver_that_cannot_be_made_leaves_no_memory(method, name, result, sen
 
 
 @every_method
-@pytest.mark.parametrize("force", [odd_forces.EndlessForce, odd_forces.LongForce])
+@pytest.mark.parametrize("force", [odd_forces.EndlessForce, *long(odd_forces.LongForce)])
 def test_a_loop_that_may_hang_is_one_in_c(method, force):
     run = prepared(method, force(breaks_at=9.0))
     assert not run.why

@@ -153,7 +153,7 @@ def test_the_first_step_is_worked_out_from_the_next_terms_of_the_taylor_series(v
     assert sizes[0] == pytest.approx(h, rel=1e-4)
 
 
-@pytest.mark.parametrize("system", [*long(Forced), Guided])
+@pytest.mark.parametrize("system", [Forced, *long(Guided)])
 def test_steps_settle_where_the_controller_holds_the_error_of_a_or_lam(system):
     """With a'' (or lam'') = k a straight line over a step is off by h^2 k/8.
 

@@ -37,6 +37,9 @@ class _Through(io.TextIOBase):
     def writable(self) -> bool:
         return True
 
+    def close(self) -> None:
+        """Leave the stream behind open; an object that is forgotten at the very end flushes none."""
+
 
 class PlainStream(_Through):
     """A text stream that writes control characters as escapes."""

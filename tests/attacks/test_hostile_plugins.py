@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,9 +35,9 @@ MARK = "HOSTILE_RUN"
 ALL = hostile.METHODS | hostile.SCENES
 NEWMARK = "newmark[beta=0.25,gamma=0.5]"
 GROUPS = dict.fromkeys(plugin.group for plugin in ALL.values())
-CONTROLS = (
-    "[[study]]\nproblems = ['spring_mass', 'pendulum']\nintegrators = ['newmark']\n"
-    "t_end = 1.0\nsteps = [0.1]\n"
+CONTROLS, QUICK_CONTROLS = ["spring_mass", "pendulum"], ["oscillator"]
+STUDY = (
+    "[[study]]\nproblems = {problems}\nintegrators = {integrators}\nt_end = 1.0\nsteps = [0.1]\n"
 )
 HEAD = "budget_s = 2.0\nmemory_gib = 1.5\nsamples = {}\n"
 
@@ -84,21 +85,23 @@ def command(folder: Path, *arguments: object, mark: str) -> tuple[int, str]:
     return done.returncode, output
 
 
-def run(folder: Path, names: Sequence[str], samples: int, jobs: int) -> Run:
+def run(
+    folder: Path, names: Sequence[str], samples: int, jobs: int, controls: list[str] = CONTROLS
+) -> Run:
     """Run hostile plugins beside the controls."""
     plugins, out, mark = folder / "plugins", folder / "out", secrets.token_hex(8)
     plugins.mkdir()
     hostile.write(plugins, names)
     studies = [
-        f"[[study]]\nproblems = {problems}\nintegrators = {integrators}\n"
-        "t_end = 1.0\nsteps = [0.1]\n"
+        STUDY.format(problems=problems, integrators=integrators)
         for problems, integrators in (
+            (controls, ["newmark"]),
             (["oscillator"], [name for name in names if name in hostile.METHODS]),
             ([name for name in names if name in hostile.SCENES], ["newmark"]),
         )
         if problems and integrators
     ]
-    (folder / "profile.toml").write_text("".join([HEAD.format(samples), CONTROLS, *studies]))
+    (folder / "profile.toml").write_text("".join([HEAD.format(samples), *studies]))
     options = ("--out", out, "--jobs", jobs, "--plugins", plugins)
     code, output = command(folder, "run", "profile.toml", *options, mark=mark)
     given_up = time.monotonic() + promised_seconds()
@@ -107,24 +110,22 @@ def run(folder: Path, names: Sequence[str], samples: int, jobs: int) -> Run:
     with Store(out) as store:
         assert not store.set_aside()
         records = {(r.problem, r.integrator.partition("[")[0]): r for r in store.records().values()}
-        controls = {
+        measured = {
             scene: (record.status, record.message, record.errors, record.work, store.rows(key))
-            for (scene, _), record in records.items()
-            if scene in ("spring_mass", "pendulum")
+            for (scene, method), record in records.items()
+            if scene in controls and method == "newmark"
             for key in [record.key]
         }
     pages = all((out / page).stat().st_size for page in ("report.html", "report.md"))
-    return Run(code, output, records, controls, left, pages)
+    return Run(code, output, records, measured, left, pages)
 
 
-@pytest.fixture(scope="module")
-def alone():
-    """The controls without plugins, measured here."""
-    worker, measured = Worker(Registry(packages=())), {}
-    for scene in ("spring_mass", "pendulum"):
-        record, rows = worker.measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
-        measured[scene] = (record.status, record.message, record.errors, record.work, rows)
-    return measured
+@cache
+def alone(scene: str) -> tuple:
+    """A control without plugins, measured here."""
+    worker = Worker(Registry(packages=()))
+    record, rows = worker.measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
+    return record.status, record.message, record.errors, record.work, rows
 
 
 @pytest.fixture(scope="module")
@@ -135,16 +136,16 @@ def runs(tmp_path_factory):
     def of(group: str) -> Run:
         if group not in made:
             names = [n for n, p in ALL.items() if p.group == group] if group else hostile.QUICK
-            samples, jobs = (2, 8) if group else (0, 1)
-            made[group] = run(tmp_path_factory.mktemp("run"), names, samples, jobs)
+            how = (2, 8) if group else (0, 1, QUICK_CONTROLS)
+            made[group] = run(tmp_path_factory.mktemp("run"), names, *how)
         return made[group]
 
     return of
 
 
-def check_controls(found: Run, alone: dict[str, tuple]) -> None:
+def check_controls(found: Run, controls: list[str] = CONTROLS) -> None:
     """The controls are those of a run without plugins, pages are made, nothing runs on."""
-    assert found.controls == alone
+    assert found.controls == {scene: alone(scene) for scene in controls}
     assert found.pages
     assert not found.left
 
@@ -169,9 +170,9 @@ def test_a_hostile_plugin_costs_its_own_cell(runs, name):
     check_fate(name, runs(""))
 
 
-def test_the_cells_beside_hostile_plugins_are_bit_identical(runs, alone):
+def test_the_cells_beside_hostile_plugins_are_bit_identical(runs):
     found = runs("")
-    check_controls(found, alone)
+    check_controls(found, QUICK_CONTROLS)
     lost = any(ALL[name].status == "lost" for name in hostile.QUICK)
     assert found.code == lost
 
@@ -184,9 +185,9 @@ def test_each_hostile_plugin_costs_its_own_cell(runs, name):
 
 @pytest.mark.attack
 @pytest.mark.parametrize("group", GROUPS)
-def test_the_cells_beside_a_group_are_bit_identical(runs, alone, group):
+def test_the_cells_beside_a_group_are_bit_identical(runs, group):
     found = runs(group)
-    check_controls(found, alone)
+    check_controls(found)
     names = {n for n, plugin in ALL.items() if plugin.group == group}
     with_rows = {n for place in found.records for n in place}
     interrupted = any(record.status == INTERRUPTED for record in found.records.values())

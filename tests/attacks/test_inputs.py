@@ -200,11 +200,11 @@ COSTLY = ("map", "solve", "stability")
 
 
 def some(lines: dict[str, list[str]]) -> list:
-    """All lines, of which `make test` takes every fifth, and of costly commands a quarter of it."""
+    """All lines, of which `make test` takes every tenth, and of costly commands a third of it."""
     return [
         pytest.param(line, id=name, marks=[pytest.mark.attack] if number % every else [])
         for number, (name, line) in enumerate(lines.items())
-        for every in [20 if line[0] in COSTLY else 5]
+        for every in [30 if line[0] in COSTLY else 10]
     ]
 
 

@@ -32,7 +32,7 @@ steps = [0.1, 0.05]
 CELLS = 4
 RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
 HOWS = ("locks", "locks_in_turns", "spins", "child", "session", "orphan")
-#: The kill that every test run tries, without the second run.
+#: The kill that the long tests try, without the second run.
 QUICK = ("worker", "locks")
 #: Longer than a process may be idle, in s.
 LONG_HALT = 12.0
@@ -129,7 +129,7 @@ def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
 @pytest.mark.parametrize(
     ("role", "how"),
     [
-        QUICK,
+        pytest.param(*QUICK, marks=pytest.mark.long),
         *(
             pytest.param(role, how, marks=attack)
             for role in ("worker", "keeper", "terminated")

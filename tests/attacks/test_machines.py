@@ -182,9 +182,9 @@ def test_a_limit_of_the_size_of_files_is_like_a_full_disk(tmp_path, profile, mos
 @pytest.mark.parametrize(
     "command",
     [
-        ["solve", "oscillator", "newmark", "--step", "0.1"],
+        ["list"],
+        pytest.param(["solve", "oscillator", "newmark", "--step", "0.1"], marks=pytest.mark.long),
         pytest.param(["run"], marks=attack),
-        pytest.param(["list"], marks=attack),
     ],
 )
 def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):

@@ -105,7 +105,7 @@ def check_goes_on(folder: Path, kept: int) -> None:
 @pytest.mark.parametrize(
     ("name", "number", "send"),
     [
-        pytest.param("map", INT, to_all),
+        pytest.param("map", INT, to_all, marks=pytest.mark.long),
         *(
             pytest.param(name, number, send, marks=attack)
             for name in ENDLESS
@@ -192,7 +192,9 @@ def test_pages_in_work_end_with_their_command(folder):
     process.check_obeys(INT)
 
 
-@pytest.mark.parametrize("number", [INT, pytest.param(TERM, marks=attack)])
+@pytest.mark.parametrize(
+    "number", [pytest.param(INT, marks=pytest.mark.long), pytest.param(TERM, marks=attack)]
+)
 def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
     """As a pager does, or a terminal after Ctrl-S."""
     reading, writing = os.pipe()

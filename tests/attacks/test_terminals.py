@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import click
 import pytest
+from helpers import long
 from planted import everything, plant
 
 from bench.commands.standard_streams import LostOutput, PlainStream, plain_streams
@@ -49,7 +50,9 @@ def hostile_file(folder, text=METHOD):
     return file
 
 
-@pytest.mark.parametrize("command", [["list"], ["list", "--json"], ["list", "integrators"]])
+@pytest.mark.parametrize(
+    "command", [["list", "--json"], *long((["list"],), (["list", "integrators"],))]
+)
 def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypatch, command):
     monkeypatch.setenv("FORCE_COLOR", "1")  # our own colours are control sequences
     result = stepbench(*command, "--plugins", hostile_file(tmp_path))
@@ -69,18 +72,19 @@ def test_no_text_of_a_plugin_commands_the_terminal(stepbench, tmp_path, monkeypa
     [
         EXCEPTION,
         "raise ValueError(TEXT * 10_000)",
-        "raise ValueError('line\\n' * 10_000)",
-        "raise type(TEXT, (Exception,), {})()",
-        "raise SyntaxError(TEXT)",
+        *long("raise ValueError('line\\n' * 10_000)"),
+        *long("raise type(TEXT, (Exception,), {})()", "raise SyntaxError(TEXT)"),
         "from problems.spec import SpecError\n"
         "class E(SpecError):\n    def __str__(self): raise OSError\nraise E",
-        "raise ExceptionGroup(TEXT, [ValueError(TEXT)])",
-        "class T(str):\n    def split(self, *_): raise OSError\n"
-        "class E(Exception):\n    def __str__(self): return T(TEXT)\nraise E",
-        "class M(type):\n    __name__ = property(lambda cls: 1 / 0)\n"
-        "class E(Exception, metaclass=M): pass\nraise E",
-        "import sys\nsys.exit(TEXT)",
-        "def f(n): f(n + 1)\nf(0)",
+        *long(
+            "raise ExceptionGroup(TEXT, [ValueError(TEXT)])",
+            "class T(str):\n    def split(self, *_): raise OSError\n"
+            "class E(Exception):\n    def __str__(self): return T(TEXT)\nraise E",
+            "class M(type):\n    __name__ = property(lambda cls: 1 / 0)\n"
+            "class E(Exception, metaclass=M): pass\nraise E",
+            "import sys\nsys.exit(TEXT)",
+            "def f(n): f(n + 1)\nf(0)",
+        ),
     ],
 )
 def test_whatever_a_plugin_raises_is_a_short_reason(stepbench, tmp_path, source):
@@ -136,6 +140,9 @@ def test_a_stream_of_any_encoding_takes_any_text(encoding):
     assert r"\u001b[2J" in written
     assert visible(written) == written
     assert any(tick in written for tick in ("✓", r"\u2713"))
+    stream.stream = None  # as at the end of the interpreter
+    stream.close()
+    assert not raw.closed
 
 
 # ---- whole commands in processes of their own ---------------------------------------------

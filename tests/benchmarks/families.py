@@ -1,17 +1,20 @@
-"""Families of native methods on the slider crank, and native backward differences beside IDA.
+"""Families of native methods on the slider crank; backward differences beside IDA; solvers in C.
 
-``make bench`` prints three kinds of tables and writes them as JSON: all methods at the same step;
-each at the step or tolerance that gives the error of generalized-alpha in a; and backward
-differences of our own beside IDA at the same tolerances, with the parts of IDA's time. Contestants
-run in turn and ratios are taken within rounds (see `race`). Times are not checked.
+``make bench`` prints four kinds of tables and writes them as JSON: all methods at the same step;
+each at the step or tolerance that gives the error of generalized-alpha in a; backward differences
+of our own beside IDA at the same tolerances, with the parts of IDA's time; and solvers of libraries
+with equations in C beside the same through Python. Contestants run in turn and ratios are taken
+within rounds (see `race`). Times are not checked.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +37,13 @@ from race import race
 from bench.results.environment import environment
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
+from integrators.adapters.packed_functions import in_c
+from integrators.lowering.native import load
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem
 
 #: One or two methods of each family.
@@ -74,6 +81,20 @@ SIZES, RTOLS = (1e-3, 1e-4), (1e-4, 1e-6, 1e-8)
 _THROUGH_PYTHON = "ida[callbacks=python]"
 _BDF = ("bdf_adaptive[newton=modified]", "bdf_adaptive", "ida", _THROUGH_PYTHON)
 _ERROR = "settled error in a"
+#: What Python costs: scenes, tolerance, and solvers, the first of each with equations in C.
+_IN_C = (SCENE, CarAxis(), SliderCrankMinimal(), QuarterCar()), 1e-6
+_SOLVERS = (
+    ("ida", _THROUGH_PYTHON, "ida[suppress_algebraic=true]", _BDF[0]),
+    ("cvode", "cvode[callbacks=python]"),
+    ("radau", "radau[callbacks=python]"),
+)
+_REPEAT = """
+void repeat(long n, void (*f)(void *, void *), void *given, void *out)
+{
+    while (n--)
+        f(given, out);
+}
+"""
 
 
 def _held(
@@ -122,6 +143,29 @@ def beside_ida(scene: MechatronicSystem, rtol: float, rounds: int) -> list[dict[
                 "calls through Python": 1e3 * float(called - compiled),
                 "the library": row["milliseconds"]["least"] - 1e3 * float(called),
             }
+    return rows
+
+
+def residual_in_c(scene: MechatronicSystem, rtol: float, count: int = 20_000) -> float:
+    """Seconds of a residual in C, called by C."""
+    run = IDA().prepare(scene, scene.interval[1], Tolerances(rtol))
+    given, (residual, _) = np.hstack([run.given.p, *run.given.start]), in_c(run.given.value)
+    arrays = given, np.empty(run.given.size)
+    places = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+    repeat = load(_REPEAT).repeat
+    return least(lambda: repeat(ctypes.c_long(count), residual, *places)) / count
+
+
+def beside_python(
+    scene: MechatronicSystem, rtol: float, solvers: Sequence[str], rounds: int
+) -> list[dict[str, Any]]:
+    """A library's solver with equations in C, the first, and through Python."""
+    reference = Reference(scene, scene.interval[1])
+    makers = [partial(stepbench, one, Tolerances(rtol), reference, scene) for one in solvers]
+    rows = _held(f"{scene.name}, rtol={rtol:g}", makers, rounds)
+    if rows[0].get("contestant") == "ida":
+        alone = residual_in_c(scene, rtol) * rows[0]["work"]["residuals"]
+        rows[0]["parts_ms"] = {"arithmetic": 1e3 * alone}
     return rows
 
 
@@ -194,7 +238,7 @@ def ida_table(rows: list[dict[str, Any]]) -> str:
         ]  # fmt: skip
 
     head = "method | steps | residuals | Jacobians | factorisations | ms, least | µs/residual "
-    return _table(head + f"| time/native (quartiles) | parts in ms | {_ERROR}", rows, cells)
+    return _table(head + f"| time/first (quartiles) | parts in ms | {_ERROR}", rows, cells)
 
 
 def main() -> None:
@@ -215,6 +259,9 @@ def main() -> None:
     for scene in (SCENE, CarAxis()):
         for rtol in RTOLS:
             keep(beside_ida(scene, rtol, given.rounds), ida_table)
+    scenes, rtol = _IN_C
+    for scene, solvers in product(scenes, _SOLVERS):
+        keep(beside_python(scene, rtol, solvers, given.rounds), ida_table)
     for h in SIZES:
         keep(same_error(RACERS, h, max(3, given.rounds // 2)), same_error_table)
     print(f"Written to {given.out}.")

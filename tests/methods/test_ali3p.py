@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import long
-from proofs import SWING, TWO_RODS, orders, radii
 
 from integrators import Integrator, Steps, Trajectory
 from integrators.adapters.diffrax_methods import Dopri8
@@ -38,20 +37,6 @@ class Restated(Pendulum):
 
 def run(method: Integrator, scene: MechatronicSystem, h: float = 0.01) -> Trajectory:
     return method.prepare(scene, 1.35, Steps(h)).measure()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("scene", "t_end"), [SWING, *long(TWO_RODS)])
-def test_all_groups_are_second_order_from_the_first_step(scene, t_end):
-    found = orders(ALI3P(), 400, (scene, t_end))
-    for group in ("q", "v", "a", "lam"):
-        assert found[group].order_at_end == pytest.approx(2.0, abs=0.1), group
-        assert found[group].order_of_largest == pytest.approx(2.0, abs=0.1), group
-
-
-@pytest.mark.long
-def test_it_has_the_spectrum_of_the_trapezoidal_rule():
-    assert radii(ALI3P()) == pytest.approx([1.0] * 4, abs=1e-12)
 
 
 @pytest.mark.parametrize("scene", [Doubled(), *long(Restated())], ids=["doubled", "restated"])

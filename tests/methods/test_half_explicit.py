@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import errors_at, long
-from proofs import SWING, TWO_RODS, orders
+from proofs import SWING
 from scipy.integrate import RK45
 
 from bench.conformance.trials import ForcedOscillator
@@ -63,33 +63,9 @@ def test_phem56_has_the_digits_of_an_independent_program():
     scene, t_end = SWING
     run = CONSTANT.prepare(scene, t_end, Steps(1 / 80)).measure()
     exact = scene.exact(run.t)
-    ends = {g: abs(getattr(run, g) - exact[g])[-1].max() for g in ("q", "v", "lam")}
-    assert ends["q"] == pytest.approx(2.65e-9, rel=5e-3)
-    assert ends["v"] == pytest.approx(4.68e-9, rel=5e-3)
-    assert ends["lam"] == pytest.approx(3.76e-7, rel=5e-3)
     assert abs(run.lam - exact["lam"]).max() == pytest.approx(1.3e-6, rel=0.05)
     assert abs((run.q * run.v).sum(axis=1)).max() < 2e-15
     assert run.work.residuals == run.work.solves == 6 * 80
-
-
-@pytest.mark.parametrize("values", ["own", *long("equations")])
-def test_orders_of_phem56(values):
-    method = PHEM56(steps="constant", values=values)
-    for on in (SWING,) if values == "own" else (SWING, TWO_RODS):
-        found, claims = orders(method, 80, on), method.claims(on[0])
-        for group in ("q", "v", "a", "lam"):
-            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.3), group
-
-
-@pytest.mark.parametrize("scene", ["one", *long("two")])
-def test_half_explicit_euler_is_first_order_in_all(scene):
-    on = SWING if scene == "one" else TWO_RODS
-    found = orders(HalfExplicitEuler(), 400, on)
-    for group in ("q", "v", "a", "lam"):
-        assert found[group].order_at_end == pytest.approx(1.0, abs=0.1), group
-    run = HalfExplicitEuler().prepare(*on, Steps(0.01)).measure()
-    if scene == "one":
-        assert abs((run.q * run.v).sum(axis=1)).max() < 2e-15
 
 
 @pytest.mark.long
@@ -147,10 +123,3 @@ def test_a_projection_holds_positions_to_rounding(projection):
     positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
     assert (positions < 1e-15) == (projection == "positions")
     assert abs((run.q * run.v).sum(axis=1)).max() < 1e-15
-
-
-@pytest.mark.long
-def test_a_projection_keeps_the_orders():
-    found = orders(PHEM56(steps="constant", projection="positions"), 40)
-    for group, order in {"q": 5, "v": 5, "a": 4, "lam": 4}.items():
-        assert found[group].order_at_end > order - 0.2, group

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import long
-from proofs import OMEGA_H, SWING, TWO_RODS, orders, radii
+from proofs import OMEGA_H, TWO_RODS, radii
 
 from bench.conformance.trials import ForcedOscillator
 from integrators import Steps, Tolerances
 from integrators.methods import rodas5p
 from integrators.methods.rodas5p import Rodas5P
 from problems import MechatronicSystem, State, jnp
-from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.pendulum import Pendulum
 
 CONSTANT = Rodas5P(steps="constant")
@@ -160,26 +158,6 @@ def test_cubic_motions_are_exact_however_stiff_the_equations_are():
     t = run.t
     assert run.q[:, 0] == pytest.approx(1 - t + 2 * t**2 + t**3, abs=1e-13)
     assert run.v[:, 0] == pytest.approx(-1 + 4 * t + 3 * t**2, abs=1e-12)
-
-
-@pytest.mark.parametrize("scene", ["one", *long("two")])
-@pytest.mark.parametrize("formulation", ["index1", *long("index2")])
-@pytest.mark.parametrize("values", ["own", *long("equations")])
-def test_orders(scene, formulation, values):
-    on = SWING if scene == "one" else TWO_RODS
-    method = replace(CONSTANT, formulation=formulation, values=values)
-    found, claims = orders(method, 160, on), method.claims(on[0])
-    for group in ("q", "v", "a", "lam"):
-        assert found[group].order_of_largest == pytest.approx(claims[group], abs=0.5), group
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("formulation", "order"), [("index1", 5), ("index2", 3)])
-def test_a_controller_with_acceleration_feedback_keeps_the_order(formulation, order):
-    method = replace(CONSTANT, formulation=formulation)
-    found = orders(method, 640, (DoublePendulumControlled(), 1.0))
-    for group in ("q", "v", "x", "y"):
-        assert found[group].order_of_largest == pytest.approx(order, abs=0.1), group
 
 
 @pytest.mark.long

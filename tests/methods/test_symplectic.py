@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import long
-from proofs import SWING, TWO_RODS, damping_and_period, orders, step_of
+from proofs import SWING, TWO_RODS, damping_and_period, step_of
 
 from bench.conformance.trials import ForcedOscillator
 from bench.stability.matrices import matrices
@@ -19,7 +19,6 @@ from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
 from integrators.methods.stormer_verlet import StormerVerlet
 from problems import MechatronicSystem, State, jax, jnp
 from problems.formulations import constraint_velocity
-from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.stiff_bar import StiffBar
 from problems.spec import SpecError
@@ -120,27 +119,6 @@ def test_the_multiplier_averaged_from_both_sides_has_the_digits_of_an_independen
     assert ends["v"].max() == pytest.approx(8.59e-5, rel=2e-3)
 
 
-@pytest.mark.parametrize("method", [ONE_SIDED, *long(RATTLE(), SHAKE(), VariationalMidpoint())])
-def test_orders_of_second_order_methods(method):
-    for on in (SWING, TWO_RODS) if method is not ONE_SIDED else (SWING,):
-        found, claims = orders(method, 400, on), method.claims(on[0])
-        for group in ("q", "v", "a", "lam"):
-            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.1), group
-            assert found[group].order_of_largest == pytest.approx(claims[group], abs=0.1), group
-
-
-@pytest.mark.parametrize("values", ["own", *long("equations")])
-def test_orders_of_the_lobatto_pair(values):
-    method = LobattoPair(values=values)
-    for on in (SWING,) if values == "own" else (SWING, TWO_RODS):
-        found, claims = orders(method, 80, on), method.claims(on[0])
-        for group in ("q", "v", "a", "lam"):
-            assert found[group].order_at_end == pytest.approx(claims[group], abs=0.1), group
-    if values == "own":
-        assert found["q"].at_end == pytest.approx(8.33e-9, rel=0.05)
-        assert found["lam"].largest == pytest.approx(7.5e-3, rel=0.01)
-
-
 def test_averages_hold_their_order_in_patterns_of_steps():
     scene, t_end = SWING
     largest = []
@@ -148,13 +126,6 @@ def test_averages_hold_their_order_in_patterns_of_steps():
         run = RATTLE().prepare(scene, t_end, Steps(1 / steps, (0.3, 0.7))).measure()
         largest.append(abs(run.lam - scene.exact(run.t)["lam"]).max())
     assert np.log2(largest[0] / largest[1]) == pytest.approx(2.0, abs=0.1)
-
-
-@pytest.mark.parametrize("method", [RATTLE(), *long(VariationalMidpoint(), LobattoPair())])
-def test_positions_and_velocities_satisfy_the_constraints(method):
-    run = method.prepare(Pendulum(), 1.35, Steps(0.01)).measure()
-    assert abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max() < 1e-14
-    assert abs((run.q * run.v).sum(axis=1)).max() < 5e-15
 
 
 @pytest.mark.long
@@ -203,14 +174,6 @@ def test_the_limit_of_stability_is_two(method):
 
 
 @pytest.mark.long
-def test_the_midpoint_rule_is_stable_at_every_step():
-    a = matrices(VariationalMidpoint(), Oscillator(), [0.1, 1.0, 10.0, 100.0]).a
-    assert [abs(np.linalg.eigvals(m)).max() for m in a] == pytest.approx([1.0] * 4, abs=1e-9)
-    period = damping_and_period(VariationalMidpoint())[1]
-    assert period == pytest.approx(0.03207491062, abs=1e-9)
-
-
-@pytest.mark.long
 def test_the_midpoint_rule_keeps_angular_momentum():
     run = VariationalMidpoint().prepare(SOFT_BAR, 10.0, Steps(0.05)).measure()
     spin = run.q[:, 0] * run.v[:, 1] - run.q[:, 1] * run.v[:, 0]
@@ -235,18 +198,6 @@ def test_the_error_of_energy_does_not_grow(method, scene, h):
     tenth = len(error) // 10
     assert error[-tenth:].max() < 1.05 * error[:tenth].max() + 1e-10
     assert error.max() < 0.1 * max(1.0, abs(energy[0]))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("options", [{"newton": "modified"}, {"linear_solver": "sparse"}])
-def test_tangents_may_be_kept_or_sparse(options):
-    scene = Chain()
-    one, two = (
-        m.prepare(scene, 0.1, Steps(scene.nominal_step)).measure()
-        for m in (RATTLE(), RATTLE(**options))
-    )
-    assert two.status == "ok"
-    assert two.q == pytest.approx(one.q, abs=1e-10)
 
 
 def test_a_run_that_is_not_supported_cannot_be_prepared():

@@ -1,4 +1,4 @@
-"""Backward differences of variable step and order: formulas, tolerances, orders, constraints."""
+"""Backward differences: formulas of their steps, tolerances, orders, constraints."""
 
 from __future__ import annotations
 
@@ -10,12 +10,40 @@ from helpers import long, reference
 from proofs import SWING, TWO_RODS
 
 from bench.conformance.trials import ForcedOscillator
-from integrators import Tolerances
+from integrators import Steps, Tolerances
+from integrators.methods.bdf2 import BDF2
 from integrators.methods.bdf_adaptive import BDFAdaptive, _respaced
 from problems import jax, jnp
 from problems.initial_values import consistent_start
+from problems.scenes.car_axis import CarAxis
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.spring_mass import SpringMass
+
+
+def test_controller_states_follow_the_formulas_of_the_first_and_of_later_steps():
+    h = 0.1
+    run = BDF2().prepare(SpringMass(), 2 * h, Steps(h)).measure()
+    (x0, x1, x2), (f0, f1, f2) = run.x, run.xdot
+    assert x1 - x0 == pytest.approx(h * (f0 + 3 * f1) / 4, rel=1e-12)
+    assert 3 * x2 - 4 * x1 + x0 == pytest.approx(2 * h * f2, rel=1e-12)
+
+
+def test_positions_are_corrected_in_the_directions_of_the_constraints_before_the_step():
+    """On a scene whose directions Phi_q(q, t) move with time: those at the end are others."""
+    scene, h = CarAxis(), 0.05
+    run = BDF2(formulation="stabilised_index2").prepare(scene, h, Steps(h)).measure()
+    corrected = run.q[1] - run.q[0] - h * run.v[0] - h**2 / 2 * run.a[1]
+
+    jacobian = jax.jit(jax.jacfwd(scene.constraint))
+
+    def off(q, t):
+        directions = np.asarray(jacobian(q, t)).T
+        part = np.linalg.lstsq(directions, corrected)[0]
+        return np.linalg.norm(corrected - directions @ part) / np.linalg.norm(corrected)
+
+    assert off(run.q[0], 0.0) < 1e-6
+    for elsewhere in ((run.q[0], h), (run.q[1], 0.0)):
+        assert off(*elsewhere) > 1e-3
 
 
 def _largest_errors(method, scene, t_end, rtol):

@@ -1,0 +1,237 @@
+"""Orders of methods, their errors in digits of independent programs, and constraints that hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import pytest
+from helpers import long
+from proofs import SWING, TWO_RODS, orders
+
+from integrators import Integrator, Steps
+from integrators.methods.ali3p import ALI3P
+from integrators.methods.bdf2 import BDF2
+from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
+from integrators.methods.early_structural import Houbolt, Park
+from integrators.methods.energy_momentum import EnergyMomentum
+from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
+from integrators.methods.hht_i3 import HHTI3
+from integrators.methods.lobatto_iiia_iiib import LobattoPair
+from integrators.methods.radau_iia import RadauIIA
+from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
+from integrators.methods.rodas5p import Rodas5P
+from integrators.methods.simulator_steppers import (
+    ImplicitFast,
+    LinearlyImplicitEuler,
+    SemiImplicitEuler,
+)
+from problems import MechatronicSystem
+from problems.scenes.chain import Chain
+from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
+from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.spring_mass import SpringMass
+
+FORMULATIONS = "index3", "index2", "stabilised_index2"
+#: Levels of the constraints that a formulation keeps to rounding.
+HELD = {"index3": "q", "index2": "v", "stabilised_index2": "qv"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A method with so many steps, and half of them, on one second of a scene.
+
+    Without orders, those at the end are as claimed.
+    """
+
+    method: Integrator
+    steps: int = 400
+    on: tuple[MechatronicSystem, float] = SWING
+    #: Orders at the end and of the largest errors, and how far others may be off.
+    at_end: dict[str, float] = field(default_factory=dict)
+    largest: dict[str, float] = field(default_factory=dict)
+    within: float = 0.1
+    #: Orders at the end are higher than these; or, if not at the end, as high as claimed.
+    above: dict[str, float] = field(default_factory=dict)
+    least: bool = False
+    #: Errors with the finer steps at the end, the largest of lam, and how far others may be off.
+    errors: dict[str, float] = field(default_factory=dict)
+    largest_of_lam: float | None = None
+    digits: float = 0.02
+    #: Levels of the constraints that hold, if others than those of the formulation.
+    held: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.method.spec}-{self.on[0].name}"
+
+
+def same(groups: str, order: float) -> dict[str, float]:
+    return dict.fromkeys(groups.split(), order)
+
+
+def composite(method: type, formulation: str, lam: float, **options: Any) -> Case:
+    of = method(formulation=formulation, **options)
+    if formulation == "index3":
+        return Case(of, at_end=LOST, largest={"a": 1, "lam": 1})
+    return Case(of, largest=SECOND, within=0.05, errors={"lam": lam})
+
+
+def radau(stages: int, formulation: str, errors: tuple[float, ...], lam: float) -> Case:
+    of = RadauIIA(stages=stages, formulation=formulation, steps="constant")
+    steps, named = 400 if stages == 2 else 80, dict(zip(("q", "v", "lam"), errors, strict=True))
+    claims = of.claims(SWING[0])
+    above = {group: order - 0.12 for group, order in claims.items()}
+    # Index 3 is what loses orders; it must show.
+    largest = claims if formulation == "index3" else {}
+    return Case(
+        of, steps, above=above, largest=largest, within=0.2,
+        errors=named, largest_of_lam=lam, digits=5e-3,
+    )  # fmt: skip
+
+
+SECOND, LOST = same("q v a lam", 2), {"q": 2, "v": 2, "a": 1, "lam": 1}
+OF_BDF2 = {"at_end": same("q v lam", 2), "largest": {"lam": 1}, "within": 0.12}
+OF_HHT = {"at_end": same("q v lam", 2) | {"a": 1}, "largest": {"lam": 1}, "held": ""}
+OF_PHEM = {"within": 0.3, "held": "v"}
+PHEM, ROSENBROCK = PHEM56(steps="constant"), Rodas5P(steps="constant")
+ONE_SIDED = RATTLE(multiplier="one_sided")
+EULERS = SemiImplicitEuler(), ImplicitFast(), LinearlyImplicitEuler()
+SHORT = [
+    Case(BDF2(), **OF_BDF2),
+    Case(LobattoPair(), 80, errors={"q": 8.33e-9}, largest_of_lam=7.5e-3, digits=0.05, held="qv"),
+    composite(Bathe, "stabilised_index2", 5.4e-4),
+    # An independent program in NumPy gave the errors of these two.
+    Case(HHTI3(alpha=-0.2, steps="constant"), errors={"q": 5.75e-5, "lam": 1.8e-3},
+         largest_of_lam=0.11, digits=0.03, **OF_HHT),
+    Case(EnergyMomentum(), at_end=LOST, within=0.05, largest_of_lam=0.135,
+         errors={"q": 1.19e-5, "v": 7.07e-5, "lam": 2.6e-2}),
+    Case(ROSENBROCK, 160, largest=ROSENBROCK.claims(SWING[0]), within=0.5, held=""),
+    radau(3, "stabilised_index2", (3.75e-9, 6.58e-9, 1.43e-5), 1.36e-4),
+    Case(LinearlyImplicitEuler(), within=0.15, held=""),
+    Case(Park(), at_end=SECOND, largest={"lam": 1}, within=0.12),
+    Case(HalfExplicitEuler(), at_end=same("q v a lam", 1), held="v"),
+    Case(PHEM, 80, errors={"q": 2.65e-9, "v": 4.68e-9, "lam": 3.76e-7}, digits=5e-3, **OF_PHEM),
+]  # fmt: skip
+MORE = [
+    Case(ONE_SIDED, largest=ONE_SIDED.claims(SWING[0]), held="qv"),
+    *(Case(BDF2(formulation=f), **OF_BDF2) for f in FORMULATIONS[1:]),
+    *(Case(BDF2(formulation=f), on=TWO_RODS, above=same("q v lam", 1.8)) for f in FORMULATIONS),
+    *(
+        Case(method, largest=method.claims(on[0]), on=on, held=held)
+        for on in (SWING, TWO_RODS)
+        for method, held in ((RATTLE(), "qv"), (SHAKE(), ""), (VariationalMidpoint(), "qv"))
+    ),
+    *(Case(LobattoPair(values="equations"), 80, on, held="qv") for on in (SWING, TWO_RODS)),
+    *(composite(m, "index3", 0) for m in (Bathe, TRBDF2)),
+    composite(RhoInfBathe, "index3", 0, rho_inf=0.5),
+    composite(Bathe, "index2", 5.1e-4),
+    composite(TRBDF2, "stabilised_index2", 5.0e-4),
+    composite(RhoInfBathe, "stabilised_index2", 3.9e-4),
+    composite(RhoInfBathe, "index2", 3.7e-4),
+    Case(Bathe(values="equations"), 200, at_end={"lam": 2}),
+    *(
+        Case(method(formulation=f), on=TWO_RODS, within=0.12)
+        for method, f in product((Bathe, TRBDF2, RhoInfBathe), FORMULATIONS)
+    ),
+    *(Case(ALI3P(), on=on, at_end=SECOND, largest=SECOND, held="qv") for on in (SWING, TWO_RODS)),
+    Case(HHTI3(alpha=-0.3, steps="constant"), errors={"q": 6e-5, "lam": 1.9e-3},
+         largest_of_lam=0.11, digits=0.03, **OF_HHT),
+    Case(HHTI3(steps="constant"), on=TWO_RODS, above=same("q v lam", 1.8)),
+    Case(HHTI3(steps="constant", values="equations"), on=TWO_RODS, above=same("q v a lam", 1.8)),
+    Case(HHTI3(steps="constant"), on=(SpringMass(), 1.0), above=same("q v x y", 1.9)),
+    Case(EnergyMomentum(values="equations"), at_end=SECOND, within=0.05),
+    Case(EnergyMomentum(formulation="stabilised_index2"), at_end=LOST, within=0.05),
+    *(
+        Case(method, 160, on, largest=method.claims(on[0]), within=0.5, held="")
+        for f, values, on in product(("index1", "index2"), ("own", "equations"), (SWING, TWO_RODS))
+        for method in [replace(ROSENBROCK, formulation=f, values=values)]
+    ),
+    # A controller with acceleration feedback.
+    *(
+        Case(replace(ROSENBROCK, formulation=f), 640, (DoublePendulumControlled(), 1.0),
+             largest=same("q v x y", order))
+        for f, order in (("index1", 5), ("index2", 3))
+    ),
+    radau(2, "index3", (2.27e-7, 3.20e-5, 7.83e-2), 0.135),
+    radau(2, "index2", (2.31e-7, 4.26e-7, 1.86e-4), 4.00e-4),
+    radau(2, "stabilised_index2", (2.81e-7, 4.93e-7, 1.86e-4), 3.99e-4),
+    radau(3, "index3", (5.68e-9, 6.40e-6, 3.05e-3), 1.36e-2),
+    radau(3, "index2", (2.96e-9, 5.36e-9, 1.42e-5), 1.35e-4),
+    *(
+        Case(RadauIIA(stages=stages, formulation=f, steps="constant"), steps, TWO_RODS, least=True)
+        for (stages, steps), f in product(((2, 200), (3, 80)), FORMULATIONS)
+    ),
+    *(Case(method, within=0.15, held="") for method in EULERS[:2]),
+    *(Case(method, 3200, TWO_RODS, above=same("q v a lam", 0.85)) for method in EULERS),
+    *(Case(m, 1600, (SpringMass(), 1.0), above=same("q v a x y", 0.9)) for m in EULERS),
+    *(
+        Case(method(formulation=f), at_end=SECOND, largest={"lam": 2}, within=0.12)
+        for method, f in product((Houbolt, Park), FORMULATIONS)
+        if (method, f) != (Park, "index3")
+    ),
+    *(
+        Case(method(formulation=f), on=TWO_RODS, above=same("q v a lam", 1.9))
+        for method, f in product((Houbolt, Park), FORMULATIONS)
+    ),
+    Case(HalfExplicitEuler(), on=TWO_RODS, at_end=same("q v a lam", 1)),
+    *(Case(replace(PHEM, values="equations"), 80, on, **OF_PHEM) for on in (SWING, TWO_RODS)),
+    Case(replace(PHEM, projection="positions"), 40, above=same("q v", 4.8) | same("a lam", 3.8),
+         held="qv"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", [*SHORT, *long(*MORE)], ids=str)
+def test_orders_and_errors_are_those_claimed_and_constraints_hold(case):
+    method, (scene, t_end) = case.method, case.on
+    found = orders(method, case.steps, case.on)
+    others = case.at_end or case.largest or case.above or case.least
+    for group, order in (case.at_end if others else method.claims(scene)).items():
+        if group in found:
+            assert found[group].order_at_end == pytest.approx(order, abs=case.within), group
+    for group, order in case.largest.items():
+        if group in found:
+            assert found[group].order_of_largest == pytest.approx(order, abs=case.within), group
+    for group, order in case.above.items():
+        assert group not in found or found[group].order_at_end > order, group
+    for group, order in method.claims(scene).items() if case.least else ():
+        if group in found:
+            got = found[group]
+            assert max(got.order_at_end, got.order_of_largest) > order - 0.12, group
+    for group, error in case.errors.items():
+        assert found[group].at_end == pytest.approx(error, rel=case.digits), group
+    if case.largest_of_lam:
+        assert found["lam"].largest == pytest.approx(
+            case.largest_of_lam, rel=max(case.digits, 0.03)
+        )
+    held = HELD[method.formulation] if case.held is None else case.held
+    if held and case.on is SWING:
+        run = method.prepare(scene, t_end, Steps(0.01)).measure()
+        positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+        velocities = abs((run.q * run.v).sum(axis=1)).max()
+        assert (positions < 1e-14, velocities < 1e-13) == ("q" in held, "v" in held)
+
+
+MODIFIED, SPARSE = {"newton": "modified"}, {"linear_solver": "sparse"}
+STIFF = RadauIIA(formulation="stabilised_index2", steps="constant")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("method", "others", "scene", "t_end", "h"),
+    [
+        (Bathe(), (MODIFIED, MODIFIED | SPARSE), DoublePendulum(), 0.5, 0.01),
+        (STIFF, (SPARSE,), SliderCrank(), 0.1, 0.005),
+        (replace(STIFF, newton="modified"), (SPARSE,), SliderCrank(), 0.1, 0.005),
+        (LinearlyImplicitEuler(), (SPARSE,), Chain(), 0.1, 0.005),
+        (RATTLE(), (MODIFIED, SPARSE), Chain(), 0.1, Chain().nominal_step),
+    ],
+    ids=str,
+)
+def test_tangents_that_are_kept_or_sparse_change_nothing(method, others, scene, t_end, h):
+    one = method.prepare(scene, t_end, Steps(h)).measure()
+    for options in others:
+        two = replace(method, **options).prepare(scene, t_end, Steps(h)).measure()
+        assert two.status == "ok"
+        assert two.q == pytest.approx(one.q, abs=1e-11)
+        assert two.lam == pytest.approx(one.lam, rel=1e-7, abs=1e-7)

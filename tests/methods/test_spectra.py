@@ -1,0 +1,116 @@
+"""Spectra of methods on the oscillator: digits of their formulas, and identities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long
+from proofs import OMEGA_H, damping_and_period, radii, radii_on
+
+from bench.stability.systems import LinearSystem, Oscillator
+from integrators import Integrator
+from integrators.methods.ali3p import ALI3P
+from integrators.methods.bdf2 import BDF2
+from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
+from integrators.methods.early_structural import Houbolt, Park, WilsonTheta
+from integrators.methods.energy_momentum import EnergyMomentum
+from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
+from integrators.methods.hht_i3 import HHTI3
+from integrators.methods.kr_alpha import CR, KRAlpha
+from integrators.methods.radau_iia import RadauIIA
+from integrators.methods.rattle import VariationalMidpoint
+from integrators.methods.simulator_steppers import LinearlyImplicitEuler
+from problems import jax
+
+
+class ConservingOscillator(Oscillator):
+    """The oscillator with its energy."""
+
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return 0.5 * (v @ v + q @ q)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Spectral radii at `OMEGA_H`; damping and relative error of the period at 0.2 pi."""
+
+    method: Integrator
+    radii: Sequence[float]
+    shape: tuple[float, float] | None = None
+    within: float = 1e-9
+    on: LinearSystem = Oscillator()  # noqa: RUF009 - frozen
+
+    def __str__(self) -> str:
+        return self.method.spec
+
+
+Z, ROOT = 1j * np.array(OMEGA_H), 1 - 1 / math.sqrt(2)
+#: Amplification of the L-stable SDIRK method of two stages.
+SDIRK2 = np.abs((1 + (1 - 2 * ROOT) * Z) / (1 - ROOT * Z) ** 2)
+UNDAMPED = [1.0] * len(OMEGA_H)
+#: Houbolt's method has the radii of the member of generalized-alpha that damps most.
+DAMPED = (0.999951917652, 0.906563333305, 0.242535625036, 0.0478312816831)
+TRAPEZOIDAL = (0.0, 0.03207491062)
+SHORT = [
+    # Independent computation in 50 digits from the formula's own polynomial.
+    Spectrum(BDF2(), (0.999975609345, 0.933321058436, 0.300749568269, 0.078110132815),
+             (0.03442589388, 0.1020606581)),
+    Spectrum(RhoInfBathe(rho_inf=0.5),
+             (0.999999806973, 0.998315845021, 0.649747454588, 0.502080545025),
+             (0.0004587631855, 0.01148896615)),
+    Spectrum(WilsonTheta(), (0.999991720364, 0.967491846228, 0.561980474574, 0.775676799441),
+             (0.01398075474, 0.0614622058)),
+    Spectrum(KRAlpha(rho_inf=0.5),
+             (0.999998160424, 0.989312786016, 0.682528421486, 0.537173623904),
+             (0.003780049758, 0.0467153187)),
+    Spectrum(KRAlpha(rho_inf=0.8),
+             (0.999999931616, 0.999474614014, 0.929791767153, 0.834637608774),
+             (0.0001572715, 0.0338284060)),
+    Spectrum(KRAlpha(rho_inf=1.0), UNDAMPED, TRAPEZOIDAL),
+]  # fmt: skip
+MORE = [
+    Spectrum(CR(), UNDAMPED, TRAPEZOIDAL),
+    Spectrum(Bathe(), (0.99999965338, 0.997054485502, 0.457286606856, 0.0499519610314),
+             (0.0008186670143, 0.01617937436)),
+    Spectrum(TRBDF2(), (0.999999632665, 0.996873936516, 0.44485806001, 0.0482421051467),
+             (0.0008678050247, 0.01571442413)),
+    Spectrum(TRBDF2(), SDIRK2, within=1e-12),
+    Spectrum(RhoInfBathe(rho_inf=0.0), SDIRK2, within=1e-12),
+    Spectrum(Houbolt(), DAMPED, (0.05498792741, 0.1232057196)),
+    Spectrum(GeneralizedAlpha(rho_inf=0.0), DAMPED),
+    # (10 r^3 - 15 r^2 + 6 r - 1)/(6 r^3) = i omega h: the formula on u' = i omega u.
+    Spectrum(Park(), [abs(np.roots([10 - 6 * z, -15, 6, -1])).max() for z in Z]),
+    # Independent computation in 50 digits.
+    Spectrum(RadauIIA(stages=3, steps="constant"),
+             (0.999999999861, 0.999869306671, 0.321402950403, 0.0300224988042),
+             (1.328101807e-5, 1.441254394e-6)),
+    Spectrum(RadauIIA(stages=2, steps="constant"),
+             np.abs((1 + Z / 3) / (1 - 2 * Z / 3 + Z**2 / 6))),
+    Spectrum(ALI3P(), UNDAMPED, within=1e-12),
+    Spectrum(EnergyMomentum(), UNDAMPED, within=1e-12, on=ConservingOscillator()),
+    Spectrum(LinearlyImplicitEuler(), np.abs(1 / (1 - Z)), within=1e-12),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", [*SHORT, *long(*MORE)], ids=str)
+def test_spectra_have_the_digits_of_the_formulas(case):
+    assert radii_on(case.method, case.on) == pytest.approx(list(case.radii), abs=case.within)
+    if case.shape:
+        assert damping_and_period(case.method) == pytest.approx(case.shape, abs=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("alpha", [-0.2, -0.3])
+def test_hht_i3_is_hht_on_linear_systems(alpha):
+    wanted = radii(HHT(alpha=-alpha))
+    assert radii(HHTI3(alpha=alpha, steps="constant")) == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.long
+def test_the_midpoint_rule_is_stable_at_every_step():
+    assert radii(VariationalMidpoint()) == pytest.approx(UNDAMPED, abs=1e-9)
+    assert damping_and_period(VariationalMidpoint())[1] == pytest.approx(TRAPEZOIDAL[1], abs=1e-9)
