@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
 from html.parser import HTMLParser
 from importlib import resources
 from itertools import pairwise
 
 import msgspec
 import pytest
+from chromium import chromium, in_chromium, waited
 from planted import everything, plant
 from small_stores import AN_EXPERIMENT
-from test_browser import waited
 
 from bench.results.experiments import CaseResult, PartResult
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-in_chromium = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
-)
 PAGES = {
     "report.html",
     "report/scene-pendulum.html",
@@ -57,15 +52,8 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in ("headless=new", "no-sandbox", "disable-gpu", "window-size=1400,1000"):
-        options.add_argument(f"--{flag}")
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
+    with chromium() as driver:
+        yield driver
 
 
 def visit(browser, page, scheme="light"):

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import csv
 import shutil
-import time
 
 import pytest
+from chromium import chromium, in_chromium, waited
 from planted import everything, plant
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
-)
+pytestmark = in_chromium
 EXPLORER = "scene-2-1-work_precision"
 
 
@@ -33,21 +30,12 @@ def downloads(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(folder, downloads):
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking"):
-        options.add_argument(f"--{flag}")
-    options.add_argument("--window-size=1400,1000")
     # Block all requests except those for files and for data in the page.
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    driver.get(scene_page(folder))
-    yield driver
-    driver.quit()
+    flags = "disable-background-networking", "host-resolver-rules=MAP * ~NOTFOUND"
+    kept = {"download.default_directory": str(downloads)}
+    with chromium(*flags, logs=("browser", "performance"), **kept) as driver:
+        driver.get(scene_page(folder))
+        yield driver
 
 
 def scene_page(folder):
@@ -69,16 +57,6 @@ def chart(browser, name):
             "const p = document.getElementById(arguments[0]); return p.view ? p : null", name
         )
     )
-
-
-def waited(ask, seconds=20.0):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        answer = ask()
-        if answer:
-            return answer
-        time.sleep(0.05)
-    raise AssertionError("waited in vain")
 
 
 def shown(browser, name):

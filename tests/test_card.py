@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import shutil
 import struct
 from xml.etree import ElementTree
 
 import pytest
+from chromium import chromium, in_chromium
 from click.testing import CliRunner
 from planted import everything, plant
 from test_questions import run, scenes_of
@@ -25,7 +25,6 @@ from reports.questions.words import words_of
 from reports.scenes import StoredRuns, stored_runs
 
 COUNTS = Question("a", 1e-4, "residuals")
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -193,16 +192,10 @@ def test_there_is_no_card_without_an_answer():
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="Chromium is not installed")
+@in_chromium
 def test_a_browser_needs_no_more_room_than_was_measured(tmp_path):
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM or ""
-    for flag in ("headless=new", "no-sandbox", "disable-gpu"):
-        options.add_argument(f"--{flag}")
     (tmp_path / "card.svg").write_text(card_of(many()), encoding="utf-8")
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER)) as page:
+    with chromium() as page:
         page.get((tmp_path / "card.svg").as_uri())
         taken = page.execute_script(
             "return [...document.querySelectorAll('text')]"

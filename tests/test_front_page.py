@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 
 import pytest
+from chromium import chromium, in_chromium, waited
 from planted import everything, plant
-from test_browser import waited
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 from reports.series import cost_of
-
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-in_chromium = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
-)
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +22,9 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(folder):
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in ("headless=new", "no-sandbox", "disable-gpu", "window-size=1400,1000"):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
+def page():
+    with chromium() as driver:
+        yield driver
 
 
 def visit(page, folder, fragment=""):

@@ -1,17 +1,32 @@
-"""The page of a run in work: drawn while runs go, never while times are taken."""
+"""Reports of runs in work, of stores that lack something, and of large runs."""
 
 from __future__ import annotations
 
+import math
 import os
+import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
-from planted import plant, some
+from helpers import long
+from planted import (
+    Document,
+    everything,
+    plant,
+    planted,
+    some,
+    whole_markdown,
+    whole_report,
+)
 
 from bench.commands import pages
 from bench.commands.pages import GrowingPage
-from reports.pages.html_report import FILE
+from bench.results.records import Record, Rows, Study
+from bench.results.store import Store
+from reports.pages.html_report import FILE, write_html_report
+from reports.pages.markdown_report import write_markdown_report
 
 
 @pytest.fixture
@@ -96,3 +111,84 @@ def test_a_run_draws_its_page_before_it_ends(tmp_path: Path, said, stepbench, mo
     assert result.exit_code == 0, result.output
     assert seen == [True]
     assert "Page so far: " in result.output
+
+
+def failed_only() -> list[Record]:
+    return [r for r in everything() if r.status != "ok"]
+
+
+@pytest.mark.parametrize(
+    ("records", "how", "said"),
+    [
+        ([], {"plan": False}, "The store holds no finished run."),
+        (some, {"plan": False}, "The store holds no plan"),
+        (failed_only, {}, "No run reached the end"),
+        *long(
+            (some, {"samples": 0}, "5 of 5 runs that reached the end have no timing samples."),
+            (some, {"samples": 2}, "5 runs have fewer than the 3 timing samples planned."),
+        ),
+    ],
+    ids=["nothing", "no plan", "only failures", "no samples", "few samples"],
+)
+def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(
+    tmp_path: Path, records: object, how: dict, said: str
+) -> None:
+    planted_records = records() if callable(records) else records
+    plant(tmp_path, planted_records, **how)
+    write_html_report(tmp_path)
+    page = Document(whole_report(tmp_path))
+    assert said in page.words
+    assert said.split(":")[0] in whole_markdown(write_markdown_report(tmp_path).parent)
+    shown = [row["message"] for row in page.rows("Runs that did not reach the end")] if any(
+        r.status != "ok" for r in planted_records
+    ) else []  # fmt: skip
+    assert shown == [r.message for r in planted_records if r.status != "ok"]
+    drawn = any(name.endswith("convergence-max") for name in page.charts)
+    assert drawn == any(r.status == "ok" for r in planted_records)
+
+
+def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
+    plant(tmp_path, some())
+    with Store(tmp_path, create=True) as store:
+        plan = store.plan()
+        first, *others = plan.studies
+        more = msgspec.structs.replace(first, cells=[*first.cells, "later 1", "later 2"])
+        new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
+        store.save_plan(msgspec.structs.replace(plan, studies=[more, *others, new]))
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
+    assert "3 of 10 planned runs are not measured yet." in text
+    assert "2 of 7 runs are not measured yet." in text
+    assert "The scene arm (t\\_end=2 s) has no description" in text
+    assert "## To come" in text
+
+
+def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) -> None:
+    wild = planted("pendulum", "wild", {"q": (1.0, 2)}, h=0.1)
+    wild.errors["q"] = dict.fromkeys(("end", "max", "rms", "settled"))
+    plant(tmp_path, [wild])
+    with Store(tmp_path, create=True) as store:
+        store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [math.inf, math.nan]]}))
+    text = whole_markdown(write_markdown_report(tmp_path).parent)
+    assert "Some errors of runs that reached the end are not finite" in text
+
+
+def test_a_run_adds_six_characters_to_the_first_page(tmp_path):
+    def size(runs):
+        held = {"q": (1.0, 2), "a": (3.0, 2)}
+        records = [
+            planted("pendulum", f"m[rho_inf={m / 10}]", held, h=0.1 / 1.4**k)
+            for m in range(8)
+            for k in range(runs)
+        ]
+        folder = plant(tmp_path / str(runs), records, samples=1, plan=False)
+        return write_html_report(folder).stat().st_size
+
+    assert 6 <= (size(22) - size(12)) / (8 * 10) < 7
+
+
+@pytest.mark.long
+def test_a_large_report_opens_with_little(tmp_path):
+    sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
+    from report_size import plant_many
+
+    assert 200_000 < write_html_report(plant_many(tmp_path)).stat().st_size < 300_000

@@ -1,4 +1,4 @@
-"""The scenes of one or two masses on springs: closed forms, losses, and flipped signs."""
+"""Scenes of one or two masses on springs: closed forms, flipped signs; orders on smooth scenes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ from scene_mechanics import Measured, solved
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.initial_values import InconsistentStart, consistent_start
 from problems.reference import Reference
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.chain import Chain
 from problems.scenes.driven_springs import DrivenSprings
+from problems.scenes.duffing import Duffing
 from problems.scenes.friction import Friction
+from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
+from problems.scenes.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.stiff_bar import StiffBar
 
-METHOD = GeneralizedAlpha(start="corrected")
+CORRECTED = GeneralizedAlpha(start="corrected")
 
 
 def check_driven_springs(scene):
@@ -137,7 +144,7 @@ def test_dry_friction_takes_the_same_amplitude_at_every_turn():
 )
 def test_generalized_alpha_is_second_order(scene, t_end, coarsest):
     steps = [coarsest * 2.0**-k for k in range(4)]
-    errors = [errors_at(METHOD, scene, t_end, h) for h in steps]
+    errors = [errors_at(CORRECTED, scene, t_end, h) for h in steps]
     for group in "qva":
         worst = [e[group].max() for e in errors]
         assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
@@ -160,3 +167,62 @@ def test_a_bump_with_corners_is_two_planes():
     assert height == pytest.approx([0.0, 0.025, 0.05, 0.025, 0.0], abs=1e-12)
     smooth = float(QuarterCar(rough=0.0).road(12.75 / 15.0))
     assert smooth == pytest.approx(0.05 * np.exp(-0.25), rel=1e-12)
+
+
+METHOD = GeneralizedAlpha(formulation="stabilised_index2", start="corrected")
+
+#: Scene, end, coarsest of three halvings: in the asymptotic range, above round-off.
+SMOOTH = [
+    (Duffing(), 3.0, 0.0125),
+    (CarAxis(), 1.0, 1.25e-3),
+    (Chain(), 0.5, 2.5e-3),
+]
+MORE = [
+    (HeavyTop(), 0.2, 1.25e-4),
+    (SliderCrank(), 1.0, 6.25e-4),
+    (SliderCrankMinimal(), 1.0, 6.25e-4),
+    (SliderCrankDriven(), 0.05, 1.25e-4),
+    (StiffBar(stretch=1.0), 10.0, 0.01),
+    # Steps that resolve its highest frequency; see the scene for larger ones.
+    (SliderCrankFlexible(), 0.004, 2e-6),
+]
+#: Groups that the constraints alone determine: they are exact at any step and have no order.
+EXACT = {SliderCrankDriven: ("q", "v")}
+
+
+def largest_errors(method, scene, t_end, coarsest):
+    steps = [coarsest * 2.0**-k for k in range(4)]
+    errors = [errors_at(method, scene, t_end, h) for h in steps]
+    return steps, {g: [e[g].max() for e in errors] for g in errors[0]}
+
+
+@pytest.mark.parametrize(
+    ("scene", "t_end", "coarsest"),
+    [SMOOTH[0], *long(*SMOOTH[1:3], *MORE)],
+    ids=lambda p: getattr(p, "name", ""),
+)
+def test_every_smooth_scene_shows_second_order_from_the_first_step(scene, t_end, coarsest):
+    steps, errors = largest_errors(METHOD, scene, t_end, coarsest)
+    for group, worst in errors.items():
+        if group in EXACT.get(type(scene), ()):
+            assert max(worst) < 1e-13
+        else:
+            assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
+
+
+@pytest.mark.parametrize(
+    ("scene", "t_end", "coarsest"),
+    long(*SMOOTH[1:], *MORE[:2]),
+    ids=lambda p: getattr(p, "name", ""),
+)
+def test_the_start_shows_what_index_3_loses_in_the_multipliers(scene, t_end, coarsest):
+    # The start has velocity and jerk, so that an uncorrected one is first order in lam.
+    steps, errors = largest_errors(GeneralizedAlpha(), scene, t_end, coarsest)
+    assert slope(steps, errors["lam"]) == pytest.approx(1.0, abs=0.25)
+    assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_vibrating_stiff_bar_hides_the_order_of_the_acceleration():
+    steps, errors = largest_errors(METHOD, StiffBar(), 2.5, 0.01)
+    assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.2)
+    assert min(errors["a"]) > 7.72**2 / 3.0443  # as large as the vibration itself

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from probe import Probe
+from probe import Probe, worst
 
 from integrators import Tolerances
 from integrators.adapters import packed_functions, sundials, sundials_native
@@ -19,6 +19,7 @@ from problems.runtime import slower
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
+from problems.spec import SpecError
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
 GROUPS = ("t", "q", "v", "a", "lam")
@@ -37,8 +38,8 @@ def forgotten(caplog):
     forget()
 
 
-def prepared(method, scene, length, /, **options):
-    return method(**options).prepare(scene, scene.interval[0] + length, Tolerances(1e-6))
+def prepared(method, scene, length, rtol=1e-6, /, **options):
+    return method(**options).prepare(scene, scene.interval[0] + length, Tolerances(rtol))
 
 
 # ---- the same runs ---------------------------------------------------------------------
@@ -172,3 +173,33 @@ def test_functions_that_differ_from_those_of_jax_are_not_used(method, forgotten,
     flipped = operators.OPERATORS["subtract"]._replace(c="{} + {}")
     monkeypatch.setitem(operators.OPERATORS, "subtract", flipped)
     falls_back(method, forgotten, "in C are not those of JAX")
+
+
+def test_runs_through_c_and_through_python_have_like_errors_and_work():
+    runs = [
+        prepared(IDA, Pendulum(), 1.0, callbacks=kind).measure() for kind in ("compiled", "python")
+    ]
+    errors = [worst(run, Pendulum(), "q") for run in runs]
+    assert max(errors) < 2e-4
+    assert errors[0] == pytest.approx(errors[1], rel=0.1)
+    assert runs[0].work.residuals == pytest.approx(runs[1].work.residuals, rel=0.1)
+
+
+def test_idas_own_switch_spares_steps():
+    plain, suppressed = (
+        prepared(IDA, Pendulum(), 1.0, 1e-7, suppress_algebraic=on).measure()
+        for on in (False, True)
+    )
+    assert suppressed.status == plain.status == "ok"
+    assert suppressed.work.steps < 0.8 * plain.work.steps
+    assert worst(suppressed, Pendulum(), "q") < 1e-5
+    tested = prepared(IDA, Pendulum(), 1.0, 1e-7, multipliers_in_error_test=True, max_calls=5000)
+    assert tested.measure().status != "ok"
+    with pytest.raises(SpecError, match="suppress_algebraic needs"):
+        prepared(IDA, Pendulum(), 1.0, suppress_algebraic=True, callbacks="python")
+
+
+def test_a_sparse_run_that_ends_before_its_first_factorisation_ends_as_any_other():
+    pytest.importorskip("klujax")
+    run = prepared(IDA, Chain(links=5), 0.1, linear_solver="sparse", max_calls=1).measure()
+    assert run.status == "budget_exceeded"

@@ -22,7 +22,7 @@ from integrators.adapters.scipy_ode import Radau
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.scenes.pendulum import Pendulum
 found = []
-ida = IDA(callbacks="python")  # for in C sums round otherwise; test_ida_compiled.py tries that way
+ida = IDA(callbacks="python")  # for in C sums round otherwise; test_sundials.py tries that way
 for method in (GeneralizedAlpha(), Kvaerno3(root_finder="fair"), ida, Radau()):
     fine = Steps(0.05) if method.controls == "step" else Tolerances(1e-5)
     run = method.prepare(Pendulum(), 1.0, fine).measure()

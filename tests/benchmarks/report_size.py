@@ -8,13 +8,13 @@ and a scene's page in Chromium.
 
 from __future__ import annotations
 
-import shutil
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from chromium import chromium
 from planted import curves, planted
 
 from bench.results.records import Plan, SceneRecord
@@ -73,16 +73,7 @@ def plant_many(folder: Path) -> Path:
 
 def drawn(page: Path) -> tuple[float, list[str]]:
     """Seconds from the start of the navigation until the first drawing is done, and complaints."""
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium") or ""
-    for flag in ("headless=new", "no-sandbox", "window-size=1400,1000"):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = webdriver.ChromeService(shutil.which("chromedriver"))
-    driver = webdriver.Chrome(options=options, service=service)
-    try:
+    with chromium() as driver:
         driver.get(page.as_uri())
         time.sleep(1.0)
         ready = driver.execute_script(
@@ -91,8 +82,6 @@ def drawn(page: Path) -> tuple[float, list[str]]:
             " ...performance.getEntriesByType('paint').map(entry => entry.startTime))"
         )
         return ready / 1e3, [entry["message"] for entry in driver.get_log("browser")]
-    finally:
-        driver.quit()
 
 
 def main() -> None:

@@ -1,0 +1,45 @@
+"""Chromium for tests of pages, where it and its driver are installed."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+in_chromium = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="Chromium and its driver are not installed"
+)
+
+
+@contextmanager
+def chromium(*flags: str, logs: tuple[str, ...] = ("browser",), **preferences: str) -> Iterator:
+    """A browser without a window, of 1400 x 1000 pixels."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM or ""
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "window-size=1400,1000", *flags):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", dict.fromkeys(logs, "ALL"))
+    if preferences:
+        options.add_experimental_option("prefs", preferences)
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+def waited(ask: Callable[[], Any], seconds: float = 20.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        answer = ask()
+        if answer:
+            return answer
+        time.sleep(0.05)
+    raise AssertionError("waited in vain")
