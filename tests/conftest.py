@@ -118,6 +118,20 @@ def stepbench():
 
 
 @pytest.fixture
+def refused(stepbench):
+    """Run a command line that is refused; returns what it says, in one line."""
+
+    def call(*arguments: object) -> str:
+        result = stepbench(*arguments)
+        assert result.exit_code != 0, result.output
+        assert isinstance(result.exception, SystemExit), repr(result.exception)
+        assert "Traceback" not in result.output
+        return " ".join(result.output.split())
+
+    return call
+
+
+@pytest.fixture
 def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""
     from bench.guard import process

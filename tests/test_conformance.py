@@ -42,11 +42,6 @@ def test_what_is_right_passes_every_check(registry, kind, text):
 @pytest.mark.parametrize(
     ("text", "check", "sentence"),
     [
-        (
-            "wrong[how=mute]",
-            "scenes",
-            "supports() is '', expected None, or the reason in a sentence",
-        ),
         ("wrong[how=picky]", "scenes", "It takes no scene; refuses "),
         *long(("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05")),
         ("wrong[how=unchanging]", "pattern", "It counts 50 steps where the step pattern has 100"),
@@ -54,18 +49,7 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=random]", "repeats", "Two runs on forced_oscillator differ in q"),
         ("wrong[how=off_grid]", "rows", "is no multiple of the step"),
         ("wrong[how=late]", "rows", "the last at 5.0, to the last digit"),
-        (
-            "wrong[how=flat]",
-            "rows",
-            "On forced_oscillator: v is an array of float64 of shape (51,), "
-            "expected real numbers of shape (51, 1)",
-        ),
         ("wrong[how=without_start]", "rows", "The first row of q on forced_oscillator"),
-        (
-            "wrong[how=backwards]",
-            "rows",
-            "On forced_oscillator: t[4] is 0.3, expected a time after t[3], 0.4 s",
-        ),
         ("wrong[how=uncounted]", "work", "steps on forced_oscillator: None at h=0.1 s, None at"),
         ("wrong[how=steps_alone]", "work", "residuals on forced_oscillator: None at h=0.1 s, None"),
         ("wrong[how=always_seven]", "work", "residuals on forced_oscillator: 7 at h=0.1 s, 7 at"),
@@ -103,17 +87,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
         ("off_the_rod", "start", "violates the constraints at position level"),
         ("numpy_force", "blocks", "force cannot be traced by JAX: TracerArrayConversionError"),
         ("moody_force", "blocks", "force gives other values when called again"),
-        (
-            "hidden_slope",
-            "blocks",
-            "force[1] by v[1] is 0, the difference quotient -1",
-        ),
-        (
-            "crumpled",
-            "drawing",
-            "line 0 of draw() is an array of float64 of shape (4, 3), "
-            "expected an array of shape (points",
-        ),
+        ("hidden_slope", "blocks", "force[1] by v[1] is 0, the difference quotient -1"),
         ("stubborn", "traced", "A traced value of k does not act as a plain one"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),
@@ -128,13 +102,11 @@ def test_a_wrong_scene_is_told_what_to_mend(registry, name, check, sentence):
 
 @pytest.mark.parametrize("command", [("solve", "pendulum"), *long((("stability",),))])
 @pytest.mark.usefixtures("without_processes")
-def test_a_run_tells_that_a_step_pattern_is_ignored(stepbench, tmp_path, command):
+def test_a_run_tells_that_a_step_pattern_is_ignored(refused, tmp_path, command):
     method = "wrong[how=unchanging]"
     step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
     given = (*command, method, *step, "--pattern", "0.3,0.7", "--plugins", PLUGINS)
-    result = stepbench(*given)
-    assert result.exit_code == 1
-    assert "it ignores resolution.pattern" in " ".join(result.output.split())
+    assert "it ignores resolution.pattern" in refused(*given)
 
 
 def test_a_check_without_an_object_says_why(registry):
@@ -230,7 +202,5 @@ def test_a_file_that_cannot_be_loaded_fails_with_its_reason(stepbench, tmp_path)
         (["no_such_file.py"], "There is no plugin file or folder"),
     ],
 )
-def test_a_name_that_is_not_known_is_one_sentence(stepbench, arguments, words):
-    result = stepbench("check", *arguments)
-    assert result.exit_code == 1
-    assert words in " ".join(result.output.split())
+def test_a_name_that_is_not_known_is_one_sentence(refused, arguments, words):
+    assert words in refused("check", *arguments)

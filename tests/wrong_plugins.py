@@ -37,12 +37,8 @@ class Run(PreparedRun):
             run.t[3] += 0.3 * (run.t[3] - run.t[2])
         if how == "late":
             run.t[-1] += 1e-12
-        if how == "flat":
-            run.v = run.v[:, 0]
         if how == "without_start":
             run.q[0] = run.q[1]
-        if how == "backwards":
-            run.t[[3, 4]] = run.t[[4, 3]]
         if how == "uncounted":
             run.work = Work()
         if how == "steps_alone":
@@ -81,7 +77,7 @@ class Wrong(Integrator):
     how: str = option("not at all", "what is wrong", always=True)
 
     def supports(self, scene):
-        return {"mute": "", "picky": "it likes none."}.get(self.how)
+        return "it likes none." if self.how == "picky" else None
 
     def prepare(self, scene, t_end, resolution):
         if self.how == "divides" and t_end == scene.interval[0]:
@@ -203,14 +199,6 @@ class HiddenSlope(Pendulum):
 
     def force(self, q, v, t):
         return super().force(q, v, t) - jax.lax.stop_gradient(v)
-
-
-@dataclass(frozen=True)
-class Crumpled(Pendulum):
-    """A picture of points in space."""
-
-    def draw(self, q):
-        return [np.zeros((4, 3))]
 
 
 @dataclass(frozen=True)
