@@ -38,7 +38,7 @@ class _Through(io.TextIOBase):
         return True
 
     def close(self) -> None:
-        """Leave the stream behind open; an object that is forgotten at the very end flushes none."""
+        """Leave the stream behind open, and do not flush it: at the very end it may be gone."""
 
 
 class PlainStream(_Through):
