@@ -97,7 +97,7 @@ def test_the_table_has_the_least_cost_and_its_multiples(store, target):
 
 
 def test_other_numbers_give_other_sentences(store):
-    lead = "To 1e-2 in acceleration on pendulum, {} the fewest operations"
+    lead = "To 1e-2 in acceleration, {} the fewest operations on pendulum"
 
     def dearer(r):
         if r.integrator.startswith("good"):
@@ -128,17 +128,18 @@ def joined(dearer: int, least: float = 1e-6) -> list[str]:
 
 def test_accuracies_with_one_answer_share_a_sentence():
     assert joined(1) == [
-        "To 1e-2, 1e-4 and 1e-6 in acceleration on s, one takes the fewest operations, 100, 200 "
-        "and 400 at h=1, 0.5 and 0.25 s; next is two with 10 times that."
+        "To 1e-2, 1e-4 and 1e-6 in acceleration, one takes the fewest operations on s (h=1, 0.5 "
+        "and 0.25 s; next: two, 10 times)."
     ]
     assert joined(2) == [
-        "To 1e-2, 1e-4 and 1e-6 in acceleration on s, one takes the fewest operations, 100, 200 "
-        "and 400 at h=1, 0.5 and 0.25 s; next is two with 10, 20 and 10 times that."
+        "To 1e-2, 1e-4 and 1e-6 in acceleration, one takes the fewest operations on s (h=1, 0.5 "
+        "and 0.25 s; next: two, 10, 20 and 10 times)."
     ]
     assert joined(1, least=1e-5) == [
-        "To 1e-2 and 1e-4 in acceleration on s, one takes the fewest operations, 100 and 200 at "
-        "h=1 and 0.5 s; next is two with 10 times that.",
-        "To 1e-6 in acceleration on s, one alone reaches it: 400 operations at h=0.25 s.",
+        "To 1e-2 and 1e-4 in acceleration, one takes the fewest operations on s (h=1 and 0.5 s; "
+        "next: two, 10 times).",
+        "To 1e-6 in acceleration, one takes the fewest operations on s (h=0.25 s; no other reaches "
+        "it).",
     ]
 
 

@@ -21,44 +21,25 @@ _NAMED = 2
 _OTHERS = 2
 
 
-def on_one(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
-    """'To 1e-4 in ... on pendulum, IDA takes the fewest operations, 3000 at ...; next is ...'."""
-    first, second = answer.first, answer.second
-    said = [*words.aim(question), " on ", scene_ref(scene), ", "]
-    said += words.methods(s.label for s in first)
-    best = min(first, key=lambda s: s.value or 0.0)
-    if not answer.votes or (len(first) == 1 and not second and not answer.unknown):
-        said.append(
-            " alone reaches it: " if answer.votes else " reaches it, with none to compare: "
-        )
-        said += [_cost(best.run, best.value, question.cost, words), COSTS[question.cost].counted]
-    else:
-        said.append(f" {_does(len(first) > 1, question.cost)}, ")
-        said.append(_cost(best.run, best.value, question.cost, words))
-    said.append(_at(best.run))
-    if second and second.run:
-        said += ["; next is ", words.method(second.label), " with "]
-        said.append(words.run(second.run, f"{times(second.ratio)} that"))
-    return [*said, "."]
+def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words) -> Sentence:
+    """'To 1e-4 in ..., A takes the fewest operations on s (100; next: B, 2 times); B on t (9).'.
 
-
-def _does(tie: bool, cost: str) -> str:
-    verb = "tie for" if tie else f"{COSTS[cost].verb}s"
-    return f"{verb} the {COSTS[cost].least}"
-
-
-def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
-    """'To 1e-4 in ..., A takes the fewest operations on s (100; next: B, 2 times); B on t (9).'."""
+    The answers are those on scenes on which somebody reaches the accuracy.
+    """
     where: dict[tuple[str, ...], list[Sentence]] = {}
-    for name, scene in voting.items():
+    for name, scene in answers.items():
         first, second = scene.first, scene.second
         best = min(first, key=lambda s: s.value or 0.0)
-        least = _cost(best.run, best.value, question.cost, words)
         near: Sentence = [scene_ref(name), " ("]
-        near += [_at(best.run).removeprefix(" at ")] if words.brief else [least, _at(best.run)]
+        if not words.brief:
+            least = cost_text(best.value, question.cost)
+            near += [words.run(best.run, least) if best.run else least, " at "]
+        near += [_resolution(best.run)] if best.run else []
         if second and second.run:
             near += ["; next: ", words.method(second.label), ", "]
             near.append(words.run(second.run, times(second.ratio)))
+        elif not scene.votes:
+            near.append("; none to compare")
         elif len(first) == 1 and not scene.unknown:
             near.append("; no other reaches it")
         where.setdefault(tuple(s.label for s in first), []).append([*near, ")"])
@@ -66,24 +47,18 @@ def on_each(question: Question, voting: Mapping[str, SceneAnswer], words: Words)
     for k, labels in enumerate(
         sorted(where, key=lambda labels: (len(labels) > 1, -len(where[labels])))
     ):
-        tie = len(labels) > 1
+        tie, cost = len(labels) > 1, COSTS[question.cost]
         said += [*(["; "] if k else []), *words.methods(labels)]
-        said.append(f" {_does(tie, question.cost)}" if not k else " tie" if tie else "")
+        verb = "tie for" if tie else f"{cost.verb}s"
+        said.append(f" {verb} the {cost.least}" if not k else " tie" if tie else "")
         said += [" on ", *listed(where[labels])]
     return [*said, "."]
 
 
-def _cost(run: Record | None, value: float | None, cost: str, words: Words) -> Part:
-    text = cost_text(value, cost)
-    return words.run(run, text) if run else text
-
-
-def _at(run: Record | None) -> str:
-    """' at h=0.01 s': the step or tolerance of a run."""
-    if run is None:
-        return ""
+def _resolution(run: Record) -> str:
+    """The step or tolerance of a run."""
     value = number(step_or_tolerance(run))
-    return f" at h={value} s" if run.controls == "step" else f" at rtol={value}"
+    return f"h={value} s" if run.controls == "step" else f"rtol={value}"
 
 
 def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:

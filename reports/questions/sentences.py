@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import COSTS
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
-from reports.questions.cheapest import cheapest, families, on_each, on_one
+from reports.questions.cheapest import cheapest, families, on_each
 from reports.questions.phrases import Sentence, listed
 from reports.questions.question import Question
 from reports.questions.words import Words, scene_ref
@@ -35,9 +35,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         return [*_unjudged(found)] or [["No scene has runs with an error in this quantity."]]
     voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
     said = []
-    if len(voting) == 1:
-        said += [on_one(found.question, *pair, words) for pair in voting.items()]
-    elif len(voting) <= _EACH and voting:
+    if len(voting) <= _EACH and voting:
         said.append(on_each(found.question, voting, words))
     elif voting:
         said += [cheapest(found, voting, words), *families(found, voting, words)]
@@ -63,7 +61,7 @@ def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: W
 def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
     unknown = words.methods(s.label for s in answer.unknown)
     if answer.first:
-        said = on_one(question, scene, answer, words)
+        said = on_each(question, {scene: answer}, words)
         if unknown:
             said += [f" Not compared, as {COSTS[question.cost].unknown}: ", *unknown, "."]
         return said
