@@ -6,6 +6,7 @@ Names come from entry points and files; plugins of others are named, but never l
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -21,16 +22,6 @@ Completion in the shell; put the line into its start-up file:
 """
 
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
-
-
-def scenes(ctx: click.Context, parameter: click.Parameter, text: str) -> list[CompletionItem]:
-    """Complete the name of a scene, and parameters in brackets."""
-    return _plugins("problems", text)
-
-
-def integrators(ctx: click.Context, parameter: click.Parameter, text: str) -> list[CompletionItem]:
-    """Complete the name of an integrator, and options in brackets."""
-    return _plugins("integrators", text)
 
 
 def suites(ctx: click.Context, parameter: click.Parameter, text: str) -> list[CompletionItem]:
@@ -66,8 +57,10 @@ def one_of(*words: str) -> Completer:
     return lambda ctx, parameter, text: _items(((word, "") for word in words), text)
 
 
-# ---- parts -------------------------------------------------------------------------------
-def _plugins(kind: str, text: str) -> list[CompletionItem]:
+def _plugins(
+    kind: str, ctx: click.Context, parameter: click.Parameter, text: str
+) -> list[CompletionItem]:
+    """Complete the name of a scene or an integrator, and options in brackets."""
     name, bracket, inside = text.partition("[")
     if not bracket:
         return _items(((e.name, "") for e in entry_points(group=f"stepbench.{kind}")), text)
@@ -79,6 +72,9 @@ def _plugins(kind: str, text: str) -> list[CompletionItem]:
         return _items(((f"{head}{o['name']}=", str(o["doc"])) for o in known), text)
     choices = (c for o in known if o["name"] == option for c in o.get("choices", ()))
     return _items(((f"{head}{option}={choice}", "") for choice in choices), text)
+
+
+scenes, integrators = partial(_plugins, "problems"), partial(_plugins, "integrators")
 
 
 def _options(kind: str, name: str) -> list[dict[str, Any]]:

@@ -71,8 +71,7 @@ class StudySection:
     state: str
     observations: list[Observation]
     figures: list[CaptionedCharts]
-    tables: list[Table]
-    folded_tables: list[Table]
+    orders: Table | None = None
     runs: Table | None = None
     links: dict[str, str] = field(default_factory=dict)
 
@@ -117,8 +116,6 @@ class StudySections:
         if "trajectory" in study.figures:
             figures.append(self._histories(series, f"{anchor}-drift", "drift"))
             figures.append(self._histories(series, f"{anchor}-steps", "steps"))
-        first, every = orders_table(series, (study.norm,)), orders_table(series)
-        fitted = any(len(s.ok) >= 2 for s in series if s.controls == "step")
         return StudySection(
             # A study without a title has the scene's name, which is the heading above it.
             title="Accuracy and cost" if study.title in ("", self.name) else study.title,
@@ -126,8 +123,7 @@ class StudySections:
             state=_study_state(study, records),
             observations=observations(series),
             figures=[figure for figure in figures if figure],
-            tables=[first] if first and fitted else [],
-            folded_tables=[every] if every and fitted else [],
+            orders=orders_table(series, study.norm),
             runs=runs_table(series, components=self.component_names)
             if "runs" in study.figures
             else None,

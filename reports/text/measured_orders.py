@@ -44,24 +44,22 @@ def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float
     return orders, [problem for problem, f in fits if f.verdict == _STUCK]
 
 
-def orders_table(series: Sequence[Series], norms: Sequence[str] = tuple(NORMS)) -> Table | None:
-    """Fitted orders with window and number of points, a row per integrator and norm."""
-    constant_steps = [s for s in series if s.controls == "step" and s.ok]
-    groups = groups_of(ok_runs(constant_steps))
-    if not constant_steps or not groups:
+def orders_table(series: Sequence[Series], first: str) -> Table | None:
+    """Fitted orders with window and number of points, a row per integrator and norm.
+
+    The norm ``first`` stands before the others.
+    """
+    fitted = [s for s in series if s.controls == "step" and len(s.ok) > 1]
+    groups = groups_of(ok_runs(fitted))
+    if not groups:
         return None
     rows = [
         [s.label, NORMS[norm], *(_fit(s.fit(group, norm)) for group in groups)]
-        for s in constant_steps
-        for norm in norms
+        for s in fitted
+        for norm in dict.fromkeys((first, *NORMS))
     ]
-    caption, head = "Fitted orders", ["integrator", "error", *groups]
-    if len(norms) == 1:
-        caption += f" of the error {NORMS[norms[0]]}"
-        head.pop(1)
-        rows = [[label, *cells] for label, _, *cells in rows]
     note = "Order (window of step sizes in s, number of points)."
-    return Table(caption, head, rows, note=note)
+    return Table("Fitted orders", ["integrator", "error", *groups], rows, note=note)
 
 
 def _fit(fit: Fit) -> str:
