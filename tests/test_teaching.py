@@ -9,9 +9,8 @@ import pytest
 from planted import Document, everything, plant, whole_report
 
 from bench.results.store import Store
-from reports.charts.mechanism import mechanism
+from reports.charts.mechanism import mechanism, motion
 from reports.pages.html_report import write_html_report
-from reports.pages.motion import motion
 from reports.text.glossary import TERMS, terms_in
 from reports.text.mathml import mathml, unknowns
 
@@ -100,7 +99,7 @@ def test_a_scene_is_played_from_its_drawings_and_shown_at_few_times():
     played = motion(drawings)
     assert played
     assert len(played.frames) == 61
-    assert played.frames[60]["lines"][0] == [[0.0, 0.0], [1.0, -1.0]]
+    assert played.frames[60]["lines"][0] == [(0.0, 0.0), (1.0, -1.0)]
     assert played.still == "M0 0L1 -1"
     assert motion([{"t": 0.0, "lines": [[]]}]) is None
     chart = mechanism(drawings)

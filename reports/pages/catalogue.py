@@ -9,10 +9,9 @@ from typing import Any
 from bench.results.records import SceneRecord
 from problems.spec import SpecError
 from problems.whole_files import put
-from reports.charts.mechanism import mechanism
+from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import picture, pictures
 from reports.formatting import file_name, number, paragraphs
-from reports.pages.motion import motion
 from reports.pages.templating import html, markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from bench.results.quantities import COST
 from bench.results.records import Record
+from reports.charts.mechanism import motion
 from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.motion import motion
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST

@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import Record, SceneRecord
+from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
 from reports.names import family_name, scene_name
 from reports.pages.report import Report
@@ -27,8 +28,6 @@ _LETTERS = 4
 _NONE = "-" * _LETTERS
 #: Multiples of the best cost at which a performance profile is stated.
 _MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
-#: Most lines and points per line of a scene's little picture.
-_LINES, _POINTS = 40, 60
 
 
 class SiteData:
@@ -291,32 +290,9 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
         "about": " · ".join(tag_name(tag) for tag in scene.tags[:3]) if scene else "",
         "page": scene_page(name),
         "groups": groups,
-        "picture": little_picture(scene) if scene else [],
+        "picture": little_picture(scene.drawings) if scene else [],
         "floor": {g: float(f"{floor:.3g}") for g, floor in floors.items() if floor > 0},
     }
-
-
-def little_picture(scene: SceneRecord) -> list[list[list[int]]]:
-    """The last drawing of a scene as lines of whole numbers between 0 and 100, y downwards."""
-    drawn = scene.drawings[-1]["lines"][:_LINES] if scene.drawings else []
-    lines = [
-        [
-            (x, y)
-            for x, y in line[:: max(1, len(line) // _POINTS)]
-            if x is not None and y is not None
-        ]
-        for line in drawn
-    ]
-    points = [point for line in lines for point in line]
-    if not points:
-        return []
-    (x0, x1), (y0, y1) = ((min(p[i] for p in points), max(p[i] for p in points)) for i in (0, 1))
-    if not all(map(math.isfinite, (extent := max(x1 - x0, y1 - y0, 1e-9), x0, x1, y0, y1))):
-        return []
-    scale, x, y = 100 / extent, (x0 + x1) / 2, (y0 + y1) / 2
-    return [
-        [[round(50 + scale * (p - x)), round(50 - scale * (q - y))] for p, q in ln] for ln in lines
-    ]
 
 
 # ---- numbers as text ---------------------------------------------------------------------
