@@ -298,14 +298,12 @@ class MechatronicSystem:
                 raise spec.SpecError(f"{self.spec}: constraint has shape {shape}, expected (nl,).")
             nl = shape[0]
         if self.has("output"):
-            ny = self._outputs(len(start.q))
+            shape, rows = np.shape(self.actuation()), len(start.q)
+            if len(shape) != 2:
+                fault = f"actuation has shape {shape}, expected ({rows}, ny)."
+                raise spec.SpecError(f"{self.spec}: {fault}")
+            ny = shape[1]
         return Sizes(len(start.q), nl, nx, ny)
-
-    def _outputs(self, nq: int) -> int:
-        shape = np.shape(self.actuation())
-        if len(shape) != 2:
-            raise spec.SpecError(f"{self.spec}: actuation has shape {shape}, expected ({nq}, ny).")
-        return shape[1]
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""

@@ -106,7 +106,7 @@ class SliderCrank(_FreeCrank):
 
     def initial_state(self) -> State:
         q = np.asarray(self.assembled(np.float64(self.th0)))
-        w1, (c1, s1), (c2, s2) = self.w0, _direction(q[2]), _direction(q[5])
+        w1, (c1, c2), (s1, s2) = self.w0, np.cos(q[[2, 5]]), np.sin(q[[2, 5]])
         w2 = -self.l1 * c1 * w1 / (self.l2 * c2)
         tip = self.l1 * w1 * np.array([-s1, c1])
         half = self.l2 / 2 * w2 * np.array([-s2, c2])
@@ -115,10 +115,6 @@ class SliderCrank(_FreeCrank):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         return _polylines(self.l1, 2 * np.asarray(q[:2]), float(q[6]))
-
-
-def _direction(angle: float) -> tuple[float, float]:
-    return np.cos(angle), np.sin(angle)
 
 
 @dataclass(frozen=True)
