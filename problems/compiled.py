@@ -85,11 +85,14 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    def over_rows(name: str, function: Callable) -> Callable:
-        return _over_rows(function, (name, template))
-
     def alone(name: str, function: Callable) -> Callable:
-        return exported(lambda: function, lambda: (name, template))
+        return exported(function, (name, template))
+
+    def over_rows(name: str, function: Callable) -> Callable:
+        def block(p: Mapping, rows: tuple[Array, ...]) -> Any:
+            return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+        return _in_blocks(alone(name, block))
 
     return Compiled(
         start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
@@ -104,13 +107,8 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     )
 
 
-def _over_rows(function: Callable, about: tuple) -> Callable:
-    """Vectorise over rows, filled up to whole blocks; ``about`` tells what the function is."""
-
-    def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
-        return jax.vmap(lambda *row: function(p, *row))(*rows)
-
-    block = exported(lambda: rows_at_once, lambda: about)
+def _in_blocks(block: Callable) -> Callable:
+    """A function of any number of rows, which are filled up to whole blocks."""
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0

@@ -61,23 +61,24 @@ class _Pickler(pickle.Pickler):
 
 
 def exported(
-    make: Callable[[], Callable], about: Callable[[], Sequence[Any]], calls: Sequence[str] = ()
+    function: Callable,
+    about: Sequence[Any] | Callable[[], Sequence[Any]],
+    calls: Sequence[str] = (),
 ) -> Callable:
-    """Return the compiled function ``jax.jit(make())``, read from a file if there is one.
+    """Return the compiled function ``jax.jit(function)``, read from a file if there is one.
 
     Parameters
     ----------
-    make
-        Makes the traceable function; not called if the program is read.
+    function
+        A traceable function; not called if the program is read.
     about
-        Returns all that decides the program beside the code of this project; it is asked when
-        the program is traced.
+        All that decides the program beside the code of this project, or a function that returns
+        this when the program is traced.
     calls
         Names under which the program calls functions of this process.
     """
     if not _used:
-        return jax.jit(make())
-    made = cache(make)
+        return jax.jit(function)
 
     def program(*arguments: Any) -> Any:
         from jax import export
@@ -86,31 +87,32 @@ def exported(
         shapes = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in leaves]
         # Whatever goes wrong here costs time alone: the function itself is traced instead.
         try:
-            file = _file(*about(), str(tree), [(s.shape, str(s.dtype)) for s in shapes])
-            trace = partial(_traced, made, tree, shapes, calls)
+            decides = about() if callable(about) else about
+            file = _file(*decides, str(tree), [(s.shape, str(s.dtype)) for s in shapes])
+            trace = partial(_traced, function, tree, shapes, calls)
             form, found = _kept_or_found(file, trace, tuple[Any, bytes])
             results = export.deserialize(bytearray(found)).call(*leaves)
             return jax.tree.unflatten(jax.tree.structure(_formed(form)), results)
         except Exception:
-            return made()(*arguments)
+            return function(*arguments)
 
     return jax.jit(program)
 
 
-def found_once(find: Callable[[], T], about: Callable[[], Sequence[Any]], kind: type[T]) -> T:
+def found_once(find: Callable[[], T], about: Sequence[Any], kind: type[T]) -> T:
     """Return ``find()``, which are numbers that tracing finds, read from a file if there is one.
 
     Parameters
     ----------
     about
-        Returns all that decides the numbers beside the code of this project.
+        All that decides the numbers beside the code of this project.
     kind
         Their type, one of msgspec's.
     """
     if not _used:
         return find()
     try:
-        file = _file(kind, *about())
+        file = _file(kind, *about)
     except Exception:  # it is not ours
         return find()
     return _kept_or_found(file, find, kind)
@@ -161,7 +163,7 @@ def _sources() -> str:
 
 
 def _traced(
-    make: Callable[[], Callable], tree: Any, shapes: Sequence[Any], calls: Sequence[str]
+    function: Callable, tree: Any, shapes: Sequence[Any], calls: Sequence[str]
 ) -> tuple[Any, bytes]:
     """Trace a function of arguments with this tree of leaves: the form of its results, as data, and
     the program of the leaves.
@@ -177,7 +179,7 @@ def _traced(
 
     def flat(*leaves: Any) -> list[Any]:
         nonlocal form
-        results, of_results = jax.tree.flatten(make()(*jax.tree.unflatten(tree, leaves)))
+        results, of_results = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves)))
         form = jax.tree.unflatten(of_results, range(len(results)))
         return results
 

@@ -125,7 +125,7 @@ def _rows(template: MechatronicSystem) -> Callable:
     def rows(p: Any, q: Any, t: Any) -> Any:
         return jax.jacfwd(lambda q: template.with_parameters(p).constraint(q, t))(q)
 
-    return exported(lambda: rows, lambda: ("rows of the constraints", template))
+    return exported(rows, ("rows of the constraints", template))
 
 
 # ---- Newton's method -------------------------------------------------------------------

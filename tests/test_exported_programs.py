@@ -39,18 +39,16 @@ def files(folder):
     return [file for file in folder.rglob("*") if file.is_file()]
 
 
-def never():
+def never(*_):
     raise AssertionError("it was traced again")
 
 
 def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
     about = "sine and cosine", Pendulum()
-    first = exported(
-        lambda: lambda p, x: {"s": jnp.sin(p["k"] * x), "c": (x, 2 * x, None)}, lambda: about
-    )
+    first = exported(lambda p, x: {"s": jnp.sin(p["k"] * x), "c": (x, 2 * x, None)}, about)
     made = first({"k": 2.0}, np.arange(3.0))
     assert len(files(folder)) == 1
-    read = exported(lambda: never(), lambda: about)({"k": 2.0}, np.arange(3.0))
+    read = exported(never, about)({"k": 2.0}, np.arange(3.0))
     assert np.array_equal(read["s"], made["s"])
     assert np.array_equal(read["s"], np.sin(2 * np.arange(3.0)))
     assert [list(part) for part in read["c"][:2]] == [[0, 1, 2], [0, 2, 4]]
@@ -58,18 +56,18 @@ def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
     with pytest.raises(AssertionError, match="again"):  # other shapes, other program
         exported(never, lambda: about)({"k": 2.0}, np.arange(4.0))
     with pytest.raises(AssertionError, match="again"):  # another value of what decides it
-        exported(never, lambda: ("sine and cosine", Pendulum(l=2.0)))({"k": 2.0}, np.arange(3.0))
+        exported(never, ("sine and cosine", Pendulum(length=2.0)))({"k": 2.0}, np.arange(3.0))
 
 
 def test_numbers_that_tracing_finds_are_found_once(folder):
     about, costs = ("costs of a step", Pendulum()), Operations(3.0, 4.0)
-    assert found_once(lambda: costs, lambda: about, Operations) == costs
-    assert found_once(never, lambda: about, Operations) == costs
+    assert found_once(lambda: costs, about, Operations) == costs
+    assert found_once(never, about, Operations) == costs
     (file,) = files(folder)
     spoilt = bytearray(file.read_bytes())
     spoilt[2] ^= 1
     file.write_bytes(spoilt)
-    assert found_once(lambda: costs, lambda: about, Operations) == costs
+    assert found_once(lambda: costs, about, Operations) == costs
 
 
 def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, monkeypatch):
@@ -97,17 +95,17 @@ def test_a_program_of_sources_that_have_changed_since_is_not_written(folder, mon
     now.__wrapped__ = lambda: "those of a newer release"
     monkeypatch.setattr(exported_programs, "_sources", now)
     exported_programs._ours.cache_clear()
-    assert float(exported(lambda: lambda x: 2 * x, lambda: ("double",))(1.0)) == 2.0
+    assert float(exported(lambda x: 2 * x, ("double",))(1.0)) == 2.0
     assert not files(folder)
     exported_programs._ours.cache_clear()
 
 
 def test_a_file_with_one_wrong_bit_is_not_believed_and_made_anew(folder):
-    def doubled():
-        return lambda x: 2 * x
+    def doubled(x):
+        return 2 * x
 
-    def call(make):
-        return float(exported(make, lambda: ("double",))(3.0))
+    def call(function):
+        return float(exported(function, ("double",))(3.0))
 
     assert call(doubled) == 6.0
     (file,) = files(folder)
@@ -135,7 +133,7 @@ def test_no_code_in_a_file_is_run(folder, monkeypatch):
         for put in (Path.write_bytes, keep):
             folder.mkdir(exist_ok=True)
             put(folder / "program", content)
-            assert float(exported(lambda: lambda x: 2 * x, lambda: ("double",))(3.0)) == 6.0
+            assert float(exported(lambda x: 2 * x, ("double",))(3.0)) == 6.0
     assert [file.name for file in folder.iterdir()] == ["program"]
 
 
@@ -149,7 +147,7 @@ class Pair(NamedTuple):
 @pytest.mark.parametrize("kind", [Pair, OrderedDict])
 def test_results_of_a_form_that_cannot_be_kept_are_those_of_the_function(folder, kind):
     given = (1.0, 2.0) if kind is Pair else ([("b", 1.0), ("a", 2.0)],)
-    made = exported(lambda: lambda x: kind(*given), lambda: ("odd",))(1.0)
+    made = exported(lambda x: kind(*given), ("odd",))(1.0)
     assert type(made) is kind
     assert made == kind(*given)
     assert not files(folder)
@@ -159,11 +157,11 @@ def test_foreign_code_and_a_folder_that_cannot_be_written_cost_time_alone(folder
     class Foreign(Pendulum):
         pass
 
-    assert float(exported(lambda: lambda x: 3 * x, lambda: (Foreign(),))(2.0)) == 6.0
-    assert float(exported(lambda: lambda x: 3 * x, lambda: (never,))(2.0)) == 6.0
+    assert float(exported(lambda x: 3 * x, (Foreign(),))(2.0)) == 6.0
+    assert float(exported(lambda x: 3 * x, (never,))(2.0)) == 6.0
     assert not files(folder)
     folder.write_text("not a folder")
-    assert float(exported(lambda: lambda x: 4 * x, lambda: ("four",))(2.0)) == 8.0
+    assert float(exported(lambda x: 4 * x, ("four",))(2.0)) == 8.0
 
 
 def test_a_run_by_programs_from_files_is_the_same_to_the_bit(folder, monkeypatch):

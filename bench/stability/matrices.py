@@ -215,7 +215,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
     ) -> tuple:
         return jax.lax.map(lambda macro: one(p, numbers, deviations, pattern, slots, macro), macros)
 
-    return exported(lambda: each, lambda: ("matrices", method, template))
+    return exported(each, ("matrices", method, template))
 
 
 # ---- all other methods at constant steps -------------------------------------------------

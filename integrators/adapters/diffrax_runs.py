@@ -212,10 +212,10 @@ def adaptive_programs(
 
     about = "adaptive steps of diffrax", scheme, template, max_steps
     return AdaptivePrograms(
-        timed=exported(lambda: program(counts=False), lambda: (*about, "timed")),
+        timed=exported(lambda *at: program(counts=False)(*at), (*about, "timed")),
         counted=exported(
-            lambda: program(counts=True),
-            lambda: (*about, "counted"),
+            lambda *at: program(counts=True)(*at),
+            (*about, "counted"),
             calls=(EVALUATION, LINEARISATION),
         ),
     )

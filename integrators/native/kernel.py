@@ -42,9 +42,7 @@ class Kernel:
             return loop(*self.unpacked(packed), *wanted)
 
         self.compiled = (
-            exported(lambda: run, lambda: (about, str(self._form), self._types))
-            if about
-            else jax.jit(run)
+            exported(run, lambda: (about, str(self._form), self._types)) if about else jax.jit(run)
         )
         self._run = run
 

@@ -125,7 +125,7 @@ def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -
     key = program, template
     if key not in _costs:
         find = partial(_step_costs, program, template, shapes)
-        _costs[key] = found_once(find, lambda: key, StepCosts)
+        _costs[key] = found_once(find, key, StepCosts)
     return _costs[key]
 
 
