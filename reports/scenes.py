@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.results.records import Environment, Plan, Record, SceneRecord
+from bench.results.records import Environment, Plan, Record, SceneRecord, scene_titles
 from bench.results.store import Store
 from reports.series import Series, series_of
 from reports.text.measurement import state_sentence
@@ -48,13 +48,7 @@ class StoredRuns:
         plan, described, records = store.plan(), store.scenes(), store.records()
         runs = list(records.values())
         planned = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
-        keys = dict.fromkeys([*planned, *((r.problem, r.t_end) for r in runs), *described])
-        problems = [problem for problem, _ in keys]
-        # A scene over several intervals says which.
-        titles = {
-            (name, end): name if problems.count(name) == 1 else f"{name}, t_end={end:g} s"
-            for name, end in keys
-        }
+        titles = scene_titles([*planned, *((r.problem, r.t_end) for r in runs), *described])
         return cls(
             title=plan.heading(runs) if plan else "Results",
             series={

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
 
-from bench.results.compare import compare, read_limits, regressions
+from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.records import Record, median
 from bench.results.store import FILE, Store
 
@@ -47,7 +47,7 @@ def slower(by: float) -> Callable[[Record], None]:
 # ---- nothing and something ---------------------------------------------------------------
 def test_equal_results_differ_in_nothing(old, stepbench):
     copy = edited(old, "copy", lambda record: None)
-    found = compare(old, copy)
+    found = compare_folders(old, copy)
     assert found.same
     assert (found.shared, found.summary(), found.differences) == (len(everything()), [], [])
     result = stepbench("compare", old, copy, "--fail-on", "error:1.001,work:1,time:1.1,vanished")
@@ -57,7 +57,7 @@ def test_equal_results_differ_in_nothing(old, stepbench):
 
 def test_a_method_that_takes_twice_the_work_is_named(old, stepbench):
     new = edited(old, "new", double_newton)
-    found = compare(old, new)
+    found = compare_folders(old, new)
     before, after = records(old), records(new)
     assert {c.run.key for c in found.changes} == {k for k in before if before[k] != after[k]}
     for change in found.changes:
@@ -83,7 +83,7 @@ def test_errors_are_compared_beyond_rounding(tmp_path, by, changed):
     one = planted("pendulum", "m", FREE, h=0.1)
     two = msgspec.convert(msgspec.to_builtins(one), Record)
     two.errors["a"]["rms"] *= by
-    found = compare(plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])).changes
+    found = compare_folders(plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])).changes
     assert [(c.name, c.norm) for c in found] == [("a", "rms")] * changed
     for change in found:
         assert change.ratio == pytest.approx(by)
@@ -97,10 +97,10 @@ def test_errors_within_the_trust_in_the_reference_are_no_change(tmp_path):
         return plant(tmp_path / name, [record])
 
     low, below, above = run("low", 1e-9), run("below", 0.9e-6), run("above", 3e-6)
-    assert compare(low, below).same
-    (change,) = compare(low, above).changes
+    assert compare_folders(low, below).same
+    (change,) = compare_folders(low, above).changes
     assert change.ratio == pytest.approx(3.0)
-    (change,) = compare(above, below).changes
+    (change,) = compare_folders(above, below).changes
     assert change.ratio == pytest.approx(1 / 3)
 
 
@@ -111,8 +111,8 @@ def test_of_two_references_the_poorer_one_is_trusted_no_further(tmp_path):
         record.errors["q"]["max"] = error
         record.reference_error["q"]["max"] = floor
         folders.append(plant(tmp_path / str(error), [record]))
-    assert compare(*folders).same
-    assert compare(*folders[::-1]).same
+    assert compare_folders(*folders).same
+    assert compare_folders(*folders[::-1]).same
 
 
 def test_the_worst_is_told_first(old, tmp_path, stepbench):
@@ -123,7 +123,7 @@ def test_the_worst_is_told_first(old, tmp_path, stepbench):
             by = 10.0 if record.integrator == "poor" else 1.0
             record.errors["a"]["max"] *= by * order[STEPS.index(record.h)]
 
-    found = compare(old, edited(old, "new", edit))
+    found = compare_folders(old, edited(old, "new", edit))
     assert found.summary() == [
         "poor on spring_mass: error (a) x10 to x70 in 6 of 6 runs",
         "good[rho_inf=0.8] on spring_mass: error (a) x2 to x7 in 5 of 6 runs",
@@ -146,7 +146,7 @@ def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
             record.errors["x"]["max"] /= 10
             record.errors["v"]["rms"] *= 99  # not the default norm
 
-    found = compare(old, edited(old, "new", edit))
+    found = compare_folders(old, edited(old, "new", edit))
     count = sum(found.judged.values())
     assert found.judgement() == [
         f"Error (largest over time), of {count} runs: a 1 worse, 5 better; x 6 better. "
@@ -154,9 +154,11 @@ def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
     ]
     assert "poor on spring_mass: error (a) x3 in 1 of 6 runs" in found.summary()
     assert "poor on spring_mass: error (a) x0.5 in 5 of 6 runs" in found.summary()
-    back = compare(old.parent / "new", old)
+    back = compare_folders(old.parent / "new", old)
     assert "a 5 worse, 1 better; x 6 worse. Worst: " in back.judgement()[0]
-    halved = compare(old, edited(old, "halved", lambda r: r.errors.get("a", {}).update(max=0.0)))
+    halved = compare_folders(
+        old, edited(old, "halved", lambda r: r.errors.get("a", {}).update(max=0.0))
+    )
     assert halved.judgement()[0].endswith("a 36 better. Nothing is worse.")
 
 
@@ -164,11 +166,11 @@ def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, ste
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.errors["q"]["end"] = None
     old, new = plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])
-    found = regressions(compare(old, new), {"error": 1e9})
+    found = regressions(compare_folders(old, new), {"error": 1e9})
     assert found == [
         "m on pendulum, h=0.1: error q end 0.01 -> no number (without bound), limit x1e+09"
     ]
-    assert regressions(compare(new, old), {"error": 1.01}) == []
+    assert regressions(compare_folders(new, old), {"error": 1.01}) == []
     answer = json.loads(stepbench("compare", old, new, "--json").stdout)
     assert answer["changes"][0]["ratio"] is None
     assert answer["changes"][0]["new"] is None
@@ -177,7 +179,7 @@ def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, ste
 def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.work["residuals"] = None
-    found = compare(plant(tmp_path / "1", [one], 0), plant(tmp_path / "2", [two], 0))
+    found = compare_folders(plant(tmp_path / "1", [one], 0), plant(tmp_path / "2", [two], 0))
     line = "m on pendulum: work (residuals) counted in one of the two in 1 of 1 runs"
     assert found.summary() == [line]
     assert regressions(found, {"work": 1.0}) == []
@@ -189,17 +191,17 @@ def test_bills_of_operations_are_compared_by_their_sum_where_both_are_known(tmp_
         return plant(tmp_path / name, [run], 0)
 
     old = folder("old", residuals=300.0, factorisations=100.0)
-    (change,) = compare(old, folder("more", residuals=500.0, factorisations=100.0)).changes
+    (change,) = compare_folders(old, folder("more", residuals=500.0, factorisations=100.0)).changes
     assert (change.kind, change.name, change.ratio) == ("work", "operations", 1.5)
-    assert compare(old, folder("moved", residuals=100.0, factorisations=300.0)).same
-    assert compare(old, folder("unknown")).same
+    assert compare_folders(old, folder("moved", residuals=100.0, factorisations=300.0)).same
+    assert compare_folders(old, folder("unknown")).same
 
 
 # ---- times -------------------------------------------------------------------------------
 def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
     slow = edited(old, "slow", slower(3.0))
     timed = [r for r in records(old).values() if r.run_s]
-    here = compare(old, slow)
+    here = compare_folders(old, slow)
     assert len(here.changes) == len(timed)
     for change in here.changes:
         assert change.kind == "time"
@@ -217,7 +219,7 @@ def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
 
 def test_other_versions_are_named(old):
     new = elsewhere(old, versions={"python": "3.13.0", "jax": "0.7"})
-    found = compare(old, new)
+    found = compare_folders(old, new)
     names = ["python: 3.12.1 -> 3.13.0", "numpy: 2.1.0 -> none", "jax: none -> 0.7"]
     assert found.differences == names
     assert found.same
@@ -232,9 +234,9 @@ def test_a_run_that_no_longer_reaches_the_end_is_a_regression(old, stepbench):
             record.status, record.message, record.run_s = "newton_failed", ATTACK, []
 
     new = edited(old, "new", fail)
-    (ending,) = compare(old, new).endings
+    (ending,) = compare_folders(old, new).endings
     assert (ending.run.key, ending.before, ending.run.status) == (key, "ok", "newton_failed")
-    assert compare(old, new).changes == []
+    assert compare_folders(old, new).changes == []
     result = stepbench("compare", old, new, "--fail-on", "time:9", "--out", old.parent / "pages")
     assert result.exit_code == 1
     assert "h=0.025: ok -> newton_failed: Newton stopped" in result.output
@@ -247,7 +249,7 @@ def test_a_run_that_no_longer_reaches_the_end_is_a_regression(old, stepbench):
 def test_runs_that_come_and_go_are_told(tmp_path, stepbench, refused):
     runs = [planted("pendulum", name, FREE, h=0.1) for name in ("stays", "goes", "comes")]
     old, new = plant(tmp_path / "old", runs[:2]), plant(tmp_path / "new", [runs[0], runs[2]])
-    found = compare(old, new)
+    found = compare_folders(old, new)
     assert [run.integrator for run in found.vanished] == ["goes"]
     assert [run.integrator for run in found.appeared] == ["comes"]
     assert not found.same
@@ -270,7 +272,7 @@ def test_edited_source_is_counted(old):
         if record.integrator == "poor":
             record.fingerprint = "another"
 
-    found = compare(old, edited(old, "new", edit))
+    found = compare_folders(old, edited(old, "new", edit))
     assert found.edited == len(STEPS)
     assert f"Of {len(STEPS)} of them the source was edited" in " ".join(found.state())
 
@@ -282,8 +284,8 @@ def test_scenes_over_several_intervals_are_told_apart(tmp_path):
             for t in (1.0, 5.0)
         ]
 
-    found = compare(plant(tmp_path / "1", run(1)), plant(tmp_path / "2", run(3)))
-    names = ["pendulum to t=1 s", "pendulum to t=5 s"]
+    found = compare_folders(plant(tmp_path / "1", run(1)), plant(tmp_path / "2", run(3)))
+    names = ["pendulum, t_end=1 s", "pendulum, t_end=5 s"]
     assert found.summary() == [f"m on {name}: work (steps) x3 in 1 of 1 runs" for name in names]
 
 

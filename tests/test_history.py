@@ -13,7 +13,7 @@ import pytest
 from planted import STEPS, Document, edited, everything, plant
 from test_compare import double_newton, records
 
-from bench.results.compare import compare
+from bench.results.compare import compare_folders
 from bench.results.history import history
 from bench.results.records import Record, median
 from reports.charts.comparison import ratio_charts
@@ -172,7 +172,7 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
             record.errors["v"]["rms"] = None
         double_newton(record)
 
-    found = compare(old, edited(old, "new", edit))
+    found = compare_folders(old, edited(old, "new", edit))
     count = sum(found.judged.values())
     charts = ratio_charts(found)
     assert set(charts) == {"ratio-error", "ratio-work"}
@@ -194,13 +194,13 @@ def test_the_charts_hold_each_run_once_by_its_furthest_ratio_between_better_and_
 
 
 def test_both_pages_show_the_charts_and_identical_runs_have_none(old, tmp_path):
-    found = compare(old, edited(old, "twice", double_newton))
+    found = compare_folders(old, edited(old, "twice", double_newton))
     html, markdown = write_comparison(found, [], tmp_path / "pages")
     assert html.read_text().count("<svg") == 1
     places = re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown.read_text())
     assert places == ["comparison_figures/ratio-work.svg"]
     assert (markdown.parent / places[0]).read_text() in html.read_text()
-    html, markdown = write_comparison(compare(old, old), [], tmp_path / "pages")
+    html, markdown = write_comparison(compare_folders(old, old), [], tmp_path / "pages")
     assert "<svg" not in html.read_text()
     assert "![" not in markdown.read_text()
     assert not list((tmp_path / "pages").glob("**/*.svg"))

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from planted import STEPS, edited, everything, plant
 
-from bench.results.compare import compare
+from bench.results.compare import compare_folders
 from bench.results.store import Store
 from reports.pages.catalogue import write_catalogue
 from reports.pages.comparison import write_comparison
@@ -104,7 +104,7 @@ def test_a_comparison_has_no_faults(folder, tmp_path):
         if record.integrator == "poor":
             record.status, record.message = "newton_failed", "It | stopped *there*."
 
-    changed = compare(folder, edited(folder, tmp_path / "twice", edit))
+    changed = compare_folders(folder, edited(folder, tmp_path / "twice", edit))
     (path,) = [p for p in write_comparison(changed, ["A & B."], tmp_path) if p.suffix == ".md"]
     assert faults(path) == []
     assert missing(path) == []

@@ -13,7 +13,7 @@ from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record
 from bench.results.store import Store
 from bench.running.errors import norms, relative_errors
-from bench.running.measure import energy_drift, rows_of, violations
+from bench.running.measure import energy_change, rows_of, violations
 from bench.running.scene_records import rates
 from integrators import Steps, Tolerances
 from integrators.adapters.diffrax_methods import Kvaerno3
@@ -34,7 +34,8 @@ TIMES = np.linspace(0.0, 0.4, 5)
 
 def histories(scene: MechatronicSystem, run: Trajectory) -> dict[str, np.ndarray]:
     """All that a run violates."""
-    return violations(scene, run) | energy_drift(scene, run)
+    change = energy_change(scene, run)
+    return violations(scene, run) | {name: abs(values) for name, values in change.items()}
 
 
 def trajectory(**changes: np.ndarray) -> Trajectory:

@@ -10,7 +10,7 @@ import pytest
 from planted import STEPS, edited, everything, plant, planted
 from small_stores import filled
 
-from bench.results.compare import compare
+from bench.results.compare import compare_folders
 from bench.results.merge import merge
 from bench.results.records import Record
 from bench.results.store import FILE, Store
@@ -151,7 +151,7 @@ def test_merged_results_have_a_report(old, tmp_path, stepbench):
 
 def test_merging_with_oneself_changes_nothing(old, tmp_path):
     merge([old, old], tmp_path / "out")
-    assert compare(old, tmp_path / "out").same
+    assert compare_folders(old, tmp_path / "out").same
     with Store(old) as one, Store(tmp_path / "out") as two:
         assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
         assert one.records() == two.records()

@@ -11,7 +11,7 @@ from small_stores import NO_ROWS, a_record
 
 from bench.guard.limits import Limits
 from bench.plugins.facts import Sources
-from bench.results.compare import compare, regressions
+from bench.results.compare import compare_folders, regressions
 from bench.results.environment import environment
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient, quotient_of_medians
@@ -189,7 +189,7 @@ def seven(low: float, middle: float, high: float) -> list[float]:
 )
 def test_times_differ_beyond_their_intervals_and_the_noise_of_both(tmp_path, before, after, ratio):
     folders = [timed(tmp_path / "1", [before]), timed(tmp_path / "2", [after])]
-    found = compare(*folders)
+    found = compare_folders(*folders)
     assert [c.ratio for c in found.changes] == ([] if ratio is None else [pytest.approx(ratio)])
     assert found.untold == (len(after) < 2)
 
@@ -211,7 +211,7 @@ def test_runs_that_are_noisy_beside_a_run_say_what_its_time_is_worth(tmp_path):
         new = timed(
             tmp_path / f"{loud}", [seven(2.0, 2.01, 2.02)] + [quiet] * (7 - loud) + [noisy] * loud
         )
-        found = compare(old, new)
+        found = compare_folders(old, new)
         assert [c.run.resolution for c in found.changes] == ["h=0.1"] * told
         words = f"noisy: times that differ by less than x{3 * 1.02:.4g} are"
         assert (words in " ".join(found.state())) is not told
@@ -242,12 +242,12 @@ def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
     old = folder("old", halved=False, busier=lambda run, k: 1.0)
     # All runs of the second folder are slowed by 1.8: the edited ones are faster none the less.
     new = folder("new", halved=True, busier=lambda run, k: 1.8)
-    found = compare(old, new)
+    found = compare_folders(old, new)
     assert {c.run.integrator for c in found.changes if c.kind == "time"} == set()
     assert regressions(found, limits) == []
     # The edited ones are hit harder than the others, but not beyond what these show.
     new = folder("hit", halved=True, busier=lambda run, k: 3.0 if run.h < 0.05 else 1.0)
-    found = compare(old, new)
+    found = compare_folders(old, new)
     assert regressions(found, limits) == []
     # A run whose source is the same may be slower than all others: it is shown, and no regression.
     new = folder(
@@ -255,7 +255,7 @@ def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
         halved=True,
         busier=lambda run, k: 9.0 if run.key.startswith("pendulum | kept | h=0.1") else 1.0,
     )
-    found = compare(old, new)
+    found = compare_folders(old, new)
     times = {(c.run.integrator, c.comparable) for c in found.changes if c.kind == "time"}
     assert times == {("edited", True), ("kept", False)}
     assert regressions(found, limits) == []
@@ -265,4 +265,4 @@ def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
         halved=True,
         busier=lambda run, k: 9.0 if run.h == 0.1 and "edited" in run.key else 1.0,
     )
-    assert len(regressions(compare(old, new), limits)) == 1
+    assert len(regressions(compare_folders(old, new), limits)) == 1

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from bench.results.compare import compare
+from bench.results.compare import compare_folders
 from bench.results.store import Store
 
 TEXT = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text(encoding="utf-8")
@@ -64,7 +64,7 @@ def test_the_tutorial_leaves_what_it_promises(folder):
 
 @pytest.mark.long
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
-    found = compare(folder / "first", folder / "second")
+    found = compare_folders(folder / "first", folder / "second")
     assert {change.run.integrator for change in found.changes} == {"my_method"}
     kinds = {change.kind for change in found.changes}
     assert {"error", "work"} <= kinds

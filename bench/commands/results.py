@@ -13,7 +13,7 @@ import msgspec
 from bench.commands import completion, options
 from bench.commands.pages import view
 from bench.commands.paths import PathName
-from bench.results.compare import compare, read_limits, regressions
+from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.history import History, history
 from bench.results.merge import merge
@@ -63,7 +63,7 @@ def _limits(
     return read_limits(text) if text is not None else {}
 
 
-@click.command("compare")
+@click.command()
 @click.argument("old", type=PathName("folder"))
 @click.argument("new", type=PathName("folder"))
 @click.option(
@@ -82,7 +82,7 @@ def _limits(
     help="Folder for comparison.html and comparison.md; no pages if not given.",
 )
 @options.with_as_json
-def compare_(
+def compare(
     old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
 ) -> None:
     """Compare the results in OLD and NEW, run by run.
@@ -99,7 +99,7 @@ def compare_(
     """
     from bench.commands.terminal import show
 
-    comparison = compare(old, new)
+    comparison = compare_folders(old, new)
     worse = regressions(comparison, limits)
     options.tell_set_aside(old, new)
     if as_json:

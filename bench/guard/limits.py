@@ -81,11 +81,14 @@ def cores() -> int:
 
 
 class Excess(NamedTuple):
-    """A limit that was passed: the status of the job, and the reason and advice as clauses."""
+    """A limit that was passed: the status of the job, and the reason with advice as clauses."""
 
     status: str
     reason: str
-    advice: str = ""
+
+
+def _over_budget(reason: str, advice: str) -> Excess:
+    return Excess("budget_exceeded", f"{reason}; {advice}" if advice else reason)
 
 
 @dataclass
@@ -155,16 +158,14 @@ class Meter:
         allowed = self._limits.seconds(self.phase)
         advice = _LOADS_AT_ONCE if self.phase == LOADING else self._limits.advice
         if use.memory > self._limits.memory_gib * 2**30:  # first, as it takes time, too
-            memory = f"{self._limits.memory_gib:g} GiB"
-            reason = f"it used more memory than the budget of {memory}"
-            return Excess("budget_exceeded", reason, _LESS_MEMORY)
+            reason = f"it used more memory than the budget of {self._limits.memory_gib:g} GiB"
+            return _over_budget(reason, _LESS_MEMORY)
         if used.computed_s > allowed:
             reason = f"it took more than {allowed:g} s of processor time, its budget"
-            return Excess("budget_exceeded", reason, advice)
+            return _over_budget(reason, advice)
         idle = LEAST_SECONDS if self.phase == WAITING else self._limits.idle_seconds
         if used.idle_s > idle:
-            reason = f"it did nothing for {idle:g} s: it sleeps or waits"
-            return Excess("budget_exceeded", reason, advice)
+            return _over_budget(f"it did nothing for {idle:g} s: it sleeps or waits", advice)
         stopped = _STOPPED * idle
         if used.stopped_s > stopped:
             return Excess("interrupted", f"a signal had halted it for {stopped:g} s")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import pickle
 import secrets
 import signal
 import socket
@@ -128,7 +129,7 @@ class GuardedProcess:
         for descriptor in (self._pipe.fileno(), self._output):
             os.set_blocking(descriptor, False)
         self._silent = False
-        self._inbox, self._news = wire.Inbox(), bytearray()
+        self._inbox, self._news = bytearray(), bytearray()
         self._limits = limits or Limits()
         self._meter, self._words = Meter(self._limits), "this program"
         self._job: Callable[..., Any] | None = None
@@ -147,8 +148,8 @@ class GuardedProcess:
     def take(self) -> Any:
         """Return the answer of the job, NoAnswer if it has none, None while it is in work."""
         try:
-            self._inbox.add(self._received())
-            for message in self._inbox.messages():
+            self._inbox += self._received()
+            for message in wire.messages(self._inbox):
                 if message.kind == wire.PHASE:
                     phase, self._words = wire.decode(message.content, tuple[str, str])
                     self._meter.begin(phase, self.pid if self._meter.is_due else None)
@@ -164,13 +165,8 @@ class GuardedProcess:
         if not excess:
             return None
         self.end()
-        if excess.status == "interrupted":
-            return self._failed("interrupted", f"Stopped because {excess.reason}.")
-        return self._failed(
-            excess.status,
-            f"Stopped while {self._doing} because {excess.reason}"
-            f"{'; ' if excess.advice else ''}{excess.advice}.",
-        )
+        doing = "" if excess.status == "interrupted" else f" while {self._doing}"
+        return self._failed(excess.status, f"Stopped{doing} because {excess.reason}.")
 
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         """Do a job and return its answer, or NoAnswer."""
@@ -223,7 +219,7 @@ class GuardedProcess:
     def _send(self, task: tuple[Any, ...]) -> None:
         self._pipe.setblocking(True)
         with suppress(OSError):  # it is dead, as take() will find
-            wire.send_task(self._pipe, *task)
+            self._pipe.sendall(pickle.dumps(task))
         with suppress(OSError):
             self._pipe.setblocking(False)
 

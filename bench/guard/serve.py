@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import socket
 import sys
@@ -24,6 +25,7 @@ Notify = Callable[[str, str], None]
 def serve(descriptor: int) -> None:
     """Answer jobs until the parent closes the socket."""
     pipe, myself = socket.socket(fileno=descriptor), os.getpid()
+    tasks = pipe.makefile("rb")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.set_inheritable(descriptor, False)  # by programs that a plugin starts
 
@@ -54,12 +56,12 @@ def serve(descriptor: int) -> None:
             pipe.sendall(content)
 
     try:
-        prepare, arguments = wire.receive_task(pipe)
+        prepare, arguments = pickle.load(tasks)
         notify(LOADING, "this program")
         state = prepare(notify, *arguments)
         while True:
             only_one()
-            job, given, named = wire.receive_task(pipe)
+            job, given, named = pickle.load(tasks)
             notify(RUNNING, "running")
             answer(job, state, *given, **named)
     except (EOFError, ConnectionError):

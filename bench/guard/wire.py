@@ -6,8 +6,6 @@ which foreign code runs: they are msgspec data, decoded as the type that the job
 
 from __future__ import annotations
 
-import pickle
-import socket
 import struct
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -67,69 +65,28 @@ def answer_type(job: Callable[..., Any]) -> Any:
 
 def message(kind: str, content: Any) -> bytes:
     """Return a message ready to be sent."""
-    return framed(encode(Message(kind, msgspec.Raw(encode(content)))))
+    sent = encode(Message(kind, msgspec.Raw(encode(content))))
+    return _LENGTH.pack(len(sent)) + sent
 
 
-def framed(content: bytes) -> bytes:
-    """Put the length before a message."""
-    return _LENGTH.pack(len(content)) + content
-
-
-class Inbox:
-    """Puts messages together from the pieces in which they come."""
-
-    def __init__(self) -> None:
-        self._bytes = bytearray()
-
-    def add(self, piece: bytes) -> None:
-        """Take the next bytes that came."""
-        self._bytes += piece
-
-    def messages(self) -> Iterator[Message]:
-        """Yield the messages that are complete.
-
-        Raises
-        ------
-        BrokenMessage
-            If the bytes are no messages.
-        """
-        while len(self._bytes) >= _LENGTH.size:
-            (length,) = _LENGTH.unpack_from(self._bytes)
-            if length > _MOST_BYTES:
-                raise BrokenMessage("it is no message")
-            end = _LENGTH.size + length
-            if len(self._bytes) < end:
-                return
-            content = bytes(self._bytes[_LENGTH.size : end])
-            del self._bytes[:end]
-            yield decode(content, Message)
-
-
-def send_task(pipe: socket.socket, *task: Any) -> None:
-    """Send functions and arguments to a process of this program."""
-    pipe.sendall(framed(pickle.dumps(task)))
-
-
-def receive_task(pipe: socket.socket) -> tuple[Any, ...]:
-    """Wait for functions and arguments from the parent.
+def messages(received: bytearray) -> Iterator[Message]:
+    """Yield the complete messages among the bytes that came, and take them off.
 
     Raises
     ------
-    EOFError
-        If the parent is gone.
+    BrokenMessage
+        If the bytes are no messages.
     """
-    (length,) = _LENGTH.unpack(_exactly(pipe, _LENGTH.size))
-    return pickle.loads(_exactly(pipe, length))
-
-
-def _exactly(pipe: socket.socket, count: int) -> bytes:
-    content = bytearray()
-    while len(content) < count:
-        piece = pipe.recv(min(count - len(content), 2**20))
-        if not piece:
-            raise EOFError
-        content += piece
-    return bytes(content)
+    while len(received) >= _LENGTH.size:
+        (length,) = _LENGTH.unpack_from(received)
+        if length > _MOST_BYTES:
+            raise BrokenMessage("it is no message")
+        end = _LENGTH.size + length
+        if len(received) < end:
+            return
+        content = bytes(received[_LENGTH.size : end])
+        del received[:end]
+        yield decode(content, Message)
 
 
 def _encoded(value: Any) -> Any:

@@ -17,6 +17,7 @@ import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from bench.results.comparison import (
     LEAST_CHANGE,
@@ -27,7 +28,7 @@ from bench.results.comparison import (
     factor,
 )
 from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import INTERRUPTED, Environment, Record
+from bench.results.records import INTERRUPTED, Environment, Record, scene_titles
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient_of_medians
 from problems.spec import SpecError, suggest
@@ -36,17 +37,43 @@ from problems.spec import SpecError, suggest
 VANISHED = "vanished"
 
 
-def compare(old: Path, new: Path) -> Comparison:
-    """Compare the stores of two run folders.
+class FolderRuns(NamedTuple):
+    """The records of a folder that nothing interrupted by key, and its environments by number."""
+
+    folder: Path
+    records: dict[str, Record]
+    environments: dict[int, Environment]
+
+
+def read_runs(folder: Path) -> FolderRuns:
+    """Read the runs of a folder.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    """
+    with Store(folder) as store:
+        records = {k: r for k, r in store.records().items() if r.status != INTERRUPTED}
+        return FolderRuns(folder, records, store.environments())
+
+
+def compare_folders(old: Path, new: Path) -> Comparison:
+    """Compare the runs of two folders.
 
     Raises
     ------
     bench.results.store.StoreError
         If a folder holds no readable store.
     """
-    (before, machines), (after, others) = read_runs(old), read_runs(new)
+    return compare_runs(read_runs(old), read_runs(new))
+
+
+def compare_runs(old: FolderRuns, new: FolderRuns) -> Comparison:
+    """Compare the runs of two folders."""
+    before, after = old.records, new.records
     shared = [key for key in after if key in before]
-    names = scene_names([*before.values(), *after.values()])
+    names = titles_of(old, new)
     noise = _noise(before.values()) * _noise(after.values())
     noise = max(LEAST_CHANGE["time"], noise, _drift([(before[k], after[k]) for k in shared]))
     judged: Counter[str] = Counter()
@@ -55,7 +82,8 @@ def compare(old: Path, new: Path) -> Comparison:
     for key in shared:
         one, two = before[key], after[key]
         run = compared_cell(two, names)
-        pair = _differences(machines.get(one.environment), others.get(two.environment))
+        machine = old.environments.get(one.environment)
+        pair = _differences(machine, new.environments.get(two.environment))
         differences |= dict.fromkeys(pair)
         if one.status != two.status:
             endings.append(ChangedStatus(run=run, before=one.status))
@@ -65,8 +93,8 @@ def compare(old: Path, new: Path) -> Comparison:
             changes += _time(run, one, two, noise, not pair and not _unedited(one, two))
             untold += quotient_of_medians(one.run_s, two.run_s) is None
     return Comparison(
-        old=str(old),
-        new=str(new),
+        old=str(old.folder),
+        new=str(new.folder),
         shared=len(shared),
         edited=sum(before[key].fingerprint != after[key].fingerprint for key in shared),
         untold=untold,
@@ -143,27 +171,9 @@ def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str
 
 
 # ---- parts -----------------------------------------------------------------------------
-def read_runs(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
-    """Return the records of a folder that nothing interrupted, and its environments.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    """
-    with Store(folder) as store:
-        records = store.records()
-        return (
-            {key: r for key, r in records.items() if r.status != INTERRUPTED},
-            store.environments(),
-        )
-
-
-def scene_names(records: list[Record]) -> dict[tuple[str, float], str]:
-    """Return the names of the scenes, with the interval if a scene has several."""
-    keys = {(r.problem, r.t_end) for r in records}
-    several = Counter(problem for problem, _ in keys)
-    return {(p, t): p if several[p] == 1 else f"{p} to t={t:g} s" for p, t in keys}
+def titles_of(*folders: FolderRuns) -> dict[tuple[str, float], str]:
+    """Return the names of the scenes of folders by (problem, t_end)."""
+    return scene_titles((r.problem, r.t_end) for f in folders for r in f.records.values())
 
 
 def compared_cell(record: Record, names: Mapping[tuple[str, float], str]) -> ComparedCell:

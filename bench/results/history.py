@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from bench.results.compare import compare, compared_cell, read_runs, scene_names
+from bench.results.compare import compare_runs, compared_cell, read_runs, titles_of
 from bench.results.comparison import ComparedCell, Comparison, factor
 from bench.results.quantities import GROUPS, NORM
 from bench.results.records import Record, median
@@ -95,22 +95,20 @@ def history(folders: Sequence[Path]) -> History:
     found = [read_runs(folder) for folder in folders]
     stores = [
         HistoryStore(
-            folder=str(folder),
+            folder=str(own.folder),
             date=last.date if last else "",
             machine=f"{last.cpu}, {last.cores} cores" if last else "",
             versions=last.versions if last else {},
         )
-        for folder, (_, machines) in zip(folders, found, strict=True)
-        for last in [max(machines.values(), key=lambda machine: machine.date, default=None)]
+        for own in found
+        for last in [max(own.environments.values(), key=lambda e: e.date, default=None)]
     ]
-    comparisons = [compare(old, new) for old, new in pairwise(folders)]
+    comparisons = [compare_runs(old, new) for old, new in pairwise(found)]
     changes = [_changes(comparison) for comparison in comparisons]
-    runs = [records for records, _ in found]
-    names = scene_names([record for records in runs for record in records.values()])
-    keys = dict.fromkeys(key for records in runs for key in records)
+    names = titles_of(*found)
     cells = []
-    for key in keys:
-        own = [records.get(key) for records in runs]
+    for key in dict.fromkeys(key for folder in found for key in folder.records):
+        own = [folder.records.get(key) for folder in found]
         there = [record for record in own if record]
         if len(there) > 1:
             told = [{}, *(change[key] for change in changes)]

@@ -241,6 +241,13 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
         return f"{self.name}: {counted(scenes, 'scene')}, {counted(methods, 'integrator')}"
 
 
+def scene_titles(keys: Iterable[tuple[str, float]]) -> dict[tuple[str, float], str]:
+    """Return the names of scenes by (problem, t_end), with the interval where one has several."""
+    keys = dict.fromkeys(keys)
+    several = Counter(problem for problem, _ in keys)
+    return {(p, t): p if several[p] == 1 else f"{p}, t_end={t:g} s" for p, t in keys}
+
+
 def counted(number: int, word: str) -> str:
     """Return a number with its word: "1 scene", "7 scenes"."""
     return f"{number} {word}{'' if number == 1 else 's'}"

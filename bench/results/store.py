@@ -10,7 +10,7 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -29,7 +29,15 @@ from bench.results.store_file import (
     remove,
 )
 from bench.results.store_file import StoreError as StoreError
-from bench.results.stored_values import Unreadable, crashed, decoded, encoded, storable, undescribed
+from bench.results.stored_values import (
+    Unreadable,
+    crashed,
+    decoded,
+    encoded,
+    fit,
+    storable,
+    undescribed,
+)
 from problems.plain_text import clean
 
 if TYPE_CHECKING:
@@ -128,43 +136,35 @@ class Store:
         """Keep the plan of a run; reports follow it. Unfit facts of integrators are left out."""
         facts = {name: facts for name, facts in plan.integrators.items() if storable(facts)}
         plan = msgspec.structs.replace(plan, integrators=facts)
-        self._write("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", self._encoded(plan))
+        self._put("meta", "plan", self._encoded(plan))
 
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
-        self._write("INSERT INTO environments (value) VALUES (?)", self._encoded(environment))
+        self._put("environments", None, self._encoded(environment))
         return self._read("SELECT MAX(id) FROM environments")[0][0]
 
     def save_scene(self, scene: SceneRecord) -> None:
         """Keep a scene's description, reference and drawings; the reason if they are unfit."""
-        try:
-            value = encoded(scene)
-        except Unreadable as error:
-            scene = undescribed(scene, error)
-            value = encoded(scene)
-        row = clean(scene.problem), scene.t_end, value
-        self._write("INSERT OR REPLACE INTO scenes VALUES (?, ?, ?)", *row)
+        scene, value = fit(scene, lambda error: undescribed(scene, error))
+        self._put("scenes", scene.problem, scene.t_end, value)
 
     def save_experiment(self, found: ExperimentResult) -> None:
         """Keep the result of an experiment of the atlas."""
-        value = self._encoded(found)
-        self._write("INSERT OR REPLACE INTO experiments VALUES (?, ?)", found.name, value)
+        self._put("experiments", found.name, self._encoded(found))
 
     def save_long_run(self, run: LongRun) -> None:
         """Keep a long run, in the place of an earlier one with the same steps."""
-        key, value = clean(run.key), self._encoded(run)
-        self._write("INSERT OR REPLACE INTO long_runs VALUES (?, ?)", key, value)
+        self._put("long_runs", run.key, self._encoded(run))
 
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""
         if damping is None:
-            self._write("DELETE FROM damping WHERE integrator = ?", clean(integrator))
+            with self._transaction() as db:
+                db.execute("DELETE FROM damping WHERE integrator = ?", (clean(integrator),))
             return
-        try:
-            value = encoded(damping)
-        except Unreadable as error:
-            value = encoded(Damping(omega_h=[], message=f"It cannot be stored: {error}."))
-        self._write("INSERT OR REPLACE INTO damping VALUES (?, ?)", clean(integrator), value)
+        why = "It cannot be stored: {}.".format
+        _, value = fit(damping, lambda error: Damping(omega_h=[], message=why(error)))
+        self._put("damping", integrator, value)
 
     def save(self, record: Record, rows: Rows) -> None:
         """Keep a finished cell with its rows, in one transaction; forgets older samples.
@@ -178,34 +178,27 @@ class Store:
             sampled = encoded(Rows(t=[], values={}))
             said = f"{record.message} Its sampled values cannot be stored: {error}."
             record = msgspec.structs.replace(record, message=said.strip())
-        try:
-            value = encoded(record)
-        except Unreadable as error:
-            record = crashed(record, error)
-            value = encoded(record)
-        names = (record.key, record.problem, record.integrator, record.status)
-        key, *others = map(clean, names)
-        with self._transaction():
-            self._db.execute("DELETE FROM samples WHERE key = ?", (key,))
-            self._db.execute(
-                "INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?)",
-                (key, *others, value, sampled),
-            )
+        record, value = fit(record, lambda error: crashed(record, error))
+        names = map(clean, (record.key, record.problem, record.integrator, record.status))
+        with self._transaction() as db:
+            db.execute("DELETE FROM samples WHERE key = ?", (clean(record.key),))
+            row = *names, value, sampled
+            db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def add_sample(
         self, key: str, number: int, seconds: float, invocation: int | None = None
     ) -> None:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
-        sample = clean(key), number, seconds, invocation
-        self._write("INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)", *sample)
+        self._put("samples", key, number, seconds, invocation)
 
     def forget_spoilt_samples(self) -> None:
         """Forget the timing samples that cannot be read, with all others of their cells.
 
         Rounds of samples are taken anew as a whole, so that those of several cells stay in step.
         """
-        for key in {key for key, _, _, seconds in self._samples() if seconds is None}:
-            self._write("DELETE FROM samples WHERE key = ?", key)
+        spoilt = {(key,) for key, _, _, seconds in self._samples() if seconds is None}
+        with self._transaction() as db:
+            db.executemany("DELETE FROM samples WHERE key = ?", spoilt)
 
     # ---- reading -----------------------------------------------------------------------
     def set_aside(self) -> list[SetAside]:
@@ -218,33 +211,29 @@ class Store:
 
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
-        found = self._values("meta WHERE name = 'plan'", ("name",), Plan)
-        return next((plan for _, plan in found), None)
+        found = self._read("SELECT value FROM meta WHERE name = 'plan'")
+        return self._decoded("plan", "plan", found[0][0], Plan) if found else None
 
     def environments(self) -> dict[int, Environment]:
         """All environments by number."""
-        found = self._values("environments ORDER BY id", ("id",), Environment)
-        return {number: environment for (number,), environment in found}
+        return self._values("environments", Environment, "id")
 
     def scenes(self) -> dict[tuple[str, float], SceneRecord]:
-        """All scenes by (problem, t_end)."""
-        columns = ("problem", "t_end")
-        found = self._values("scenes ORDER BY problem, t_end", columns, SceneRecord)
-        return {(scene.problem, scene.t_end): scene for _, scene in found}
+        """All scenes by (problem, t_end), in this order."""
+        return dict(sorted(self._values("scenes", SceneRecord, "problem", "t_end").items()))
 
     def experiments(self) -> dict[str, ExperimentResult]:
         """Results of the experiments of the atlas by name, in the order of their numbers."""
-        found = [value for _, value in self._values("experiments", ("name",), ExperimentResult)]
-        return {value.name: value for value in sorted(found, key=lambda value: value.number)}
+        found = self._values("experiments", ExperimentResult, "name")
+        return dict(sorted(found.items(), key=lambda pair: pair[1].number))
 
     def long_runs(self) -> dict[str, LongRun]:
         """Long runs by key, in the order in which they were kept."""
-        found = self._values("long_runs ORDER BY rowid", ("key",), LongRun)
-        return {key: run for (key,), run in found}
+        return self._values("long_runs", LongRun, "key")
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""
-        return {name: value for (name,), value in self._values("damping", ("integrator",), Damping)}
+        return self._values("damping", Damping, "integrator")
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.
@@ -254,8 +243,7 @@ class Store:
         # Before the records: a run that goes on meanwhile may add samples, but takes no record
         # away, so that every sample read here finds its record below.
         samples = self._samples()
-        read = self._values("records ORDER BY rowid", ("key",), Record)
-        found = {key: record for (key,), record in read}
+        found = self._values("records", Record, "key")
         plan = self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
@@ -288,24 +276,25 @@ class Store:
         return {key for key, raw in found if self._decoded("rows", str(key), raw, Rows)}
 
     # ---- parts -------------------------------------------------------------------------
-    def _values(
-        self, source: str, columns: Sequence[str], kind: type[T]
-    ) -> Iterator[tuple[tuple, T]]:
-        """Pairs (key, value) of a table's rows; those that cannot be read are noted."""
-        table = "plan" if kind is Plan else source.split()[0]
+    def _values(self, table: str, kind: type[T], *columns: str) -> dict[Any, T]:
+        """The values of a table by their keys; those that cannot be read are noted."""
         if table in _LATER and not self._read("SELECT 1 FROM sqlite_master WHERE name = ?", table):
-            return
-        for *key, raw in self._read(f"SELECT {', '.join(columns)}, value FROM {source}"):
+            return {}
+        values = {}
+        for *key, raw in self._read(
+            f"SELECT {', '.join(columns)}, value FROM {table} ORDER BY rowid"
+        ):
             name = ", ".join(map(str, key))
             value = self._decoded(table, name, raw, kind)
             if value is None:
                 continue
-            # A plan has a name of its own; damping and environments do not hold their keys.
+            # Damping and environments do not hold their keys.
             own = [getattr(value, column, k) for column, k in zip(columns, key, strict=True)]
-            if None in key or (own != key and table != "plan"):
+            if None in key or own != key:
                 self._note(table, name, "its key is not that of its value")
             else:
-                yield tuple(key), value
+                values[tuple(key) if len(key) > 1 else key[0]] = value
+        return values
 
     def _samples(self) -> list[tuple[str, int | None, int, float | None]]:
         """Key, invocation, number and seconds of the timing samples; None for seconds that cannot
@@ -351,31 +340,26 @@ class Store:
             text = f"The store {self._path} cannot be read ({error}); {WAY_OUT}."
             raise StoreError(text) from error
 
-    def _write(self, sql: str, *parameters: object) -> None:
-        try:
-            self._db.execute(sql, parameters)
-        except sqlite3.Error as error:
-            raise self._unwritable(error) from error
+    def _put(self, table: str, *row: object) -> None:
+        """Write a row in the place of that with the same key; texts are made clean."""
+        values = [clean(value) if isinstance(value, str) else value for value in row]
+        with self._transaction() as db:
+            db.execute(
+                f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * len(row))})", values
+            )
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
         """All or nothing, with the store's own error."""
         try:
-            self._db.execute("BEGIN IMMEDIATE")
-            yield
-            self._db.execute("COMMIT")
-        except BaseException as error:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
-            if isinstance(error, sqlite3.Error):
-                raise self._unwritable(error) from error
-            raise
-
-    def _unwritable(self, error: sqlite3.Error) -> StoreError:
-        return StoreError(
-            f"The store in {self.folder} cannot be written ({error}); free some space or choose "
-            f"another --out. Earlier results are intact."
-        )
+            with self._db:
+                self._db.execute("BEGIN IMMEDIATE")
+                yield self._db
+        except sqlite3.Error as error:
+            raise StoreError(
+                f"The store in {self.folder} cannot be written ({error}); free some space or "
+                "choose another --out. Earlier results are intact."
+            ) from error
 
 
 def set_aside_text(found: Sequence[SetAside]) -> str:

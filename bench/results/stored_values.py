@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -69,6 +69,15 @@ def encoded(value: object) -> bytes:
     return raw
 
 
+def fit(value: T, instead: Callable[[Unreadable], T]) -> tuple[T, bytes]:
+    """Return a value, or what is kept ``instead`` of one that could not be read, and its JSON."""
+    try:
+        return value, encoded(value)
+    except Unreadable as error:
+        other = instead(error)
+        return other, encoded(other)
+
+
 def storable(value: object) -> bool:
     """Whether a value can be written and read again."""
     try:
@@ -80,16 +89,12 @@ def storable(value: object) -> bool:
 
 def crashed(record: Record, reason: object) -> Record:
     """The record of a cell whose result cannot be stored: how it was run, and the reason."""
+    texts = ("key", "problem", "integrator", "family", "formulation", "fingerprint")
+    kept = ("h", "pattern", "rtol", "atol", "t0", "t_end", "environment", "budget_s")
     return Record(
-        key=_text(record.key),
-        problem=_text(record.problem),
-        integrator=_text(record.integrator),
-        family=_text(record.family),
-        formulation=_text(record.formulation),
+        **{name: _text(getattr(record, name)) for name in texts},
+        **{name: getattr(record, name) for name in kept},
         controls="step" if record.h is not None else "tolerance",
-        **{name: getattr(record, name) for name in ("h", "pattern", "rtol", "atol")},
-        **{name: getattr(record, name) for name in ("t0", "t_end", "environment", "budget_s")},
-        fingerprint=_text(record.fingerprint),
         status="crashed",
         message=f"The result cannot be stored: {reason}.",
     )

@@ -111,10 +111,7 @@ class Inventory:
         PluginFailed
             If it is from outside and gives no facts.
         """
-        key = "problems", text, repr(sorted(parameters.items()))
-        if key not in self._known:
-            self._known[key] = self._ask("problems", text, facts.scene_facts, parameters)
-        return self._known[key]
+        return self._once("problems", text, facts.scene_facts, parameters)
 
     def prospect(self, text: str) -> Prospect:
         """Tell how runs of a scene will go, from its initial state."""
@@ -138,10 +135,7 @@ class Inventory:
         PluginFailed
             If it is from outside and gives no facts.
         """
-        key = "integrators", text
-        if key not in self._known:
-            self._known[key] = self._ask("integrators", text, facts.method_facts)
-        return self._known[key]
+        return self._once("integrators", text, facts.method_facts)
 
     def components(self, text: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene, "xdot" included."""
@@ -192,6 +186,13 @@ class Inventory:
             for kind, known in alone.items():
                 _add(listed[kind], [f for f in known.values() if source in f.sources])
         return listed
+
+    def _once(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:
+        """Ask about a plugin, unless the answer is known."""
+        key = kind, text, repr(more)
+        if key not in self._known:
+            self._known[key] = self._ask(kind, text, question, *more)
+        return self._known[key]
 
     def _ask(self, kind: str, text: str, question: Callable[..., T], *more: Any) -> T:
         """Ask about a plugin, here if it is of this project."""

@@ -38,11 +38,6 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
     }
 
 
-def energy_drift(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
-    """Measure the absolute `energy_change` in each of the k rows."""
-    return {name: np.abs(change) for name, change in energy_change(scene, run).items()}
-
-
 def energy_change(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure the change of "energy" in each of the k rows, relative to the largest kinetic one.
 

@@ -11,9 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import msgspec
+from typing import Any, NamedTuple
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.plugins.registry import files_of
@@ -141,48 +139,33 @@ def make_suite(
     SpecError
         If a name, option or number is not known or not allowed, or nothing is left to do.
     """
+    _check_profile(profile)
     lost: list[str] = []
-    problems = _usable(problems, registry.problem, lost)
+    scenes = [registry.problem(text) for text in _usable(problems, registry.problem, lost)]
     integrators = _usable(integrators, registry.integrator, lost)
     own_method = registry.integrator(mine) if mine is not None else None
-    named = [
-        msgspec.structs.replace(
-            file,
-            problems=_usable(file.problems, registry.problem, lost),
-            integrators=_usable(file.integrators, registry.integrator, lost),
-        )
+    entries = [
+        _Entry(file, registry.problem(problem), [registry.integrator(text) for text in texts])
         for file in profile.study
+        for texts in [_usable(file.integrators, registry.integrator, lost)]
+        for problem in _usable(file.problems, registry.problem, lost)
     ]
     lost += registry.broken_files()
-    files = _select_problems(named, registry, problems)
-    if not 0 <= profile.samples <= 1000:
-        raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
-    for key in ("budget_s", "memory_gib"):
-        if not 0 < getattr(profile, key) <= LARGEST_BUDGET:
-            raise SpecError(
-                f"{key}={getattr(profile, key)} is not allowed; give more than 0, and at most "
-                f"{LARGEST_BUDGET:g}."
-            )
-    studies, cells = [], {}
+    # An integrator that no study of a scene names goes into its first study alone.
     placed: defaultdict[str, set[str]] = defaultdict(set)
-    for file in files:
-        for figure in file.figures:
-            if figure not in (known := FIGURES + TABLES):
-                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
-        checked_norm(file.norm)
-        for problem in file.problems:
-            own = [registry.integrator(text) for text in file.integrators]
-            chosen = _select_integrators(own, registry, integrators) if integrators else own
-            if own_method and own_method not in chosen:
-                chosen = [*chosen, own_method]
-            # An integrator that no study of a scene names goes into its first study alone.
-            taken = _own_specs(named, problem, registry) | placed[problem]
-            chosen = [i for i in chosen if i in own or i.spec not in taken]
-            placed[problem] |= {i.spec for i in chosen}
-            if chosen:
-                study, more = _expand(file, problem, chosen, registry)
-                studies.append(study)
-                cells.update(more)
+    for entry in entries:
+        placed[entry.scene.spec].update(method.spec for method in entry.methods)
+    studies, cells = [], {}
+    for file, scene, own in _of_scenes(entries, scenes) if problems else entries:
+        chosen = _select_integrators(own, registry, integrators) if integrators else own
+        if own_method and own_method not in chosen:
+            chosen = [*chosen, own_method]
+        chosen = [i for i in chosen if i in own or i.spec not in placed[scene.spec]]
+        placed[scene.spec].update(i.spec for i in chosen)
+        if chosen:
+            study, more = _expand(file, scene, chosen, registry)
+            studies.append(study)
+            cells.update(more)
     if not cells:
         reason = "Nothing is left to run; check the names that are given."
         raise SpecError(" ".join([reason, *dict.fromkeys(lost)]))
@@ -193,7 +176,7 @@ def make_suite(
         budget_s=budget_s or profile.budget_s,
         studies=studies,
         integrators={
-            text: _facts(registry, text)
+            text: _facts(registry.integrator(text))
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
         mine=own_method.spec if own_method else "",
@@ -201,6 +184,32 @@ def make_suite(
     # A part of the profile goes without the atlas.
     atlas = False if problems or integrators else profile.atlas
     return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)))
+
+
+class _Entry(NamedTuple):
+    """A scene of a study with the study's integrators."""
+
+    file: StudyFile
+    scene: SceneFacts
+    methods: list[MethodFacts]
+
+
+def _check_profile(profile: ProfileFile) -> None:
+    """Refuse numbers and names that are not allowed."""
+    if not 0 <= profile.samples <= 1000:
+        raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
+    for key in ("budget_s", "memory_gib"):
+        if not 0 < getattr(profile, key) <= LARGEST_BUDGET:
+            raise SpecError(
+                f"{key}={getattr(profile, key)} is not allowed; give more than 0, and at most "
+                f"{LARGEST_BUDGET:g}."
+            )
+    known = FIGURES + TABLES
+    for file in profile.study:
+        for figure in file.figures:
+            if figure not in known:
+                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
+        checked_norm(file.norm)
 
 
 def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:
@@ -215,8 +224,7 @@ def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[
     return usable
 
 
-def _facts(registry: Inventory, text: str) -> IntegratorFacts:
-    method = registry.integrator(text)
+def _facts(method: MethodFacts) -> IntegratorFacts:
     return IntegratorFacts(
         title=method.title,
         orders=method.orders,
@@ -226,55 +234,36 @@ def _facts(registry: Inventory, text: str) -> IntegratorFacts:
     )
 
 
-def _select_problems(
-    files: list[StudyFile], registry: Inventory, wanted: Sequence[str]
-) -> list[StudyFile]:
-    if not wanted:
-        return files
-    selected, integrators = [], [i for file in files for i in file.integrators]
-    asked = [registry.problem(text).spec for text in wanted]
-    for file in files:
-        keep = [p for p in file.problems if registry.problem(p).spec in asked]
-        if keep:
-            selected.append(msgspec.structs.replace(file, problems=keep))
-    there = {registry.problem(p).spec for file in selected for p in file.problems}
-    extra = [p for p in asked if p not in there]
-    if extra:
-        unique = list(dict.fromkeys(integrators))
-        # Scenes of their own show the same as the others, if these agree on it.
-        shown = {file.figures for file in files}
-        figures = shown.pop() if len(shown) == 1 else FIGURES
-        selected.append(StudyFile(problems=extra, integrators=unique, figures=figures))
-    return selected
+def _of_scenes(entries: list[_Entry], scenes: list[SceneFacts]) -> list[_Entry]:
+    """Return the entries of these scenes; one that has none gets one with all integrators."""
+    kept = [entry for entry in entries if entry.scene in scenes]
+    there = [entry.scene for entry in kept]
+    every = {method.spec: method for entry in entries for method in entry.methods}
+    # Scenes of their own show the same as the others, if these agree on it.
+    shown = {entry.file.figures for entry in entries}
+    file = StudyFile(
+        problems=[], integrators=[], figures=shown.pop() if len(shown) == 1 else FIGURES
+    )
+    extra = {scene.spec: scene for scene in scenes if scene not in there}
+    return kept + [_Entry(file, scene, [*every.values()]) for scene in extra.values()]
 
 
 def _select_integrators(
-    mine: list[MethodFacts], registry: Inventory, wanted: Sequence[str]
+    own: list[MethodFacts], registry: Inventory, wanted: Sequence[str]
 ) -> list[MethodFacts]:
     chosen: dict[str, MethodFacts] = {}
     for text in wanted:
         asked = registry.integrator(text)
         bare = "[" not in text
-        found = [i for i in mine if i.spec == asked.spec or (bare and i.name == asked.name)]
+        found = [i for i in own if i.spec == asked.spec or (bare and i.name == asked.name)]
         for integrator in found or [asked]:
             chosen[integrator.spec] = integrator
     return list(chosen.values())
 
 
-def _own_specs(files: list[StudyFile], problem: str, registry: Inventory) -> set[str]:
-    """Return the integrators that the studies of a scene name themselves."""
-    return {
-        registry.integrator(text).spec
-        for file in files
-        if problem in file.problems
-        for text in file.integrators
-    }
-
-
 def _expand(
-    file: StudyFile, problem: str, integrators: list[MethodFacts], registry: Inventory
+    file: StudyFile, scene: SceneFacts, integrators: list[MethodFacts], registry: Inventory
 ) -> tuple[Study, dict[str, Cell]]:
-    scene = registry.problem(problem)
     t0, default_end = scene.interval
     t_end = check_end(t0, default_end if file.t_end is None else file.t_end)
     steps = file.steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]

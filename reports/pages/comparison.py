@@ -28,7 +28,7 @@ def write_comparison(
     Parameters
     ----------
     comparison
-        The result of ``bench.results.compare.compare``.
+        The result of ``bench.results.compare.compare_folders``.
     regressions
         A sentence for each change that is worse than allowed.
     """
