@@ -97,7 +97,7 @@ def compare(
       stepbench compare before after --fail-on error:1.1,work:1.05,time:1.5
       stepbench compare before after --json > changes.json
     """
-    from bench.commands.terminal import show
+    from bench.commands.terminal import say
 
     comparison = compare_folders(old, new)
     worse = regressions(comparison, limits)
@@ -106,7 +106,8 @@ def compare(
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
     else:
-        show(*comparison.state(), *comparison.summary())
+        for line in [*comparison.state(), *comparison.summary()]:
+            say(line)
     if out:
         for page in view("comparison")(comparison, worse, out):
             click.echo(f"Comparison: {page}", err=as_json)
@@ -133,7 +134,7 @@ def history_(folders: tuple[Path, ...], form: str | None) -> None:
       stepbench history results-v1 results-v2 results-v3
       stepbench history monday tuesday --csv > days.csv
     """
-    from bench.commands.terminal import show
+    from bench.commands.terminal import say, show
 
     found = history(folders)
     options.tell_set_aside(*folders)
@@ -145,8 +146,7 @@ def history_(folders: tuple[Path, ...], form: str | None) -> None:
         click.echo(msgspec.json.format(plain.decode(), indent=2))
         return
     for comparison in found.comparisons:  # their state; the table has the rest
-        state = (f"  {line}" for line in comparison.state())
-        show(f"{comparison.old} -> {comparison.new}", *state)
+        say("\n  ".join([f"{comparison.old} -> {comparison.new}", *comparison.state()]))
     if found.changed:
         show(_changes(found))
 

@@ -48,14 +48,15 @@ class _PlainConsole(Console):
 
 
 def show(*parts: Table | str) -> None:
-    """Print tables and lines on standard output."""
+    """Print tables with their notes and texts on standard output, within its width."""
+    console = _PlainConsole(sys.stdout)
     for part in parts:
         if isinstance(part, str):
-            say(part)
+            console.print(Text(part))
             continue
-        _PlainConsole(sys.stdout).print(_drawn(part))
+        console.print(_drawn(part))
         if part.note:
-            say(part.note)
+            console.print(Text(part.note))
 
 
 def _drawn(table: Table) -> rich_table.Table:
