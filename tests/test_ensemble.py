@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +16,7 @@ from test_contributing import EXAMPLES
 from bench.plugins.registry import Registry
 from bench.sweeps import batch
 from bench.sweeps.batch import Batch, BatchRun
-from bench.sweeps.ensemble import ensemble
+from bench.sweeps.ensemble import ensemble, rows_of
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
@@ -40,16 +42,34 @@ def alone(problem, integrator, h, t_end=None, registry=REGISTRY, pattern=(1.0,))
     return method.prepare(scene, end, Steps(h, pattern)).measure()
 
 
+def ends_of(found):
+    """The end values by group, a row per member."""
+    names = [re.fullmatch(r"([a-z]+)(\d+)", name) for name in found.values]
+    groups = dict.fromkeys(name[1] for name in names if name)
+    return {
+        group: np.stack([found.values[n[0]] for n in names if n and n[1] == group], axis=1)
+        for group in groups
+    }
+
+
+def work_of(found):
+    return {
+        name.removeprefix("work_"): counts
+        for name, counts in found.values.items()
+        if name.startswith("work_")
+    }
+
+
 def check_member(found, k, run, rtol):
     """A member is its single run: status, message, counts, time and end values."""
     assert (found.status[k], found.message[k]) == (run.status, run.message)
-    for name, counts in found.work.items():
+    for name, counts in work_of(found).items():
         # Another program rounds differently, which may save or cost an iteration here and there.
         wanted = getattr(run.work, name)
         assert counts[k] == (wanted if name == "steps" else pytest.approx(wanted, rel=5e-3))
     if run.status == "ok":
-        assert found.t[k] == run.t[-1]
-        for name, table in found.ends.items():
+        assert found.values["t"][k] == run.t[-1]
+        for name, table in ends_of(found).items():
             end = getattr(run, name)[-1]
             scale = np.abs(end).max(initial=0.0) or 1.0
             assert table[k] == pytest.approx(end, rel=0, abs=rtol * scale), name
@@ -65,7 +85,7 @@ def test_members_are_single_runs_whatever_varies():
         run = alone(f"quarter_car[k={stiffness}]", f"generalized_alpha[rho_inf={rho}]", h, 0.5)
         assert run.status == "ok"
         check_member(found, k, run, 1e-11)
-    assert set(found.ends) == {"q", "v", "a", "x", "xdot", "y"}
+    assert set(ends_of(found)) == {"q", "v", "a", "x", "xdot", "y"}
 
 
 @pytest.mark.parametrize(
@@ -111,12 +131,10 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     found = ensemble(scene, method, {"h": [*healthy, 2.5]}, t_end=200.0)
     assert found.status == ["ok"] * 4 + ["diverged"]
     assert "in the step to t=52.5 s" in found.message[4]
-    assert found.t[4] == pytest.approx(52.5)
-    assert np.isnan(found.ends["q"][4]).all()
-    for name in found.ends:
-        assert (found.ends[name][:4] == without.ends[name][:4]).all()
-    assert set(found.summary()) == {"q1", "v1", "a1", "x1", "xdot1", "y1", "y2"}
-    assert found.summary()["q1"]["max"] == found.ends["q"][:4].max()
+    assert found.values["t"][4] == pytest.approx(52.5)
+    assert np.isnan(ends_of(found)["q"][4]).all()
+    for name, table in ends_of(found).items():
+        assert (table[:4] == ends_of(without)[name][:4]).all()
     # Newton's method ends at once the steps that a failed run takes with the others.
     blown = alone("spring_mass[b=0]", "newmark[beta=0,newton_max=1000]", 2.5, 200.0)
     assert blown.status == "diverged"
@@ -135,7 +153,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
 def test_members_that_choose_their_steps_are_single_runs(problem, vary):
     scene, method = REGISTRY.problem(problem), REGISTRY.integrator("generalized_alpha_adaptive")
     found = ensemble(scene, method, vary, t_end=0.5)
-    assert set(found.work) >= {"steps", "rejected", "newton"}
+    assert set(work_of(found)) >= {"steps", "rejected", "newton"}
     for k, values in enumerate(zip(*vary.values(), strict=True)):
         settings = dict(zip(vary, values, strict=True))
         tolerances = Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
@@ -154,12 +172,12 @@ def test_a_member_that_ends_early_leaves_the_others_as_they_are():
     found = ensemble(scene, method, {"rtol": tolerances})
     assert found.status == ["ok", "ok", "budget_exceeded"]
     assert "500 steps were used up" in found.message[2]
-    assert np.isnan(found.ends["q"][2]).all()
-    assert found.work["steps"][2] + found.work["rejected"][2] == 500
+    assert np.isnan(ends_of(found)["q"][2]).all()
+    assert found.values["work_steps"][2] + found.values["work_rejected"][2] == 500
     # It takes further steps with the others, which Newton's method ends at once.
-    assert found.work["newton"][2] < 5 * 500
+    assert found.values["work_newton"][2] < 5 * 500
     whole = ensemble(scene, method, {"rtol": [*tolerances[:2], 1e-2]})  # the same program
-    assert (found.ends["q"][:2] == whole.ends["q"][:2]).all()
+    assert (ends_of(found)["q"][:2] == ends_of(whole)["q"][:2]).all()
 
 
 def test_newton_failures_are_told_as_in_single_runs():
@@ -215,16 +233,16 @@ def test_a_member_without_a_start_says_why():
     found = ensemble(scene, method, {"radial": [0.0, 0.1, 0.0, 0.0]}, Steps(0.01))
     assert found.status == ["ok", "crashed", "ok", "ok"]
     assert "violates the constraints at velocity level by 1.000e-01" in found.message[1]
-    assert (found.ends["q"][0] == found.ends["q"][2]).all()
-    assert found.work["steps"].tolist() == [100, 0, 100, 100]
+    assert (ends_of(found)["q"][0] == ends_of(found)["q"][2]).all()
+    assert found.values["work_steps"].tolist() == [100, 0, 100, 100]
 
 
 def test_a_budget_stops_between_blocks(monkeypatch):
     monkeypatch.setattr(batch, "_MOST_LANES", {"cpu": 4})
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0, jobs=1)
-    assert found.statuses() == {"ok": 4, "budget_exceeded": 8}
-    assert found.rows()[-1]["q1"] is None
+    assert Counter(found.status) == {"ok": 4, "budget_exceeded": 8}
+    assert rows_of(found.columns())[-1]["q1"] is None
 
 
 # ---- the command -------------------------------------------------------------------------

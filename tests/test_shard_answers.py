@@ -83,10 +83,10 @@ def test_a_member_that_used_up_its_own_steps_is_finished(asked):  # noqa: F811
         lambda answer: replace(answer, vary=dict(reversed(answer.vary.items()))),
         lambda answer: replace(answer, vary={"k": answer.vary["k"], "b": answer.vary["h"]}),
         lambda answer: replace(answer, vary=answer.vary | {"k": np.array(["1"] * 13)}),
-        lambda answer: replace(answer, ends=answer.ends | {"q": np.array(1.0)}),
-        lambda answer: replace(answer, ends=answer.ends | {"q": np.zeros((12, 1))}),
-        lambda answer: replace(answer, ends=answer.ends | {"p": answer.ends["q"]}),
-        lambda answer: replace(answer, work=dict(reversed(answer.work.items()))),
+        lambda answer: replace(answer, values=answer.values | {"q1": np.array(1.0)}),
+        lambda answer: replace(answer, values=answer.values | {"q1": np.zeros(12)}),
+        lambda answer: replace(answer, values=answer.values | {"p1": answer.values["q1"]}),
+        lambda answer: replace(answer, values=dict(reversed(answer.values.items()))),
     ],
 )
 def test_answers_about_something_else_are_lost(asked, change):  # noqa: F811

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,15 +32,12 @@ class Ensemble:
     t_end
         End time in s.
     vary
-        The values of each quantity that varies, by name, one per member.
+        The values of each quantity that varies, by name.
     status, message
         As of a single run.
-    t
-        The time that was reached, in s.
-    ends
-        Values ``(members, n)`` of q, v, a, lam, x, xdot and y at t_end; NaN where a run failed.
-    work
-        Counts of steps, residuals and so on, one per member.
+    values
+        Arrays by name: "t", the time that was reached, in s; values at t_end, "q1", "q2" ..., NaN
+        where a run failed; counts, "work_steps" and so on.
     compile_s, run_s
         Seconds for preparing and for running.
     """
@@ -53,49 +49,24 @@ class Ensemble:
     vary: dict[str, np.ndarray]
     status: list[str]
     message: list[str]
-    t: np.ndarray
-    ends: dict[str, np.ndarray]
-    work: dict[str, np.ndarray]
+    values: dict[str, np.ndarray]
     compile_s: float
     run_s: float
 
     def columns(self, first: int = 0) -> dict[str, np.ndarray]:
-        """Return ``member, h, k, status, message, t, q1, q2, ..., work_steps, ...``, one entry per
-        member; ``first`` is the number of the first one."""
+        """Return all as a table for pandas, with the number of each member from ``first`` on."""
         return {
             "member": first + np.arange(len(self.status)),
             **self.vary,
             "status": np.array(self.status),
             "message": np.array(self.message),
-            "t": self.t,
-            **self._end_columns(),
-            **{f"{WORK}{name}": counts for name, counts in self.work.items()},
+            **self.values,
         }
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return a flat row per member for pandas, with the names of the columns."""
-        return rows_of(self.columns())
-
-    def summary(self) -> dict[str, dict[str, float]]:
-        """Return "min", "median" and "max" of each end value over the members that are ok."""
-        good = np.array(self.status) == "ok"
-        return {name: spread(v[good]) for name, v in self._end_columns().items() if good.any()}
 
     @property
     def whole(self) -> bool:
         """Whether the budget was enough to run all members."""
         return _OUT_OF_TIME not in self.message
-
-    def statuses(self) -> dict[str, int]:
-        """Return the number of members by status."""
-        return dict(Counter(self.status))
-
-    def _end_columns(self) -> dict[str, np.ndarray]:
-        return {
-            f"{group}{k + 1}": column
-            for group, table in self.ends.items()
-            for k, column in enumerate(table.T)
-        }
 
 
 def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
@@ -181,14 +152,21 @@ def ensemble(
         for k, *ending in zip(block.members, block.status, block.message, strict=True):
             status[k], message[k] = ending
         t[block.members] = block.t_last
-        for name, rows in block.values.items():
-            last = rows[:, -1]
-            ends.setdefault(name, np.full((count, last.shape[1]), np.nan))[block.members] = last
+        for group, rows in block.values.items():
+            for i, column in enumerate(rows[:, -1].T, 1):
+                ends.setdefault(f"{group}{i}", np.full(count, np.nan))[block.members] = column
         for name, counts in zip(batch.counts, block.counts.T, strict=False):
-            work.setdefault(name, np.zeros(count, dtype=np.int64))[block.members] = counts
+            column = work.setdefault(f"{WORK}{name}", np.zeros(count, dtype=np.int64))
+            column[block.members] = counts
     compiled, done = batch.compiled_at, time.perf_counter()
     return Ensemble(
-        spec_without(scene, quantities), spec_without(method, quantities), end, values, status,
-        message, t, {name: table for name, table in ends.items() if table.shape[1]}, work,
-        compiled - started, done - compiled,
-    )  # fmt: skip
+        spec_without(scene, quantities),
+        spec_without(method, quantities),
+        end,
+        values,
+        status,
+        message,
+        {"t": t, **ends, **work},
+        compiled - started,
+        done - compiled,
+    )

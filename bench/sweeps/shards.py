@@ -127,10 +127,9 @@ class ShardRun:
             for task, answer in runner.run(groups):
                 k, (_, first, count, _) = tasks[task], task.arguments
                 tries[k] += 1
-                columns = {}
-                if isinstance(answer, Ensemble):
-                    columns = self._columns(answer, first, count, pattern)
-                    answer = answer if columns else NoAnswer(status="crashed", message=OTHER_ANSWER)
+                columns = answer.columns(first) if isinstance(answer, Ensemble) else {}
+                if columns and not self._is_of(columns, first, count, pattern):
+                    answer = NoAnswer(status="crashed", message=OTHER_ANSWER)
                 if not isinstance(answer, NoAnswer):
                     pattern = pattern or columns
                     (parts if answer.whole else self.lost).put(k, columns)
@@ -165,18 +164,19 @@ class ShardRun:
         label = f"{self._about}, members {first} to {first + count - 1}"
         return Task(shard_job, given, label, sources=self._sources)
 
-    def _columns(self, answer: Ensemble, first: int, count: int, pattern: Columns) -> Columns:
-        """The columns of an answer; none if they are not those of this shard."""
-        values = drawn(self.plan.ranges, self._request.seed, first, count)
+    def _is_of(self, columns: Columns, first: int, count: int, pattern: Columns) -> bool:
+        """Whether columns are those of this shard, and like those of another one."""
+        asked = drawn(self.plan.ranges, self._request.seed, first, count)
+        kinds, wanted = ([(n, c.dtype.kind) for n, c in x.items()] for x in (columns, pattern))
+        if pattern and kinds != wanted:
+            return False
         try:
-            columns = answer.columns(first)
-            alike = _alike(columns, pattern, count) and all(
-                np.allclose(answer.vary[name], asked, rtol=_SAME_DRAW, atol=0.0)
-                for name, asked in values.items()
+            return all(column.shape == (count,) for column in columns.values()) and all(
+                np.allclose(columns[name], values, rtol=_SAME_DRAW, atol=0.0)
+                for name, values in asked.items()
             )
         except (TypeError, ValueError, KeyError):  # a plugin may have made it
-            return {}
-        return columns if alike else {}
+            return False
 
     def _answered(self, answer: Any) -> Any:
         if isinstance(answer, Refused):
@@ -184,13 +184,6 @@ class ShardRun:
         if isinstance(answer, NoAnswer):
             raise SpecError(f"{self._about}: {answer.message}")
         return answer
-
-
-def _alike(columns: Columns, pattern: Columns, count: int) -> bool:
-    """Whether columns have an entry for each member, and those of another shard."""
-    kinds = [[(n, column.dtype.kind) for n, column in one.items()] for one in (columns, pattern)]
-    whole = all(column.shape == (count,) for column in columns.values())
-    return whole and (not pattern or kinds[0] == kinds[1])
 
 
 def _nothing(
