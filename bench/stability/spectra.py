@@ -7,8 +7,9 @@ principal pair is a numerical oscillation of damping ratio -ln(r)/phi and of per
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,10 +123,14 @@ def spectrum(
     sizes = radii(roots)
     damping = period = q = v = np.full(count, np.nan)
     bifurcation = order = powers = None
+    edges = partial(_edges, method, system, pattern, at)
+    grows = _grows(roots[:count])
+    ends = [0.0] * bool(grows[0]) + [*edges(grows, _grows)] + [math.inf] * bool(grows[-1])
     if isinstance(system, Oscillator):
         damping, period = oscillation(roots[:count], at, system.zeta)
         order = order_of(roots[count:-1], system.zeta)
-        bifurcation = _bifurcation(method, system, pattern, at, roots[:count])
+        real = _is_real(roots[:count]) & np.isfinite(roots[:count]).all(axis=1)
+        bifurcation = None if real[0] else next(edges(real, _is_real), None)
         q, v = overshoot(found, system)
         powers = _powers(at, q, v)
     at_infinity = multiple(roots[-1], ONE_ROOT)
@@ -139,7 +144,7 @@ def spectrum(
         period_error=period,
         overshoot_q=q[:count],
         overshoot_v=v[:count],
-        growing=growing(method, system, pattern, at, sizes[:count]),
+        growing=list(zip(ends[::2], ends[1::2], strict=True)),
         unsolved=unsolved(at, sizes[:count]),
         bifurcation=bifurcation,
         order=order,
@@ -230,33 +235,13 @@ def order_of(roots: Complex[np.ndarray, "8 n"], zeta: float = 0.0) -> int | None
 
 
 # ---- where something happens -------------------------------------------------------------
-def growing(
-    method: Integrator,
-    system: LinearSystem,
-    pattern: Sequence[float],
-    at: np.ndarray,
-    sizes: np.ndarray,
-) -> list[tuple[float, float]]:
-    """Return the ranges of omega h where the radius is above 1; a NaN is no growth.
+def _grows(roots: np.ndarray) -> np.ndarray:
+    """Whether radii are above 1; a NaN is no growth."""
+    return radii(roots) > 1 + GROWTH
 
-    ``sizes`` are the radii at the omega h in ``at``; the ends of ranges are refined between them.
-    """
 
-    def grows(sizes: np.ndarray) -> np.ndarray:
-        return sizes > 1 + GROWTH
-
-    def again(steps: np.ndarray) -> np.ndarray:
-        return grows(radii(roots_of(method, system, steps, pattern)))
-
-    ranges, begin, flags = [], None, grows(sizes)
-    for k, flag in enumerate(flags):
-        edge = _edge(again, at[k - 1], at[k]) if k and flag != flags[k - 1] else at[k]
-        if flag and begin is None:
-            begin = edge if k else 0.0
-        elif not flag and begin is not None:
-            ranges.append((begin, edge))
-            begin = None
-    return ranges if begin is None else [*ranges, (begin, math.inf)]
+def _is_real(roots: np.ndarray) -> np.ndarray:
+    return ~np.any(np.imag(roots) > _REAL, axis=1)
 
 
 def unsolved(at: np.ndarray, sizes: np.ndarray) -> list[tuple[float, float]]:
@@ -266,33 +251,28 @@ def unsolved(at: np.ndarray, sizes: np.ndarray) -> list[tuple[float, float]]:
     return [(float(at[row[0]]), float(at[row[-1]])) for row in rows if len(row)]
 
 
-def _bifurcation(
+def _edges(
     method: Integrator,
-    system: Oscillator,
+    system: LinearSystem,
     pattern: Sequence[float],
     at: np.ndarray,
-    roots: np.ndarray,
-) -> float | None:
-    def real(roots: np.ndarray) -> np.ndarray:
-        return ~np.any(np.imag(roots) > _REAL, axis=1)
+    flags: np.ndarray,
+    holds: Callable[[np.ndarray], np.ndarray],
+) -> Iterator[float]:
+    """The steps at which the ``flags`` of roots change, refined by sections of many points."""
 
     def again(steps: np.ndarray) -> np.ndarray:
-        return real(roots_of(method, system, steps, pattern))
+        return holds(roots_of(method, system, steps, pattern))
 
-    flags = real(roots) & np.isfinite(roots).all(axis=1)
-    first = int(flags.argmax())
-    return _edge(again, at[first - 1], at[first]) if first and not flags[0] else None
-
-
-def _edge(again: Callable, low: float, high: float) -> float:
-    """Return the step between two at which a property changes, by sections of many points."""
-    was = again(np.array([low]))[0]
-    while high - low > 1e-11 * high:
-        points = np.linspace(low, high, _SECTIONS + 2)
-        changed = again(points[1:-1]) != was
-        k = int(changed.argmax()) if changed.any() else _SECTIONS
-        low, high = points[k], points[k + 1]
-    return float((low + high) / 2)
+    for k in np.flatnonzero(flags[1:] != flags[:-1]):
+        low, high = at[k], at[k + 1]
+        was = again(np.array([low]))[0]
+        while high - low > 1e-11 * high:
+            points = np.linspace(low, high, _SECTIONS + 2)
+            changed = again(points[1:-1]) != was
+            j = int(changed.argmax()) if changed.any() else _SECTIONS
+            low, high = points[j], points[j + 1]
+        yield float((low + high) / 2)
 
 
 # ---- the first steps ---------------------------------------------------------------------
