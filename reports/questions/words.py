@@ -58,5 +58,5 @@ def scene_ref(scene: str) -> Ref:
 
 def accuracy(question: Question) -> Sentence:
     """The accuracy with its norm: '1e-4 in acceleration (largest over time)'."""
-    norm = Ref("term", "error", NORMS[NORM])
+    norm = Ref("term", "relative-error", NORMS[NORM])
     return [f"{question.accuracy} in {question.quantity} (", norm, ")"]

@@ -28,8 +28,6 @@ _DEFINITIONS = {
     "none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "
     "system that conserves it.",
-    "Error": "The distance from the reference, divided by the component's natural size, if the "
-    "scene states one, or its largest absolute value there; of a group the worst component counts.",
     "Floor": "A hundred times the reference's own error: below it an error says nothing.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
@@ -49,6 +47,9 @@ _DEFINITIONS = {
     "Period error": "The relative change of the period of an oscillation that a method computes.",
     "Reference": "The solution with which runs are compared: a closed form, or a computation that "
     "is far more accurate than the runs and knows its own error.",
+    "Relative error": "The distance from the reference, divided by the component's natural size, "
+    "if the scene states one, or its largest absolute value there; of a group the worst component "
+    "counts.",
     "Residual evaluation": "One evaluation of the equations of motion, the work that every "
     "implicit method does.",
     "Settled": "The norm that takes the largest error in the last quarter of the time, when the "
@@ -68,7 +69,6 @@ TERMS = tuple(Term(name, text) for name, text in _DEFINITIONS.items())
 #: Other words for the terms, beside their names and plurals.
 _SYNONYMS = {
     "Damping ratio": ("numerical damping",),
-    "Error": ("relative error",),
     "Index": ("index 1", "index 2", "index 3", "index1", "index2", "index3"),
     "Newton iteration": ("modified Newton", "full Newton"),
     "Operations": ("floating-point operations",),

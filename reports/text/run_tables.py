@@ -59,8 +59,8 @@ def summary_table(series: Sequence[Series]) -> Table:
         if trusted and len(rows) > 1:
             best.add((min(trusted)[1], j))
     note = (
-        f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is most "
-        "accurate in q."
+        f"Smallest error over the runs. {ERROR_MEANING} Orders: of the largest error over time; "
+        "none: it does not converge. Time and counts: of the run that is most accurate in q."
     )
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
