@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
-from bench.results.records import Rows
+from bench.results.quantities import COST, COSTS, GROUPS, NORM, error_note, group_and_norm
 from problems.spec import SpecError, suggest
 from reports.charts.error_panels import ACROSS, error_panel, run_rows
 from reports.charts.line_styles import paper_line_styles
-from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, wide_rows
+from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, time_rows
 from reports.charts.paper_style import FORMATS, file_content, on_paper
-from reports.charts.vega_lite import ChartOptions, Dataset, Spec, short
+from reports.charts.vega_lite import ChartOptions, Dataset, Spec
 from reports.formatting import component_title, words
 from reports.selection import Selection, group_and_place
 from reports.series import Series, cost_of, ok_runs
@@ -153,7 +152,7 @@ def _convergence(chosen: Selection, error: str = "q") -> Spec:
 
 def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str) -> Spec:
     group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
-    options = ChartOptions(paper_line_styles(s.label for s in series), norm)
+    options = _options(series, norm)
     columns = dict.fromkeys([across, "seconds", COST])
     data = Dataset("runs", run_rows(series, [group], [norm], [*columns]))
     panel = error_panel(series, data, group, across, options, first=True)
@@ -167,38 +166,30 @@ def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str
 
 def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
     names = chosen.scene.components if chosen.scene else {}
-    runs = [chosen.rows(s.finest) for s in chosen.series]
-    group, place = group_and_place(component, runs[0].values, names)
-    field, title = f"{group}0", component_title(group, place, names)
-    labels = [s.label for s in chosen.series]
-    named = zip(runs, labels, strict=True)
-    drawn = Dataset("runs", [row for r, label in named for row in _rows(r, group, place, label)])
+    runs = [(chosen.rows(s.finest), s.label) for s in chosen.series]
+    group, place = group_and_place(component, runs[0][0].values, names)
+    field, title = f"{group}{place}", component_title(group, place, names)
+    rows = [row for run in runs for row in time_rows(*run, [(group, place)])]
     reference = chosen.scene.reference if chosen.scene else None
-    behind = Dataset("reference", _rows(reference, group, place, "reference") if reference else [])
+    behind = Dataset("reference", time_rows(reference, "reference", [(group, place)]))
     known = [reference_line(behind, field, title)] if field in behind.columns else []
-    lines = run_lines(drawn, field, title, ChartOptions(paper_line_styles(labels)), first=True)
+    drawn = Dataset("runs", rows)
+    lines = run_lines(drawn, field, title, _options(chosen.series), first=True)
     return on_paper({"layer": [*known, lines]}, [drawn, behind])
-
-
-def _rows(rows: Rows, group: str, place: int, label: str) -> list[dict[str, Any]]:
-    # A reference may have fewer components: then these rows are empty.
-    values = [row[place : place + 1] for row in rows.values.get(group, [])]
-    return wide_rows(Rows(t=rows.t, values={group: values}), [(group, 0)], label)
 
 
 def _errors_over_time(chosen: Selection, error: str = "q") -> Spec:
     note = error_note(error)
     if note not in ERRORS:
         raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
-    runs = [(s.label, chosen.rows(s.finest)) for s in chosen.series]
     rows = [
-        {"series": label, "t": short(t), note: short(value)}
-        for label, run in runs
-        for t, value in zip(run.t, run.notes.get(note, []), strict=False)
+        row
+        for s in chosen.series
+        for row in time_rows(chosen.rows(s.finest), s.label, notes=[note])
     ]
-    if not any(row[note] for row in rows):
+    if not any(row.get(note) for row in rows):
         raise SpecError(f"No chosen run on {chosen.name} has stored errors of {error} over time.")
-    options = ChartOptions(paper_line_styles(s.label for s in chosen.series))
+    options = _options(chosen.series)
     data = Dataset("runs", rows)
     return on_paper({"layer": [note_lines(data, note, options, first=True)]}, [data])
 
@@ -209,6 +200,10 @@ _KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {
     "trajectory": (_trajectory, ("component",)),
     "errors_over_time": (_errors_over_time, ("error",)),
 }
+
+
+def _options(series: Sequence[Series], norm: str = NORM) -> ChartOptions:
+    return ChartOptions(paper_line_styles(s.label for s in series), norm)
 
 
 def _altair(figure: Spec) -> altair.LayerChart:

@@ -96,7 +96,8 @@ def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
     figure = trajectory(folder, scene="pendulum", component=component).to_dict()
     chosen = series_of(stored(folder, "pendulum"))
     finest = [s.ok[-1] for s in chosen]
-    shown = [(float(r["t"]), r["series"], float(r[f"{group}0"])) for r in rows(figure, "runs")]
+    field, drawn = f"{group}{place}", rows(figure, "runs")
+    shown = [(float(r["t"]), r["series"], float(r[field])) for r in drawn]
     with Store(folder) as store:
         known = [store.rows(record.key) for record in finest]
         reference = store.scenes()["pendulum", 1.0].reference
@@ -105,7 +106,7 @@ def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
         for s, run in zip(chosen, known, strict=True)
         for t, values in zip(run.t, run.values[group], strict=True)
     ]
-    behind = [float(r[f"{group}0"]) for r in rows(figure, "reference")]
+    behind = [float(r[field]) for r in rows(figure, "reference")]
     assert behind == [float(f"{values[place]:.5g}") for values in reference.values[group]]
     assert figure["layer"][-1]["encoding"]["y"]["title"] == title
 
@@ -119,7 +120,7 @@ def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
         record.run_s = []
         store.save(record, run)
     figure = trajectory(tmp_path, component="q:9").to_dict()
-    assert all(float(row["t"]) == float(row["q0"]) for row in rows(figure, "runs"))
+    assert all(float(row["t"]) == float(row["q8"]) for row in rows(figure, "runs"))
     with pytest.raises(SpecError, match="no component '10'"):
         trajectory(tmp_path, component="q:10")
 

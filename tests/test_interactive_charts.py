@@ -11,10 +11,9 @@ from planted import curves, everything, plant
 from bench.results.quantities import NORMS
 from bench.results.records import Rows
 from bench.results.store import Store
-from reports import sampling
 from reports.charts.errors import acceleration_accuracy, work_precision_with_menus
 from reports.charts.line_styles import line_styles
-from reports.charts.over_time import ERRORS, histories, trajectory
+from reports.charts.over_time import ERRORS, STILL_ROWS, histories, thinned, trajectory
 from reports.pages.report import read_report
 from reports.series import series_of
 
@@ -172,14 +171,14 @@ def test_a_path_is_drawn_over_another_component_in_the_order_of_time(styles):
 
 
 def test_a_still_picture_shows_few_rows_and_the_last_among_them():
-    count = 3 * sampling.STILL_ROWS + 1
+    count = 3 * STILL_ROWS + 1
     t = [float(k) for k in range(count)]
     long = Rows(t=t, values={"q": [[2 * x] for x in t]}, notes={"h": t})
-    shown = sampling.thinned(long)
-    assert len(shown.t) <= sampling.STILL_ROWS + 1
+    shown = thinned(long)
+    assert len(shown.t) <= STILL_ROWS + 1
     assert (shown.t[0], shown.t[-1]) == (0.0, t[-1])
     assert shown.values["q"] == [[2 * x] for x in shown.t]
     assert shown.notes["h"] == shown.t
     few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
-    assert sampling.thinned(few) == few
-    assert sampling.thinned(Rows(t=[], values={})) == Rows(t=[], values={})
+    assert thinned(few) == few
+    assert thinned(Rows(t=[], values={})) == Rows(t=[], values={})

@@ -14,8 +14,7 @@ from planted import everything, planted
 
 from bench.results.quantities import NORMS
 from reports.charts.line_styles import line_styles
-from reports.charts.pareto_front import pareto_chart
-from reports.pareto_front import pareto_front
+from reports.charts.pareto_front import pareto_chart, pareto_front
 from reports.series import series_of
 
 

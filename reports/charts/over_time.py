@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, error_note
+from bench.results.quantities import GROUP_NAMES, GROUPS, error_note
 from bench.results.records import Rows
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
@@ -27,6 +27,11 @@ HISTORIES = ERRORS | {
     "momentum": ("relative change of the momentum", True),
     "phase": ("phase in s", True),
 }
+
+#: Rows of a run in a still picture.
+STILL_ROWS = 110
+#: A run is drawn until a value exceeds the reference's largest one by this factor.
+_OUT_OF_SCALE = 5
 
 
 def trajectory(
@@ -53,9 +58,9 @@ def trajectory(
     chosen = components or first_components(groups)
     needed = list(dict.fromkeys(pair for parts in chosen for pair in _pairs(*parts)))
     # One wide table serves all panels, so that the page stays small.
-    rows = [row for label, run in runs for row in wide_rows(run, needed, label)]
+    rows = [row for label, run in runs for row in time_rows(run, label, needed)]
     drawn = vl.Dataset("runs", rows)
-    behind = vl.Dataset("reference", wide_rows(reference, needed, "reference") if reference else [])
+    behind = vl.Dataset("reference", time_rows(reference, "reference", needed))
     options = vl.ChartOptions(styles, interactive=interactive)
     panels: list[vl.Spec] = []
     for parts in chosen:
@@ -79,12 +84,7 @@ def histories(
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
     labels = list(dict.fromkeys(label for label, _ in runs))
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
-    rows = [
-        {"series": label, "t": vl.short(t)}
-        | {n: vl.short(run.notes[n][k]) for n in notes if run.notes.get(n)}
-        for label, run in runs
-        for k, t in enumerate(run.t)
-    ]
+    rows = [row for label, run in runs for row in time_rows(run, label, notes=notes)]
     data, panels = vl.Dataset("histories", rows), []
     for name in notes:
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
@@ -158,20 +158,60 @@ def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
     return motion + [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
 
 
-def wide_rows(
-    rows: Rows, components: Sequence[tuple[str, int]], label: str
+def time_rows(
+    rows: Rows | None,
+    label: str,
+    components: Sequence[tuple[str, int]] = (),
+    notes: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
-    """A row per time with these components, as far as the run has them."""
-    table = []
+    """A row per time with these components and notes, as far as the run has them."""
+    table, rows = [], rows or Rows(t=[], values={})
     for k, t in enumerate(rows.t):
         row: dict[str, Any] = {"t": vl.short(t), "series": label}
         for group, i in components:
             values = rows.values.get(group) or []
-            if (
-                k < len(values)
-                and i < len(values[k])
-                and (shown := vl.short(values[k][i])) is not None
-            ):
-                row[f"{group}{i}"] = shown
-        table.append(row)
+            if k < len(values) and i < len(values[k]):
+                row[f"{group}{i}"] = vl.short(values[k][i])
+        row |= {name: vl.short(own[k]) for name in notes if (own := rows.notes.get(name))}
+        table.append({name: value for name, value in row.items() if value is not None})
     return table
+
+
+# ---- rows of a run that a chart shows ----------------------------------------------------
+def thinned(rows: Rows) -> Rows:
+    """At most about ``STILL_ROWS`` rows, evenly chosen, the last among them."""
+    stride = -(-len(rows.t) // STILL_ROWS)
+    places = [*range(0, len(rows.t) - 1, stride or 1), len(rows.t) - 1] if rows.t else []
+    return Rows(
+        t=[rows.t[k] for k in places],
+        values={name: [table[k] for k in places] for name, table in rows.values.items()},
+        notes={name: [column[k] for k in places] for name, column in rows.notes.items()},
+    )
+
+
+def before_divergence(rows: Rows, reference: Rows) -> Rows | None:
+    """The first rows, as long as they fit the reference's scale; None for fewer than two.
+
+    The values of a run that diverges would flatten all other lines.
+    """
+    limits = {
+        name: _OUT_OF_SCALE * max((abs(x) for row in values for x in row), default=0.0)
+        for name, values in reference.values.items()
+    }
+    keep = 0
+    while keep < len(rows.t) and all(
+        abs(x) <= limits[name]
+        for name, values in rows.values.items()
+        if name in limits
+        for x in values[keep]
+    ):
+        keep += 1
+    if keep < 2:
+        return None
+    return Rows(t=rows.t[:keep], values={name: v[:keep] for name, v in rows.values.items()})
+
+
+def groups_with_values(samples: Iterable[Rows]) -> list[str]:
+    """The groups of variables in which any run has values."""
+    present = {name for rows in samples for name, values in rows.values.items() if values}
+    return [group for group in GROUPS if group in present]

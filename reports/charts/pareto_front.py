@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, RANKED_COSTS
+from bench.results.records import Record
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import Rows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
-from reports.pareto_front import compared_scenes, pareto_front
 from reports.questions.question import FIRST, TABLE_GROUPS
-from reports.series import Series, label_of, ok_runs, trusted_error
+from reports.series import Series, cost_of, error_of, label_of, ok_runs, trusted_error
 
 
 def pareto_chart(
     scenes: Mapping[str, Sequence[Series]], styles: Mapping[str, LineStyle], interactive: bool
 ) -> vl.Spec | None:
     """Error over cost of all runs, a panel per scene, with the Pareto front as a step line."""
-    scenes = compared_scenes(scenes)
+    # Those on which more than one integrator reached the end.
+    scenes = {
+        name: series for name, series in scenes.items() if sum(bool(s.ok) for s in series) > 1
+    }
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series if s.ok))
     rows = [row for scene, series in scenes.items() for row in _rows(scene, series)]
     groups = {g: GROUP_NAMES[g] for g in TABLE_GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
@@ -85,6 +88,36 @@ def pareto_chart(
         "resolve": {"scale": {"x": "independent", "y": "independent"}},
         "config": vl.config(),
     }
+
+
+def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record]:
+    """The runs that are not dominated, from cheap to dear.
+
+    A run is dominated if another costs no more and errs no more, and one of both less. Errors
+    that the reference is too coarse to judge count as equal.
+
+    Parameters
+    ----------
+    series
+        The integrators of one scene.
+    group
+        Group of variables; its relative error in the norm `NORM` is compared.
+    cost
+        A cost of `bench.results.quantities.COSTS`.
+    """
+    runs = ok_runs(series)
+    least = trusted_error(runs, group, NORM)
+    points = [
+        (value, max(error, least), r)
+        for r in runs
+        if (value := cost_of(r, cost)) and (error := error_of(r, group, NORM)) is not None
+    ]
+    points.sort(key=lambda point: point[:2])
+    front: list[tuple[float, float, Record]] = []
+    for value, error, r in points:
+        if not front or error < front[-1][1] or (value, error) == front[-1][:2]:
+            front.append((value, error, r))
+    return [r for *_, r in front]
 
 
 def _rows(scene: str, series: Sequence[Series]) -> Rows:

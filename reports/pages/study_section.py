@@ -20,10 +20,17 @@ from reports.charts.errors import (
     work_precision_with_menus,
 )
 from reports.charts.line_styles import LineStyle, line_styles
-from reports.charts.over_time import ERRORS, MOST_COMPONENTS, histories, trajectory
+from reports.charts.over_time import (
+    ERRORS,
+    MOST_COMPONENTS,
+    before_divergence,
+    groups_with_values,
+    histories,
+    thinned,
+    trajectory,
+)
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
-from reports.sampling import before_divergence, groups_with_values, thinned
 from reports.series import (
     Series,
     error_of,
