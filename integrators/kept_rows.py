@@ -42,7 +42,7 @@ def most_rows(width: int) -> int:
     return int(np.clip(MOST_NUMBERS // max(width, 1), LEAST_ROWS, MOST_ROWS))
 
 
-def times_of(steps: int, width: int = 1) -> int:
+def row_times(steps: int, width: int = 1) -> int:
     """Return the number of equally spaced times after which steps are rows (see `is_row`).
 
     Parameters
@@ -70,7 +70,7 @@ def is_row(step: Any, before: Any, part: Any, times: Any) -> Any:
     before, part
         Parts of the interval, from 0 to 1, that lie before the start and the end of the step.
     times
-        Number of equally spaced times (see `times_of`).
+        Number of equally spaced times (see `row_times`).
     """
     first = (step <= FIRST_ROWS) & (step <= times)
     return first | (_reached(part, times) > _reached(before, times))
@@ -92,7 +92,7 @@ def kept_rows(parts: Float[np.ndarray, " n"], width: int = 1) -> Int[np.ndarray,
     """
     steps = len(parts) - 1
     numbers = np.arange(1, steps + 1)
-    rows = numbers[is_row(numbers, parts[:-1], parts[1:], times_of(steps, width))]
+    rows = numbers[is_row(numbers, parts[:-1], parts[1:], row_times(steps, width))]
     return np.union1d(rows, [0, steps])
 
 
@@ -139,7 +139,7 @@ class RowKeeper:
 
     def __init__(self, width: int, start: tuple, t_end: float) -> None:
         self._width, self._t0, self._length = width, start[0], t_end - start[0]
-        self._rows, self._times = [start], times_of(0)
+        self._rows, self._times = [start], row_times(0)
         self.steps, self.last = 0, start
 
     def add(self, row: tuple) -> None:
@@ -148,7 +148,7 @@ class RowKeeper:
         if is_row(self.steps, before, self._part(row), self._times):
             self._rows.append(row)
         if len(self._rows) > most_rows(self._width) + 1:
-            self._times = times_of(self.steps, self._width)
+            self._times = row_times(self.steps, self._width)
             parts = np.array([self._part(kept) for kept in self._rows])
             stay = is_row(np.arange(1, len(parts)), parts[:-1], parts[1:], self._times)
             self._rows = [self._rows[0], *compress(self._rows[1:], stay)]

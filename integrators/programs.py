@@ -113,7 +113,7 @@ _DTYPES = {
     **{f"{sign}i{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 def program(function: Callable, *arguments: Any) -> Program:
@@ -175,17 +175,19 @@ class _Reader:
         )
 
 
-class Follower(ABC, Generic[T]):
+class Follower(ABC, Generic[_T]):
     """Follows a program from its arguments to its results; a subclass says what a step makes."""
 
     def __init__(self, functions: Program) -> None:
         self.functions = functions
 
-    def called(self, name: str, given: Sequence[T], scope: str = "") -> list[T]:
+    def called(self, name: str, given: Sequence[_T], scope: str = "") -> list[_T]:
         """The results of a function of the program, called within named parts of it."""
         return self.run(self.functions[name], given, {}, scope)
 
-    def run(self, body: Body, given: Sequence[T], outer: dict[int, T], scope: str = "") -> list[T]:
+    def run(
+        self, body: Body, given: Sequence[_T], outer: dict[int, _T], scope: str = ""
+    ) -> list[_T]:
         """The results of a body; its steps see the values around it."""
         values = outer | dict(zip(body.parameters, given, strict=True))
         for step in body.steps:
@@ -199,7 +201,7 @@ class Follower(ABC, Generic[T]):
         return [values[k] for k in body.returned]
 
     @abstractmethod
-    def step(self, step: Step, given: list[T], values: dict[int, T], scope: str) -> list[T]:
+    def step(self, step: Step, given: list[_T], values: dict[int, _T], scope: str) -> list[_T]:
         """The results of a step that calls no function.
 
         Parameters

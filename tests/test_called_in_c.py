@@ -25,7 +25,7 @@ def forgotten(caplog):
     """Functions in C and sentences are made anew, and forgotten after the test."""
 
     def forget():
-        for kept in (in_c, native.load, slower):
+        for kept in (in_c, native.load_c, slower):
             kept.cache_clear()
 
     forget()

@@ -21,7 +21,7 @@ from problems.other_programs import run_program
 @pytest.fixture
 def empty_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(native, "_CACHE", tmp_path / "native")
-    native.load.cache_clear()
+    native.load_c.cache_clear()
     return tmp_path / "native"
 
 
@@ -29,7 +29,7 @@ SOURCE = "double twice(double x) { return 2 * x; }\n"
 
 
 def twice():
-    function = native.load(SOURCE).twice
+    function = native.load_c(SOURCE).twice
     function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
     return function(1.5)
 
@@ -37,7 +37,7 @@ def twice():
 def test_a_library_is_compiled_once_and_kept(empty_cache, monkeypatch):
     assert twice() == 3.0
     (kept,) = empty_cache.iterdir()
-    native.load.cache_clear()
+    native.load_c.cache_clear()
     monkeypatch.setattr(native, "_compile", None)
     assert twice() == 3.0
     assert list(empty_cache.iterdir()) == [kept]
@@ -52,7 +52,7 @@ def test_a_kept_file_that_is_no_library_is_made_anew(empty_cache):
     for wrong in (b"no library", good[:middle], flipped):
         file.unlink()  # written over, a library in use would end the process
         file.write_bytes(wrong)
-        native.load.cache_clear()
+        native.load_c.cache_clear()
         assert twice() == 3.0
         assert file.read_bytes() == good
 
@@ -68,14 +68,14 @@ def test_what_a_killed_compilation_has_left_is_removed_when_it_is_old(empty_cach
 
 def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):
     with pytest.raises(NotLowered, match="cc failed"):
-        native.load("double f(double x) { return y; }\n")
+        native.load_c("double f(double x) { return y; }\n")
     empty_cache.rmdir()
     empty_cache.write_text("a file in the way")
     with pytest.raises(NotLowered, match="fails"):
-        native.load(SOURCE)
+        native.load_c(SOURCE)
     monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
     with pytest.raises(NotLowered, match="no C compiler"):
-        native.load(SOURCE)
+        native.load_c(SOURCE)
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_a_compiler_that_hangs_is_asked_no_more(empty_cache, monkeypatch, hangin
     monkeypatch.setenv("ANSWERED", answered)
     for source in (SOURCE, f"{SOURCE}\n"):
         with pytest.raises(NotLowered, match=r"cc did nothing for 0\.2 s"):
-            native.load(source)
+            native.load_c(source)
     assert len(hanging.read_text()) == 1 + bool(answered)
     assert not list(empty_cache.glob("*"))  # no half compilation is left
 

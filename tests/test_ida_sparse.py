@@ -185,7 +185,7 @@ def test_size_and_fill_choose_the_solver():
 def test_a_full_pattern_is_dense_by_auto(monkeypatch):
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
     scene = SpringMass()
-    pattern = dae.pattern(*of(scene, "index1"))
+    pattern = dae.dae_pattern(*of(scene, "index1"))
     assert len(pattern.rows) > 0.1 * pattern.size**2
     assert not is_sparse(prepared(scene, 0.1))
 

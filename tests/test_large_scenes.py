@@ -22,7 +22,7 @@ from integrators.kept_rows import (
     RowKeeper,
     kept_rows,
     most_rows,
-    times_of,
+    row_times,
     width_of,
 )
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -88,7 +88,7 @@ def test_rows_of_steps_known_beforehand_are_those_of_one_that_is_over(count, tim
     keeper = RowKeeper(2**24 // (4 * times), (3.0, 0), 5.0)
     for step in range(1, steps + 1):
         keeper.add((t[step], step))
-    assume(times_of(steps, 2**24 // (4 * times)) == times)
+    assume(row_times(steps, 2**24 // (4 * times)) == times)
     rows = constant_steps.kept_steps(clock, steps, times)
     np.testing.assert_array_equal(rows, [step for _, step in keeper.rows()][1:])
 

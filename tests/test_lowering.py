@@ -267,7 +267,9 @@ def test_constants_are_no_values_given_to_a_loop():
         return jax.lax.while_loop(lambda x: x[0] < u[1], lambda x: x + known[2:5] * u[0], u)
 
     program = lowered(function, (3,))
-    (loop,) = (given for operator, given in program.graph.nodes if isinstance(operator, graph.Loop))
+    (loop,) = (
+        given for operator, given in program.graph.nodes if isinstance(operator, graph.WhileLoop)
+    )
     assert loop
     assert not any(map(program.graph.is_constant, loop))
 

@@ -30,7 +30,7 @@ def forgotten(caplog):
     """Compiled equations and sentences are made anew, and forgotten after the test."""
 
     def forget():
-        for kept in (packed_functions.in_c, sundials.library, native.load, slower):
+        for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
             kept.cache_clear()
 
     forget()

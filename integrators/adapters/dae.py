@@ -104,7 +104,7 @@ def packed_jacobian(template: MechatronicSystem, formulation: str) -> PackedFunc
 
 
 @cache
-def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
+def dae_pattern(template: MechatronicSystem, formulation: str) -> Pattern:
     """Find the entries of dF/dw + cj dF/dwdot that can differ from zero, by tracing F.
 
     Raises
@@ -124,8 +124,8 @@ def pattern(template: MechatronicSystem, formulation: str) -> Pattern:
 
 @cache
 def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJacobian:
-    """dF/dw + cj dF/dwdot on its `pattern`."""
-    residual, found = packed_residual(template, formulation), pattern(template, formulation)
+    """dF/dw + cj dF/dwdot on its `dae_pattern`."""
+    residual, found = packed_residual(template, formulation), dae_pattern(template, formulation)
     order = np.lexsort((found.rows, found.columns))
 
     def values(p: Any, t: Any, w: Any, wdot: Any, cj: Any) -> Any:

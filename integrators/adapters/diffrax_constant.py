@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 _NEWTON_TOLERANCE = 1e-9
 
 
-class State(NamedTuple):
+class DiffraxState(NamedTuple):
     """A state s = [q, v, x], the solver's own state, and Newton's absolute tolerance."""
 
     s: Any
-    handed_on: Any
+    solver_state: Any
     atol: Any
 
 
@@ -64,7 +64,7 @@ class DiffraxStep(StepFunctions):
     def with_numbers(self, numbers: RateNumbers) -> DiffraxStep:
         return replace(self, numbers=numbers)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> DiffraxState:
         z, p = start.z, self.numbers
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
@@ -72,21 +72,21 @@ class DiffraxStep(StepFunctions):
         slopes = jnp.abs(jax.jacfwd(right_hand_side(self.template), argnums=1)(z.t, s, p))
         rounding = np.finfo(float).eps * jnp.max(slopes @ (1 + jnp.abs(s)))
         atol = _NEWTON_TOLERANCE * (1 + size) + 100 * rounding
-        handed_on = self._solver(atol).init(self._terms, z.t, z.t + h, s, p)
-        return State(s, handed_on, atol)
+        solver_state = self._solver(atol).init(self._terms, z.t, z.t + h, s, p)
+        return DiffraxState(s, solver_state, atol)
 
     def step(
-        self, scene: MechatronicSystem, state: State, t: Time, h: Time, work: StepWork
-    ) -> State:
+        self, scene: MechatronicSystem, state: DiffraxState, t: Time, h: Time, work: StepWork
+    ) -> DiffraxState:
         from diffrax import RESULTS
 
-        s, _, _, handed_on, result = self._solver(state.atol).step(
-            self._terms, t - h, t, state.s, self.numbers, state.handed_on, made_jump=False
+        s, _, _, solver_state, result = self._solver(state.atol).step(
+            self._terms, t - h, t, state.s, self.numbers, state.solver_state, made_jump=False
         )
         work.count(converged=result == RESULTS.successful)
-        return State(s, handed_on, state.atol)
+        return DiffraxState(s, solver_state, state.atol)
 
-    def read(self, scene: MechatronicSystem, state: State) -> Reading:
+    def read(self, scene: MechatronicSystem, state: DiffraxState) -> Reading:
         # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
         # then zeros stand for them, or NaN where the time loop has to see that a state is not
         # finite.

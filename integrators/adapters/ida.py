@@ -102,7 +102,7 @@ class _IDARun(SundialsRun):
         atol = dae.absolute_tolerances(scene.sizes, key[1], resolution.atol, tested)
         options = {"max_order": method.max_order, "rtol": resolution.rtol, "atol": atol}
         n = self.layout.size
-        if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.pattern(*key)):
+        if sparsity.uses_sparse(method.linear_solver, scene, lambda: dae.dae_pattern(*key)):
             from scipy.sparse import csc_matrix
 
             jacobian, rows, starts = dae.sparse_jacobian(*key)

@@ -81,14 +81,14 @@ class _MujocoRun(EngineRun):
         model.eq_solref[:] = method.loop_steps * model.opt.timestep, 1.0
         model.eq_solimp[:, :2] = 0.9999  # the hardest
         self._data = self._mujoco.MjData(model)
-        with self._quiet():
+        with self._without_warnings():
             self._reset()
             q, v = self._stated.motion(self._data.qpos[None], self._data.qvel[None])
             a = self._stated.acceleration(hard_acceleration(model, self._data))
             check_agreement("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
 
     @contextlib.contextmanager
-    def _quiet(self) -> Iterator[None]:
+    def _without_warnings(self) -> Iterator[None]:
         """MuJoCo writes its warnings to a file; the status says the same."""
         before = self._mujoco.get_mju_user_warning()
         self._mujoco.set_mju_user_warning(lambda text: None)
@@ -102,14 +102,14 @@ class _MujocoRun(EngineRun):
         self._data.qpos[:], self._data.qvel[:] = self._stated.qpos, self._stated.qvel
 
     def execute(self) -> Any:
-        with self._quiet():
+        with self._without_warnings():
             self._reset()
             self._mujoco.mj_step(self._model, self._data, self.steps)
 
     def measure(self) -> Trajectory:
         model, data, mujoco = self._model, self._data, self._mujoco
         wanted, rows, iterations, failed = self.kept(), [], 0, 0
-        with self._quiet():
+        with self._without_warnings():
             self._reset()
             for step in range(self.steps + 1):
                 if step:

@@ -18,7 +18,7 @@ from integrators.adapters.library_runs import NOT_FINITE, EarlyEnd, GivenEquatio
 from integrators.adapters.packed_functions import in_c
 from integrators.adapters.sundials import check_step, library
 from integrators.contract import Work
-from integrators.lowering.native import load
+from integrators.lowering.native import load_c
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -176,7 +176,7 @@ class NativeSolver(ABC):
         matrix, solver = self._linear_algebra(len(vectors[0]))
         self._memory.value = _made(f"{self._name}Create", self._create(options))
         self._memories.callback(lambda: getattr(it, f"{self._name}Free")(byref(self._memory)))
-        functions = load(_CALLED)
+        functions = load_c(_CALLED)
         self._run = self._described(max_calls)
         self._do("SetUserData", c_void_p(ctypes.addressof(self._run)))
         self._do("Init", _address(functions[f"{self._name}_residual"]), t0, *self._state)

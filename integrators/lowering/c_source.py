@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from integrators.lowering.graph import Entry, Loop, NotLowered, Program, Solve
+from integrators.lowering.graph import Entry, LoweredFunction, NotLowered, Solve, WhileLoop
 from integrators.lowering.operators import OPERATORS
 
 HEADER = """#include <math.h>
@@ -66,7 +66,7 @@ _MOST_OPERATIONS = 13_000
 _MOST_LINES = 2 * _MOST_OPERATIONS
 
 
-def c_function(name: str, program: Program, arguments: int) -> str:
+def c_function(name: str, program: LoweredFunction, arguments: int) -> str:
     """A C function of so many pointers to floats, and a pointer to the results, all written.
 
     It is ``void name(const double *a0, const double *a1, ..., double *out)``.
@@ -79,7 +79,7 @@ def c_function(name: str, program: Program, arguments: int) -> str:
     return _function(name, program, arguments)[0]
 
 
-def _function(name: str, program: Program, arguments: int) -> tuple[str, int]:
+def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str, int]:
     """The C of a function and of the loops in it, and the number of its operations."""
     writer = _Writer(name, program)
     loops = [_loop(writer.loop_name(node), loop) for node, loop in writer.loops.items()]
@@ -104,7 +104,7 @@ def _function(name: str, program: Program, arguments: int) -> tuple[str, int]:
     return source, count
 
 
-def _loop(name: str, loop: Loop) -> tuple[str, int]:
+def _loop(name: str, loop: WhileLoop) -> tuple[str, int]:
     """The C of a loop on the values u that its turns change, and given ones."""
     goes_on, test = _function(f"{name}_test", loop.test, 2)
     turn, body = _function(f"{name}_turn", loop.turn, 2)
@@ -130,12 +130,12 @@ class _Line(NamedTuple):
 
 
 class _Writer:
-    def __init__(self, name: str, program: Program) -> None:
+    def __init__(self, name: str, program: LoweredFunction) -> None:
         self._name, self._graph = name, program.graph
         self._results = program.results.ravel().tolist()
         #: Size of the array s: the values of each loop and solve, then those for later pieces.
         self.room, self._values = 0, {}
-        self.loops: dict[int, Loop] = {}
+        self.loops: dict[int, WhileLoop] = {}
         order = self._graph.needed(self._results)
         outputs: dict[int, list[int]] = {}
         for k, node in enumerate(self._results):
@@ -143,7 +143,7 @@ class _Writer:
         computed, self._lines = set(order), []
         for node in [*(node for node in outputs if node not in computed), *order]:
             if node in computed:
-                self._lines += [*self._handed_over(node), _Line(node)]
+                self._lines += [*self._arguments(node), _Line(node)]
             if node not in self._graph.zeros:
                 self._lines += [_Line(node, ("out", k)) for k in outputs.get(node, ())]
         self.length = len(self._lines)
@@ -160,12 +160,12 @@ class _Writer:
                     self.places[node] = self.room
                     self.room += 1
 
-    def _handed_over(self, node: int) -> list[_Line]:
+    def _arguments(self, node: int) -> list[_Line]:
         """The lines that put the values given to a loop or a solve in their places."""
         operator, given = self._graph.nodes[node]
-        if not isinstance(operator, Loop | Solve):
+        if not isinstance(operator, WhileLoop | Solve):
             return []
-        if isinstance(operator, Loop):
+        if isinstance(operator, WhileLoop):
             self.loops[node] = operator
         first = self._values[node] = self.room
         self.room += len(given)
@@ -176,7 +176,7 @@ class _Writer:
         operator, given = self._graph.nodes[line.node]
         if line.place is not None:
             return (line.node,)
-        return () if isinstance(operator, Entry | Loop | Solve) else given
+        return () if isinstance(operator, Entry | WhileLoop | Solve) else given
 
     def loop_name(self, node: int) -> str:
         """The name of the function of a loop."""
@@ -190,12 +190,12 @@ class _Writer:
             if place is not None:
                 lines.append("    {}[{}] = {};".format(*place, self._text(node, piece)))
                 continue
-            if isinstance(operator, Loop | Solve):
+            if isinstance(operator, WhileLoop | Solve):
                 lines.append(self._call(node))
                 continue
             boolean = self._graph.kind(node) == "b"
             if isinstance(operator, Entry):
-                value = _read(f"s[{self._left(*given) + operator.place}]", boolean)
+                value = _read(f"s[{self._outputs(*given) + operator.place}]", boolean)
             else:
                 value = OPERATORS[operator].c.format(*(self._text(x, piece) for x in given))
             lines.append(f"    const {'int' if boolean else 'double'} v{node} = {value};")
@@ -210,17 +210,17 @@ class _Writer:
         return [f"    memset(out, 0, {len(self._results)} * sizeof(double));"]
 
     def _call(self, node: int) -> str:
-        """The call of the function of a loop or a solve, which leaves values in s."""
+        """The call of the function of a loop or a solve, whose outputs are in s."""
         operator, at = self._graph.nodes[node][0], f"s + {self._values[node]}"
-        at = f"{at}, s + {self._left(node)}"
+        at = f"{at}, s + {self._outputs(node)}"
         if isinstance(operator, Solve):
             return f"    solve({operator.unknowns}, {operator.systems}, {at});"
         return f"    {self.loop_name(node)}({at});"
 
-    def _left(self, node: int) -> int:
-        """The first place in s of the values that a loop or a solve leaves."""
+    def _outputs(self, node: int) -> int:
+        """The first place in s of the outputs of a loop or a solve."""
         operator, given = self._graph.nodes[node]
-        return self._values[node] + len(given) - operator.left
+        return self._values[node] + len(given) - operator.outputs
 
     def _text(self, node: int, piece: int) -> str:
         """A value within an expression of a piece."""

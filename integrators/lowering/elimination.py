@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _WRITTEN_OUT, _MOST_UNKNOWNS, _MOST_IN_ALL = 4, 40, 4000
 
 
-def solve(
+def eliminate(
     graph: Graph, matrix: Int[np.ndarray, "n n"], right: Int[np.ndarray, "n m"]
 ) -> Int[np.ndarray, "n m"]:
     """Solve A X = B for nodes, each independent part by itself.
@@ -59,8 +59,8 @@ def _called(
 ) -> Int[np.ndarray, "n m"]:
     """Solve A X = B by a function of C."""
     given = (*matrix.ravel().tolist(), *right.ravel().tolist())
-    left = graph.left_by(Solve(*right.shape), given, "f" * right.size)
-    return np.array(left, int).reshape(right.shape)
+    outputs = graph.outputs(Solve(*right.shape), given, "f" * right.size)
+    return np.array(outputs, int).reshape(right.shape)
 
 
 def _eliminated(

@@ -32,7 +32,7 @@ class NotLowered(Exception):
 
 
 class Entry(NamedTuple):
-    """The operator that takes one of the values that a loop or a solve leaves."""
+    """The operator that takes one of the outputs of a loop or a solve."""
 
     place: int
 
@@ -58,7 +58,7 @@ class Graph:
     ----------
     nodes
         ``(operator, arguments)``; of an input ("input", (argument, entry)), of a constant
-        ("constant", value). `Loop` and `Solve` are operators that leave several values, each of
+        ("constant", value). `WhileLoop` and `Solve` are operators with several outputs, each of
         which an `Entry` takes.
     """
 
@@ -83,10 +83,10 @@ class Graph:
         """The node of an entry of an argument of the function."""
         return self._node(("input", argument, entry), "input", (argument, entry), kind)
 
-    def left_by(
-        self, operator: Loop | Solve, given: tuple[int, ...], kinds: Iterable[str]
+    def outputs(
+        self, operator: WhileLoop | Solve, given: tuple[int, ...], kinds: Iterable[str]
     ) -> list[int]:
-        """The nodes of what an operator leaves: a value of each of these kinds."""
+        """The nodes of an operator's outputs, which are of these kinds."""
         key = (operator, given) if isinstance(operator, Solve) else ("loop", len(self.nodes))
         node = self._node(key, operator, given, "f")
         return [self._node((node, k), Entry(k), (node,), kind) for k, kind in enumerate(kinds)]
@@ -258,14 +258,14 @@ class Graph:
         return self.nodes[node][1][0]
 
 
-class Program(NamedTuple):
+class LoweredFunction(NamedTuple):
     """A graph, and the nodes of the entries of its only result."""
 
     graph: Graph
     results: Int[np.ndarray, ...]
 
 
-class Loop(NamedTuple):
+class WhileLoop(NamedTuple):
     """An operator that goes round as long as a test says so.
 
     Both programs have two arguments: given values, and the values u that a turn changes. The
@@ -279,12 +279,12 @@ class Loop(NamedTuple):
         The next u.
     """
 
-    test: Program
-    turn: Program
+    test: LoweredFunction
+    turn: LoweredFunction
 
     @property
-    def left(self) -> int:
-        """The number of values that it leaves in the places of its last arguments."""
+    def outputs(self) -> int:
+        """The number of its outputs, which take the places of its last arguments."""
         return self.turn.results.size
 
 
@@ -295,6 +295,6 @@ class Solve(NamedTuple):
     systems: int
 
     @property
-    def left(self) -> int:
-        """The number of values that it leaves in the places of its last arguments."""
+    def outputs(self) -> int:
+        """The number of its outputs, which take the places of its last arguments."""
         return self.unknowns * self.systems

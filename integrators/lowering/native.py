@@ -30,7 +30,7 @@ _hung: list[str] = []
 
 
 @cache
-def load(source: str) -> ctypes.CDLL:
+def load_c(source: str) -> ctypes.CDLL:
     """Compile C, or take what was compiled before, and load it.
 
     Raises

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.elimination import solve
-from integrators.lowering.graph import Graph, Loop, NotLowered, Program
+from integrators.lowering.elimination import eliminate
+from integrators.lowering.graph import Graph, LoweredFunction, NotLowered, WhileLoop
 from integrators.lowering.known import on_numbers
 from integrators.lowering.moves import INDICES, MOVES
 from integrators.lowering.operators import OPERATORS, operator
@@ -43,7 +43,7 @@ _Value = _Known | np.ndarray
 _NO = b"", False, np.zeros(0, int)
 
 
-def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Program:
+def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> LoweredFunction:
     """Follow a traceable function of one vector whose result is one array.
 
     Parameters
@@ -68,7 +68,7 @@ def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Pr
         raise
     except Exception as error:  # of whatever kind: another release of JAX has other programs
         raise NotLowered(f"programs of this JAX are not as known ({error!r})") from error
-    return Program(graph, follower.nodes(result))
+    return LoweredFunction(graph, follower.nodes(result))
 
 
 class _Follower(Follower[_Value]):
@@ -178,9 +178,8 @@ class _Follower(Follower[_Value]):
             self._halves[x[place].tobytes()] = key, unit, b
             if matrix is not None and by == key and other != unit:
                 a = matrix if transposed != left else matrix.T
-                x[place] = (
-                    solve(self._graph, a, first) if left else solve(self._graph, a, first.T).T
-                )
+                solution = eliminate(self._graph, a, first if left else first.T)
+                x[place] = solution if left else solution.T
         return x
 
     # ---- loops and branches ------------------------------------------------------------
@@ -208,7 +207,7 @@ class _Follower(Follower[_Value]):
     ) -> Sequence[_Value]:
         """The results of a loop whose number of turns is found in the loop."""
         outer, inner, known = self._graph, _Follower(self.functions, Graph()), {}
-        handed_over: list[int] = []  # constants are written where they are used
+        captured: list[int] = []  # constants are written where they are used
         inner._entries, inner._turns = self._entries, self._turns
 
         def inside(value: _Value) -> _Value:
@@ -221,8 +220,8 @@ class _Follower(Follower[_Value]):
                 if outer.is_constant(node):
                     known[node] = inner._graph.constant(outer.value(node))
                 else:
-                    known[node] = inner._graph.input(0, len(handed_over), outer.kind(node))
-                    handed_over.append(node)
+                    known[node] = inner._graph.input(0, len(captured), outer.kind(node))
+                    captured.append(node)
             return np.array([known[node] for node in value.flat], int).reshape(value.shape)
 
         pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
@@ -236,10 +235,12 @@ class _Follower(Follower[_Value]):
         (goes_on,) = inner.run(condition, state, around)
         after = inner.run(turn, state, around)
         self._entries, self._turns = inner._entries, inner._turns
-        test = Program(inner._graph, inner.nodes(goes_on))
-        loop = Loop(test, Program(inner._graph, _joined([inner.nodes(after[k]) for k in changed])))
-        left = outer.left_by(loop, (*handed_over, *_joined(first).tolist()), kinds)
-        ends = dict(zip(changed, _parts(np.array(left, int), first), strict=True))
+        test = LoweredFunction(inner._graph, inner.nodes(goes_on))
+        loop = WhileLoop(
+            test, LoweredFunction(inner._graph, _joined([inner.nodes(after[k]) for k in changed]))
+        )
+        outputs = outer.outputs(loop, (*captured, *_joined(first).tolist()), kinds)
+        ends = dict(zip(changed, _parts(np.array(outputs, int), first), strict=True))
         return [ends.get(k, value) for k, value in enumerate(given)]
 
     def _chosen(
@@ -254,7 +255,7 @@ class _Follower(Follower[_Value]):
         *others, chosen = (
             [self.nodes(value) for value in self.run(body, [], values)] for body in step.bodies
         )
-        if any(isinstance(operator, Loop) for operator, _ in graph.nodes[before:]):
+        if any(isinstance(operator, WhileLoop) for operator, _ in graph.nodes[before:]):
             raise NotLowered("a loop of a branch that is not taken might go on for ever")
         for k, results in reversed([*enumerate(others)]):
             taken = graph.apply("EQ", index, graph.constant(k))

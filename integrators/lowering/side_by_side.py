@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from integrators.lowering.graph import NotLowered, Program
+from integrators.lowering.graph import LoweredFunction, NotLowered
 from integrators.lowering.operators import OPERATORS
 from problems.runtime import jnp
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def side_by_side(program: Program) -> Callable[..., list]:
+def side_by_side(program: LoweredFunction) -> Callable[..., list]:
     """Return a program of one vector as a function of its entries for k runs, arrays ``(k,)``.
 
     Its results are such arrays, in lists of the shape of the program's result.

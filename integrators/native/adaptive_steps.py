@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
-from integrators.kept_rows import EVERY_STEP, is_row, times_of, width_of
+from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native import small_matrices
 from integrators.native.constant_steps import row_slots
 from integrators.native.endings import Ending
@@ -96,7 +96,7 @@ class AdaptiveRun(PreparedRun):
         while full:  # each call begins at the start again, and keeps the next rows
             wanted = jnp.arange(first, first + self._slots), jnp.asarray(times)
             window, last, end = map(np.asarray, self.kernel(self.arguments, *wanted))
-            before, times = times, times_of(int(end[2]), width)
+            before, times = times, row_times(int(end[2]), width)
             if times == before:
                 windows.append(window)
                 first, full = first + self._slots, window[-1, 0] > 0

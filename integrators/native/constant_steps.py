@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Steps, Trajectory, Work
-from integrators.kept_rows import EVERY_STEP, is_row, most_rows, times_of, width_of
+from integrators.kept_rows import EVERY_STEP, is_row, most_rows, row_times, width_of
 from integrators.native import small_matrices
 from integrators.native.endings import Ending
 from integrators.native.kernel import Kernel, SparseKernel
@@ -120,7 +120,7 @@ class ConstantStepsRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
-        times = times_of(self._steps, width_of(self._scene.sizes))
+        times = row_times(self._steps, width_of(self._scene.sizes))
         numbers = kept_steps(self._clock, self._steps, times)
         parts, end, done = [], np.zeros(0), 0
         # Each call begins at the start again, and keeps the next rows.

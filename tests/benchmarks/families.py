@@ -38,7 +38,7 @@ from bench.results.environment import environment
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.adapters.packed_functions import in_c
-from integrators.lowering.native import load
+from integrators.lowering.native import load_c
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
@@ -152,7 +152,7 @@ def residual_in_c(scene: MechatronicSystem, rtol: float, count: int = 20_000) ->
     given, (residual, _) = np.hstack([run.given.p, *run.given.start]), in_c(run.given.value)
     arrays = given, np.empty(run.given.size)
     places = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
-    repeat = load(_REPEAT).repeat
+    repeat = load_c(_REPEAT).repeat
     return least(lambda: repeat(ctypes.c_long(count), residual, *places)) / count
 
 
