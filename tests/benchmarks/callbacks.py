@@ -9,16 +9,13 @@ the table has least times. The times are not checked; the equal ends of both run
 
 from __future__ import annotations
 
-import argparse
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from opponents import alone, options, written
 
 from integrators import Tolerances
 from integrators.adapters import dae, ode
@@ -229,11 +226,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Measure all cases, print the table, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=5, help="processes of each kind")
-    parser.add_argument("--out", type=Path, default=Path("stepbench-callbacks.json"))
-    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
-    given = parser.parse_args()
+    given = options(__doc__, 5, "stepbench-callbacks.json")
     if given.one:
         print(json.dumps(measure(int(given.one[0]), given.one[1])))
         return
@@ -242,15 +235,9 @@ def main() -> None:
         samples: dict[str, list] = {kind: [] for kind in _KINDS}
         for _ in range(given.rounds):
             for kind in _KINDS:
-                command = [sys.executable, __file__, "--one", str(case), kind]
-                done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-                if done.returncode:
-                    raise SystemExit(done.returncode)
-                samples[kind].append(json.loads(done.stdout.splitlines()[-1]))
+                samples[kind].append(alone(__file__, given.rounds, case, kind))
         rows.append(row(case, samples))
-    print(table(rows))
-    given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    print(f"Written to {given.out}.")
+    written(rows, table(rows), given.out)
 
 
 if __name__ == "__main__":

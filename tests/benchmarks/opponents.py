@@ -7,8 +7,11 @@ other work is no cost of theirs.
 
 from __future__ import annotations
 
+import argparse
+import json
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -68,6 +71,31 @@ class Contestant:
     work: dict[str, float | None] = field(default_factory=dict)
     #: Operations that the run does, where full Newton takes fewer than those of full matrices.
     done: float | None = None
+
+
+def options(doc: str | None, rounds: int, out: str) -> argparse.Namespace:
+    """The options of a script: samples, the file to write, and one case in this process."""
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=rounds, help="samples of every contestant")
+    parser.add_argument("--out", type=Path, default=Path(out))
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def alone(script: str, rounds: int, *case: object) -> Any:
+    """What a script says of one case in a process of its own."""
+    command = [sys.executable, script, "--rounds", str(rounds), "--one", *map(str, case)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.returncode)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def written(rows: Any, table: str, out: Path) -> None:
+    """Print a table, and write its rows as JSON."""
+    print(table)
+    out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(f"Written to {out}.")
 
 
 def timed(execute: Callable[[], object]) -> Callable[[], float]:

@@ -1,23 +1,32 @@
-"""Cost against size: the hanging chain with 100 to 100 000 links, against exudyn's sparse solver.
+"""Cost against size: the hanging chain with 100 to 100 000 links, against sparse solvers.
 
-``make bench`` prints a table and writes it as JSON. Every size runs in a process of its own, so
-that memory is its own; contestants run in turn, and the least and the median of their processor
+``make bench`` prints two tables and writes them as JSON. Every size runs in a process of its own,
+so that memory is its own; contestants run in turn, and the least and the median of their processor
 times are given. exudyn is compared with our modified Newton, as it takes modified Newton, too.
-Nothing is asserted about times; that the answers agree is.
+IDA chooses its steps, so that the time for an interval is compared, and the errors at its end stand
+beside it. They are differences from a run of IDA at a much smaller tolerance; that this is the
+answer is checked by our own method, whose error has to fall as its order says. Nothing is asserted
+about times; that the answers agree is.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
-import subprocess
-import sys
 import time
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from opponents import alone, options, timed, written
+
+from integrators import Steps, Tolerances
+from integrators.adapters.exudyn import Exudyn
+from integrators.adapters.ida import IDA
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from problems.formulations import dae_layout
+from problems.runtime import one_thread
+from problems.scenes.chain import Chain
 
 #: Links, and steps that a sample takes.
 SIZES = ((100, 400), (1000, 200), (10000, 200), (30000, 100), (100000, 50))
@@ -28,17 +37,17 @@ _MOST_OF_EXUDYN = 1000
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-7
 
+#: For IDA: links, end of the interval in s, and a tolerance that gives about our error in v.
+IDA_SIZES = ((100, 0.4, 1e-5), (1000, 0.2, 1e-5), (10000, 0.05, 1e-6))
+_MODIFIED, _FINER = "generalized_alpha[newton=modified]", 4
+_REFERENCE = 1e-4  # of the tolerance
+#: Runs of more seconds get fewer samples: limit, and number of samples.
+_LONG, _FEW = 2.0, 2
+
 
 def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     """One size: seconds, memory and answers of everybody."""
-    from integrators import Steps
-    from integrators.adapters.exudyn import Exudyn
-    from integrators.methods.generalized_alpha import GeneralizedAlpha
-    from problems.runtime import one_thread
-    from problems.scenes.chain import Chain
-
     one_thread()
-
     scene = Chain(links=links)
     before, started = _memory(), time.process_time()
     runs = {
@@ -133,28 +142,100 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Measure all sizes, print the table, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=7, help="samples of every contestant")
-    parser.add_argument("--out", type=Path, default=Path("stepbench-sizes.json"))
-    parser.add_argument("--one", nargs=2, type=int, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.one:
-        print(json.dumps(measure(*given.one, given.rounds)))
-        return
-    rows = []
-    for links, steps in SIZES:
-        command = [sys.executable, __file__, "--rounds", str(given.rounds), "--one"]
-        done = subprocess.run(
-            [*command, str(links), str(steps)], stdout=subprocess.PIPE, text=True, check=False
+def against_ida(links: int, t_end: float, rtol: float, rounds: int) -> dict[str, Any]:
+    """One size: seconds, errors and energy of both."""
+    one_thread()
+    scene = Chain(links=links)
+    method = IDA(max_calls=1_000_000)
+    at = dae_layout(scene.sizes, method.formulation)
+
+    def alpha(h: float) -> Any:
+        return GeneralizedAlpha(newton="modified").prepare(scene, t_end, Steps(h))
+
+    def end(result: Any) -> tuple[np.ndarray, np.ndarray]:
+        if result is None or getattr(result, "status", 0) < 0:
+            raise SystemExit(f"IDA did not come to the end with {links} links.")
+        return result.y[at.q], result.y[at.v]
+
+    ours, finer = alpha(_H), alpha(_H / _FINER).measure()
+    theirs = method.prepare(scene, t_end, Tolerances(rtol))
+    exact = end(method.prepare(scene, t_end, Tolerances(_REFERENCE * rtol)).execute())
+
+    def errors(found: tuple[np.ndarray, np.ndarray]) -> dict[str, float]:
+        pairs = zip("qv", found, exact, strict=True)
+        return {g: float(np.linalg.norm(x - y) / np.linalg.norm(y)) for g, x, y in pairs}
+
+    def drift(found: tuple[np.ndarray, np.ndarray]) -> float:
+        q, v, _ = scene.initial_state()
+        return abs(float(scene.energy(*found)) - float(scene.energy(q, v))) / (
+            scene.m / 2 * (v @ v)
         )
-        if done.returncode:
-            raise SystemExit(done.returncode)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
-    print(table(rows))
-    given.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    print(f"Written to {given.out}.")
+
+    last, result = ours.measure(), theirs.execute()
+    ends = {_MODIFIED: (last.q[-1], last.v[-1]), "IDA, sparse": end(result)}
+    coarse, fine = (errors((z.q[-1], z.v[-1]))["q"] for z in (last, finer))
+    if not fine < 2 / _FINER**2 * coarse:
+        raise SystemExit(f"{links} links: ours does not come closer to IDA: {coarse}, {fine}.")
+    seconds = _in_turn([ours.execute, theirs.execute], rounds)
+    return {
+        "links": links,
+        "unknowns": at.size,
+        "t_end": t_end,
+        "at": [f"h={_H:g} s", f"rtol={rtol:g}"],
+        "calls": [last.work.residuals, result.nfev],
+        "factorisations": [last.work.factorisations, result.njev],
+        "seconds": [float(np.median(own)) for own in seconds],
+        "ratio": np.quantile(np.divide(seconds[1], seconds[0]), [0.5, 0.25, 0.75]).tolist(),
+        "errors": [errors(found) for found in ends.values()],
+        "energy_drift": [drift(found) for found in ends.values()],
+        "contestants": list(ends),
+    }
+
+
+def _in_turn(contestants: list[Callable], rounds: int) -> list[list[float]]:
+    """Processor seconds of each contestant in every round."""
+    seconds: list[list[float]] = [[] for _ in contestants]
+    for k in range(rounds):
+        if k >= _FEW and max(map(max, seconds)) > _LONG:
+            break
+        for own, execute in zip(seconds, contestants, strict=True):
+            own.append(timed(execute)())
+    return seconds
+
+
+def ida_table(rows: list[dict[str, Any]]) -> str:
+    """The rows in Markdown."""
+    lines = [
+        "| links | contestant | at | ms per simulated ms | time/ours (quartiles) | residuals "
+        "| factorisations | error in q | error in v | energy drift |",
+        "|---:|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        ratio = "{:.2g} ({:.2g} to {:.2g})".format(*row["ratio"])
+        for k, name in enumerate(row["contestants"]):
+            error = row["errors"][k]
+            lines.append(
+                f"| {row['links']} | {name} | {row['at'][k]} "
+                f"| {row['seconds'][k] / row['t_end']:.3g} | {ratio if k else 1} "
+                f"| {row['calls'][k]} | {row['factorisations'][k]} | {error['q']:.0e} "
+                f"| {error['v']:.0e} | {row['energy_drift'][k]:.0e} |"
+            )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure all sizes, print the tables, write the JSON."""
+    given = options(__doc__, 7, "stepbench-sizes.json")
+    if given.one:
+        kind, k = given.one
+        of = {"exudyn": (measure, SIZES), "ida": (against_ida, IDA_SIZES)}[kind]
+        print(json.dumps(of[0](*of[1][int(k)], given.rounds)))
+        return
+    rows = {
+        kind: [alone(__file__, given.rounds, kind, k) for k in range(len(sizes))]
+        for kind, sizes in (("exudyn", SIZES), ("ida", IDA_SIZES))
+    }
+    written(rows, table(rows["exudyn"]) + "\n\n" + ida_table(rows["ida"]), given.out)
 
 
 if __name__ == "__main__":
