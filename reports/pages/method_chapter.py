@@ -5,18 +5,18 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from bench.results.experiments import ExperimentResult
 from bench.results.quantities import COST, COSTS, NORM, NORMS
-from bench.results.records import NOT_TRIED, Damping, IntegratorFacts, SceneRecord
+from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
-from reports.questions.phrases import Sentence
 from reports.questions.question import FIRST
 from reports.questions.words import Words
+from reports.scenes import StoredRuns
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.nearest_method import atlas_beside, nearest
@@ -26,89 +26,62 @@ from reports.text.run_tables import failures_table, unsupported_table
 _STATES = {"far": "not reached", "failed": "no run reached the end"}
 
 
-@dataclass
 class MethodChapter:
-    """One integrator, with one step pattern, over all scenes; ``plugins`` is the option that a
-    command needs to know it."""
+    """One integrator, with one step pattern, over all scenes.
 
-    label: str
-    family: str
-    title: str
-    card: list[Sentence]
-    facts: list[tuple[str, str]]
-    scenes: Table
-    orders: Table | None
-    beside: list[Table]
-    failures: Table | None
-    unsupported: Table | None
-    plugins: str
-    command: str
+    ``plugins`` is the option that a command needs to know it.
 
-
-def method_chapters(
-    scenes: Mapping[str, Sequence[Series]],
-    known: Mapping[str, IntegratorFacts],
-    damping: Mapping[str, Damping],
-    records: Mapping[str, SceneRecord],
-    answer: Answer,
-    words: Words,
-    experiments: Sequence[ExperimentResult] = (),
-) -> list[MethodChapter]:
-    """The chapters of all integrators, from series and records by scene.
-
-    ``known`` and ``damping`` are their statements and damping by printed name, ``answer`` is that
-    to the first question, ``experiments`` are results of the failure atlas.
+    Parameters
+    ----------
+    label
+        The integrator.
+    stored
+        The runs of the report.
+    damping
+        What is known of the damping of integrators, by printed name.
+    answer, words
+        The answer to the first question; names and tags of the report.
+    experiments
+        Results of the failure atlas.
     """
-    own: dict[str, dict[str, Series]] = {}
-    for scene, series in scenes.items():
-        for s in series:
-            own.setdefault(s.label, {})[scene] = s
-    families = {r.integrator: r.family for s in scenes.values() for x in s for r in x.records}
-    found = []
-    for label, by_scene in own.items():
+
+    def __init__(
+        self,
+        label: str,
+        stored: StoredRuns,
+        damping: Mapping[str, Damping],
+        answer: Answer,
+        words: Words,
+        experiments: Sequence[ExperimentResult],
+    ) -> None:
+        by_scene = {k: s for k, own in stored.series.items() for s in own if s.label == label}
         first = next(iter(by_scene.values()))
         runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
-        facts = known.get(name)
+        facts = stored.plan.integrators.get(name) if stored.plan else None
         files = facts.files if facts else []
-        plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
-        found.append(
-            MethodChapter(
-                label=label,
-                family=first.family,
-                title=facts.title.rstrip(".") if facts else "",
-                card=card(label, answer, scenes, words),
-                facts=_facts(name, first, facts),
-                scenes=_scenes_table(label, by_scene, answer),
-                orders=_orders_table(by_scene, facts.orders if facts else {}),
-                beside=_beside(name, damping, families, records, experiments, words.names),
-                failures=_own(failures_table(runs), "Its runs that did not reach the end"),
-                unsupported=_own(unsupported_table(runs), "Scenes that it does not support"),
-                plugins=plugins,
-                command=f'stepbench stability "{name}"{plugins}'
-                if first.controls == "step"
-                else "",
-            )
+        self.label = label
+        self.plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
+        stability = f'stepbench stability "{name}"{self.plugins}'
+        self.command = stability if first.controls == "step" else ""
+        self.title = facts.title.rstrip(".") if facts else ""
+        self.card = card(label, answer, stored.series, words)
+        self.facts = _facts(name, first, facts)
+        self.scenes = _scenes_table(label, by_scene, answer)
+        self.orders = _orders_table(by_scene, facts.orders if facts else {})
+        self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
+        self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
+        families = {
+            s.records[0].integrator: s.family for own in stored.series.values() for s in own
+        }
+        # The nearest built-in method.
+        other = nearest(name, damping, families) if name in damping else ""
+        both = {label: damping[label] for label in (name, other) if label in damping}
+        beside = (
+            damping_table(both, list(stored.scenes.items())),
+            atlas_beside(name, other, experiments, words.names),
         )
-    return found
-
-
-def _beside(
-    name: str,
-    damping: Mapping[str, Damping],
-    families: Mapping[str, str],
-    records: Mapping[str, SceneRecord],
-    experiments: Sequence[ExperimentResult],
-    names: Mapping[str, str],
-) -> list[Table]:
-    """Damping and verdicts of the atlas beside those of the nearest built-in method."""
-    other = nearest(name, damping, families) if name in damping else ""
-    both = {label: damping[label] for label in (name, other) if label in damping}
-    tables = [
-        damping_table(both, list(records.items())),
-        atlas_beside(name, other, experiments, names),
-    ]
-    return [table for table in tables if table]
+        self.beside = [table for table in beside if table]
 
 
 def _own(table: Table | None, caption: str) -> Table | None:

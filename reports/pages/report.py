@@ -17,8 +17,8 @@ from reports.formatting import file_name
 from reports.pages.atlas import atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.drift import drift_chapter
-from reports.pages.method_chapter import method_chapters
-from reports.pages.scene_chapter import SceneChapter, scene_chapter
+from reports.pages.method_chapter import MethodChapter
+from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
 from reports.questions.answers import Answer, answers
 from reports.questions.question import FIRST
@@ -85,9 +85,10 @@ class Report:
         self.chapters = [chapter for chapter in found if chapter.sections]
         self.timing, self.noise = timing_table(series_of(runs)), noise_sentence(runs)
         self.method = method_of_measurement(plan)
-        self.methods = method_chapters(
-            series, facts, damping, stored.scenes, self.answer, self.words, experiments
-        )
+        self.methods = [
+            MethodChapter(label, stored, damping, self.answer, self.words, experiments)
+            for label in self.names
+        ]
 
     def _scenes(self, store: Store, interactive: bool) -> Iterator[SceneChapter]:
         stored = self.stored
@@ -109,7 +110,7 @@ class Report:
             about = (scene.problem, str(scene.parameters), scene.description) if scene else (i,)
             first = told.setdefault(about, title)
             same_as = "" if first == title else first
-            yield scene_chapter(f"scene-{i}", sections, stored.series[title], own, same_as)
+            yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
 
     def _overview(self, interactive: bool) -> list[CaptionedCharts]:
         """The charts over all scenes, with more than one integrator to compare.
