@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from planted import STEPS, planted
 
-from bench.commands import orders_table as orders_table_command
+from bench.commands import studies
 from bench.results.records import Study
 from bench.results.store import Store
 from problems.spec import SpecError
@@ -59,7 +59,7 @@ def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepben
         suites.append(suite)
         raise SpecError("Planned")
 
-    monkeypatch.setattr(orders_table_command, "run_suite", run_suite)
+    monkeypatch.setattr(studies, "run_suite", run_suite)
     answer = stepbench("orders-table", "bathe", "rattle", "phem56", "-p", "double_pendulum")
     assert answer.exit_code == 1
     assert "phem56 chooses its own steps, over which no order can be measured" in answer.stderr

@@ -11,7 +11,6 @@ import click
 from bench.commands import (
     completion,
     listing,
-    orders_table,
     plugins,
     results,
     scenes,
@@ -25,7 +24,7 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 
-_MODULES = listing, plugins, scenes, single_runs, suite, results, studies, sweeps, orders_table
+_MODULES = listing, plugins, scenes, single_runs, suite, results, studies, sweeps
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 
