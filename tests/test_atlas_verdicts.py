@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.atlas.experiments import Settings, merged, read_experiments
+from bench.atlas.experiments import Settings, read_experiments
 from bench.atlas.measures import number_of, quantity, value_of, within
 from bench.atlas.runs import digest
 from bench.results.experiments import (
@@ -38,7 +38,7 @@ def test_a_slope_leaves_out_what_is_rounding():
 def test_a_better_number_is_never_hit(number, better):
     for experiment in EXPERIMENTS:
         for part in experiment.part:
-            for s in (merged(part, case) for case in part.case):
+            for s in part.case:
                 if s.measure in ("error", "energy", "constraint", "work"):
                     value = number if s.take == "slope" else abs(number)
                     improved = value + better if s.take == "slope" else value / (1 + better)

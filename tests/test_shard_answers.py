@@ -31,8 +31,7 @@ from bench.running.cluster import ClusterRunner
 from bench.running.worker import Worker
 from bench.sweeps import batch, jobs, parts, variation
 from bench.sweeps.ensemble import rows_of
-from bench.sweeps.member_files import write_members
-from bench.sweeps.parts import KeptParts, TemporaryParts
+from bench.sweeps.parts import KeptParts, TemporaryParts, write_members
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import Quantity, Range
 from problems.runtime import jax
@@ -239,7 +238,7 @@ def test_no_half_file_is_left_whatever_ends_the_writing(tmp_path, monkeypatch):
     monkeypatch.setattr(parts, "_encoded", lambda columns: None)
     with pytest.raises(TypeError):
         KeptParts(tmp_path / "parts", {}).put(0, part([1.0, 2.0]))
-    monkeypatch.setattr("bench.sweeps.member_files._TEXTS", {".csv": stopped})
+    monkeypatch.setattr("bench.sweeps.parts._TEXTS", {".csv": stopped})
     with pytest.raises(MemoryError):
         write_members(tmp_path / "members.csv", iter(()))
     left = {path.name for path in tmp_path.rglob("*") if path.is_file()}

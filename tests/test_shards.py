@@ -65,7 +65,7 @@ def asked(monkeypatch):
     monkeypatch.setattr(jobs, "_OF_SHARD", {"cpu": 16})
     given = dict.fromkeys(("step", "pattern", "rtol", "atol"))
     # Undamped and explicit: some of the steps are too large, and their members diverge.
-    sweep = SweepRequest("spring_mass[b=0]", {}, "newmark[beta=0]", given, END, 1e9)
+    sweep = SweepRequest("spring_mass[b=0]", "newmark[beta=0]", given, END, 1e9)
     return EnsembleRequest(sweep, COUNT, VARY, 7)
 
 

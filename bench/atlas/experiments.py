@@ -76,8 +76,10 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class Case(Settings, kw_only=True, forbid_unknown_fields=True):
-    """One row of a part: an integrator (none for ``condition``) and the number predicted for it;
-    ``healthy`` where it differs from the part's."""
+    """One row of a part: an integrator (none for ``condition``) and the number predicted for it.
+
+    Settings and ``healthy`` that it does not have are those of its part.
+    """
 
     predicted: tuple[float, float]
     healthy: tuple[float, float] | None = None
@@ -154,14 +156,11 @@ def read_experiment(path: Path) -> Experiment:
     made.name = path.stem[3:]
     for part in made.part:
         for case in part.case:
-            _check(merged(part, case), case.healthy or part.healthy, f"{made.name}, {part.text!r}")
+            for name in (*Settings.__struct_fields__, "healthy"):
+                if getattr(case, name) is None:
+                    setattr(case, name, getattr(part, name))
+            _check(case, case.healthy or part.healthy, f"{made.name}, {part.text!r}")
     return made
-
-
-def merged(part: Part, case: Case | None = None) -> Settings:
-    """Return the settings of a case: its own where it has them, else those of the part."""
-    own = {f: getattr(case, f, None) for f in Settings.__struct_fields__}
-    return Settings(**{f: getattr(part, f) if value is None else value for f, value in own.items()})
 
 
 def _check(s: Settings, healthy: tuple[float, float], where: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, merged, sweep_of
+from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, sweep_of
 from bench.atlas.measures import (
     conditions,
     history,
@@ -46,13 +46,12 @@ class _Trial:
 
     case: Case
     integrator: MethodFacts | None
-    settings: Settings
     sweep: Sweep
     predicted: bool = True
     message: str = ""
 
     def tasks(self, registry: Inventory) -> list[Task]:
-        s, x = self.settings, self.sweep.x
+        s, x = self.case, self.sweep.x
         if s.measure == "condition":
             return [Task(conditions, (s.problem, x, s.name))]
         if s.measure == "linear" and self.integrator:
@@ -125,11 +124,10 @@ def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) ->
     parts = [msgspec.json.encode((experiment, list(added))), fingerprint(complete).encode()]
     for part in experiment.part:
         for case in part.case:
-            s = merged(part, case)
             if case.integrator:
                 parts.append(registry.integrator(case.integrator).fingerprint.encode())
-            if s.problem:
-                parts.append(registry.problem(s.problem).fingerprint.encode())
+            if case.problem:
+                parts.append(registry.problem(case.problem).fingerprint.encode())
     parts += [registry.integrator(name).fingerprint.encode() for name in added]
     return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
 
@@ -143,7 +141,7 @@ def _run(
         for trial in trials:
             for task in trial.tasks(registry):
                 shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[trial.settings.problem, shared, task.sources]
+                group = groups[trial.case.problem, shared, task.sources]
                 if task not in group:
                     group.append(task)
     answers = dict(runner.run(groups.values()))
@@ -159,21 +157,21 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
     trials = []
     for case in part.case:
         method = registry.integrator(case.integrator) if case.integrator else None
-        settings = merged(part, case)
-        trials.append(_Trial(case, method, settings, sweep_of(settings, method, registry)))
+        trials.append(_Trial(case, method, sweep_of(case, method, registry)))
     there = {trial.integrator.spec for trial in trials if trial.integrator}
+    settings = {name: getattr(part, name) for name in Settings.__struct_fields__}
     # The condition belongs to the equations: no method can be added.
     for name in added if part.measure != "condition" else ():
         method = registry.integrator(name)
         if method.spec in there:
             continue
-        case = Case(predicted=(-math.inf, math.inf), integrator=name)
+        case = Case(predicted=(-math.inf, math.inf), integrator=name, **settings)
         sweep, message = Sweep("", ()), ""
         try:
-            sweep = sweep_of(merged(part), method, registry)
+            sweep = sweep_of(case, method, registry)
         except SpecError as error:  # the part has no resolutions for it
             message = str(error)
-        trials.append(_Trial(case, method, merged(part), sweep, False, message))
+        trials.append(_Trial(case, method, sweep, False, message))
     return trials
 
 
@@ -183,7 +181,7 @@ def _part(
     take = part.take or "last"
     return PartResult(
         text=part.text,
-        quantity=quantity(merged(part)),
+        quantity=quantity(part),
         take=take,
         healthy=_bounds(part.healthy),
         show=part.show or "",
@@ -202,19 +200,19 @@ def _case(
         if task.job is Worker.measure:
             record, rows = result_of(task.arguments[0], answer, registry)
             stopped = stopped or bool(record.stopped) or record.status == INTERRUPTED
-            y.append(value_of(trial.settings, record, rows))
-            rounding = max(rounding, rounding_of(trial.settings, record))
+            y.append(value_of(case, record, rows))
+            rounding = max(rounding, rounding_of(case, record))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
-            shown = shown or history(trial.settings.show or "", rows)
+            shown = shown or history(case.show or "", rows)
         elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
             stopped = stopped or answer.status in ("budget_exceeded", INTERRUPTED)
         else:
-            y = answer[trial.settings.name or ""] if task.job is linear_response else answer
+            y = answer[case.name or ""] if task.job is linear_response else answer
     x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    number = None if stopped else number_of(trial.settings.take or take, x, y, rounding)
+    number = None if stopped else number_of(case.take or take, x, y, rounding)
     if number is None and not stopped:
         lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
         messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")

@@ -71,7 +71,7 @@ def solve(
         from bench.sweeps.jobs import EnsembleRequest, SweepRequest
 
         given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-        sweep = SweepRequest(scene.spec, {}, method.spec, given, t_end, budget)
+        sweep = SweepRequest(scene.spec, method.spec, given, t_end, budget)
         request = EnsembleRequest(sweep, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
         made_by = f"{scene.fingerprint}-{method.fingerprint}"

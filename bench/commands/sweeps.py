@@ -118,27 +118,26 @@ def map_(
         raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
     counts = None if grid is None else _read_grid(grid)
     registry = options.usable_registry(plugins)
+    scene, method = registry.problem(problem, **settings), registry.integrator(integrator)
     given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-    sources = (
-        registry.problem(problem, **settings).sources | registry.integrator(integrator).sources
-    )
 
+    from bench.commands.terminal import show
     from bench.sweeps.jobs import SweepRequest, map_job
 
-    request = SweepRequest(problem, settings, integrator, given, t_end, budget)
+    request = SweepRequest(scene.spec, method.spec, given, t_end, budget)
     task = request, names, ranges, counts, error, threshold
-    about = f"{integrator} on {problem}"
+    about, sources = f"{integrator} on {problem}", scene.sources | method.sources
     plain = options.guarded(about, map_job, sources, budget, *task, threads=True)
     if as_json:
         click.echo(json.dumps(plain, allow_nan=False))
         return
     total = sum(plain["counts"].values())
-    click.echo(
-        f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}: {total} runs"
-    )
-    for name, count in plain["counts"].items():
-        reason = f"  {plain['reasons'][name]}" if name in plain["reasons"] else ""
-        click.echo(f"  {name:13} {count:7d}  {100 * count / total:5.1f} %{reason}")
+    title = f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}"
+    rows = [
+        [name, str(count), f"{100 * count / total:.1f} %", plain["reasons"].get(name, "")]
+        for name, count in plain["counts"].items()
+    ]
+    show(Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows))
     click.echo(f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.")
     click.echo(f"Page: {view('map')(plain, out)}")
 
@@ -217,8 +216,7 @@ def solve_ensemble(
     as_json: bool,
 ) -> None:
     """Draw the members, run them in shards, and show or write the results."""
-    from bench.sweeps.member_files import check_name, write_members
-    from bench.sweeps.parts import KeptParts, Results
+    from bench.sweeps.parts import KeptParts, Results, check_name, write_members
 
     if not request.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
@@ -322,7 +320,7 @@ def _shown(run: ShardRun, results: Results) -> list[Table | str]:
 
 
 def _print_json(run: ShardRun, results: Results) -> None:
-    from bench.sweeps.member_files import json_texts
+    from bench.sweeps.parts import json_texts
 
     answer = {
         "problem": run.plan.problem,

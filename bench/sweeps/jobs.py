@@ -37,8 +37,8 @@ class SweepRequest:
 
     Parameters
     ----------
-    problem, settings, integrator
-        Scene, parameters of it, and integrator, as text.
+    problem, integrator
+        Printed names.
     given
         The values of --step, --pattern, --rtol and --atol, None where not given.
     t_end
@@ -48,7 +48,6 @@ class SweepRequest:
     """
 
     problem: str
-    settings: dict[str, str]
     integrator: str
     given: dict[str, Any]
     t_end: float | None
@@ -80,7 +79,7 @@ class SweepRequest:
             jax.default_backend()
         except Exception:  # of whatever kind: JAX has none for a platform that is missing
             raise SpecError(check_runtime() or "JAX does not start.") from None
-        scene = worker.registry.problem(self.problem, **self.settings)
+        scene = worker.registry.problem(self.problem)
         method = worker.registry.integrator(self.integrator)
         if jnp.zeros(1).dtype.itemsize != 8:  # a plugin may have changed it
             raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")

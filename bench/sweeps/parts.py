@@ -1,4 +1,4 @@
-"""Members of an ensemble in parts on the disk: many more than memory holds.
+"""Members of an ensemble in parts on the disk, many more than memory holds, and files of all.
 
 A part holds the members of a shard, in the format ``npz``: `numpy.load` gives an array for each
 column. A part is put in place whole, with a digest at its end, so that those that are there can be
@@ -15,13 +15,15 @@ import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from bench.results.csv_text import csv_export
 from bench.results.store_file import locked
-from bench.sweeps.ensemble import WORK, spread
+from bench.sweeps.ensemble import WORK, rows_of, spread
 from problems.spec import SpecError
 from problems.whole_files import keep, kept
 
@@ -213,3 +215,84 @@ def _encoded(columns: Columns) -> bytes:
             with file.open(f"{name}.npy", "w") as entry:
                 np.lib.format.write_array(entry, column, allow_pickle=False)
     return buffer.getvalue()
+
+
+# ---- files for the user ------------------------------------------------------------------
+def check_name(path: Path) -> None:
+    """Refuse a file that cannot be written, before any work is done for it.
+
+    Raises
+    ------
+    SpecError
+        If the name says no kind of table, or the library for it is missing.
+    """
+    if path.suffix not in _TEXTS and path.suffix != ".parquet":
+        raise SpecError(
+            f"{path.name} is no table; give a name that ends in .csv, .json or .parquet."
+        )
+    if path.suffix == ".parquet":
+        _parquet()
+
+
+def write_members(path: Path, parts: Iterator[Columns]) -> None:
+    """Write all members, a flat row each, and put the file in place when it is whole."""
+    new = path.with_name(f"{path.name}.new")
+    try:
+        if path.suffix == ".parquet":
+            _write_parquet(new, parts)
+        else:
+            with new.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(_TEXTS[path.suffix](parts))
+        new.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            new.unlink()
+        raise
+
+
+def json_texts(parts: Iterator[Columns]) -> Iterator[str]:
+    """Yield the pieces of a list of rows as JSON."""
+    before = "[\n"
+    for part in parts:
+        yield before + json.dumps(rows_of(part), indent=1, allow_nan=False)[2:-2]
+        before = ",\n"
+    yield "\n]"
+
+
+def _csv_texts(parts: Iterator[Columns]) -> Iterator[str]:
+    head = True
+    for part in parts:
+        text = csv_export(rows_of(part))
+        yield text if head else text.partition("\n")[2]
+        head = False
+
+
+_TEXTS = {".csv": _csv_texts, ".json": json_texts}
+
+
+def _write_parquet(path: Path, parts: Iterator[Columns]) -> None:
+    arrow, parquet = _parquet()
+
+    def table(part: Columns) -> Any:
+        columns = [
+            arrow.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
+            for column in part.values()
+        ]
+        return arrow.table(columns, names=list(part))
+
+    first = table(next(parts))
+    with parquet.ParquetWriter(path, first.schema) as writer:
+        writer.write_table(first)
+        for part in parts:
+            writer.write_table(table(part))
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise SpecError(
+            "A file .parquet needs pyarrow; install it by: pip install 'stepbench[parquet]'."
+        ) from None
+    return pyarrow, pyarrow.parquet
