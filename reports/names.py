@@ -181,13 +181,18 @@ def family_name(family: str) -> str:
     return _FAMILIES.get(family, family)
 
 
-def _parts(label: str) -> tuple[str, Options, str]:
+def label_parts(label: str) -> tuple[str, Options, str]:
     """Name, options and pattern of steps; a label that is no specification is all name."""
     spec, _, steps = label.partition(" x ")
     try:
-        name, options = split_spec(spec)
+        return *split_spec(spec), steps
     except SpecError:
         return label, {}, ""
+
+
+def _parts(label: str) -> tuple[str, Options, str]:
+    """The parts that are said."""
+    name, options, steps = label_parts(label)
     said = {k: v.removesuffix(".0") for k, v in options.items() if (name, k, v) not in _USUAL}
     return name, said, steps
 

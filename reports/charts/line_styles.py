@@ -15,8 +15,7 @@ from functools import cache
 from itertools import product
 from typing import TypeVar
 
-from problems.spec import SpecError, split_spec
-from reports.names import BUILT_IN, BuiltIn, short_names
+from reports.names import BUILT_IN, BuiltIn, label_parts, short_names
 from reports.series import Series
 
 _T = TypeVar("_T")
@@ -96,7 +95,8 @@ class LineStyle:
 def style_of(label: str) -> LineStyle:
     """The style of an integrator by its printed name."""
     digest = _digest(label)
-    name, options = _parts(label)
+    name, given, pattern = label_parts(label)
+    options = [*given.items(), *([("pattern", pattern)] if pattern else [])]
     own = _digest(name)
     other = BuiltIn(name, own % 360, own // 360, 0 if options else digest)
     _, hue, mark, dash = BUILT_IN.get(name, other)
@@ -146,15 +146,6 @@ def _free(own: _T, known: Sequence[_T], used: Sequence[_T]) -> _T:
     """The own one if it is used least of all, else the first such one."""
     least = min(map(used.count, known))
     return own if used.count(own) == least else next(k for k in known if used.count(k) == least)
-
-
-def _parts(label: str) -> tuple[str, list[tuple[str, str]]]:
-    spec, _, pattern = label.partition(" x ")
-    try:
-        name, options = split_spec(spec)
-    except SpecError:
-        return label, []
-    return name, [*options.items(), *([("pattern", pattern)] if pattern else [])]
 
 
 def _digest(text: str) -> int:

@@ -15,7 +15,7 @@ from reports.questions.answers import Answer, answer
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters
 from reports.questions.sentences import sentences
-from reports.questions.words import accuracy, words_of
+from reports.questions.words import words_of
 from reports.scenes import StoredRuns, stored_runs
 
 WIDTH, HEIGHT = 1200, 630
@@ -86,9 +86,8 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     if not found.scenes:
         raise SpecError(f"There is nothing to show on a card: {' '.join(told)}")
     wide = WIDTH - 2 * _MARGIN
-    asked = (
-        f"{plain(accuracy(found.question))} · {COSTS[found.question.cost].least} · {scenes} scenes"
-    )
+    accuracy, least = plain(words.accuracy(found.question)), COSTS[found.question.cost].least
+    asked = f"{accuracy} · {least} · {scenes} scenes"
     sizes = (s for s in range(40, 26, -2) if text_width(stored.title, s, bold=True) <= wide)
     size = next(sizes, 26)
     rule = {"height": 1, "fill": "#c9d0d9"}

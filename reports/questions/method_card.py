@@ -12,7 +12,7 @@ from reports.formatting import cost_text, number, times
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Sentence, listed, plain
 from reports.questions.question import FIRST, Question
-from reports.questions.words import Words, accuracy, scene_ref, words_of
+from reports.questions.words import Words, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
 from reports.series import Series, error_of
@@ -42,7 +42,7 @@ def card(
     entries = [s.entries[label] for s in own.values()]
     reached = [e for e in entries if e.reached]
     count = f" on {len(reached)} of {len(own)} scene{'s' * (len(own) > 1)} tried."
-    said: list[Sentence] = [[me, " reaches ", *accuracy(question), count]]
+    said: list[Sentence] = [[me, " reaches ", *words.accuracy(question), count]]
     if any(s.votes for s in own.values()) and not {"alone", "tied"} & {*states.values()}:
         said.append(["Cheapest on no scene."])
     for state, head in _STATES.items():

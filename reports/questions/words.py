@@ -38,8 +38,11 @@ class Words:
         return listed(([self.method(label)] for label in labels), most)
 
     def accuracy(self, question: Question) -> Sentence:
-        """The accuracy, with its norm if the page does not say it elsewhere."""
-        return [f"{question.accuracy} in {question.quantity}"] if self.brief else accuracy(question)
+        """'1e-4 in acceleration (largest over time)', unless the page says the norm elsewhere."""
+        said = f"{question.accuracy} in {question.quantity}"
+        return (
+            [said] if self.brief else [f"{said} (", Ref("term", "relative-error", NORMS[NORM]), ")"]
+        )
 
     def aim(self, question: Question) -> Sentence:
         """The accuracy as the aim of a sentence."""
@@ -54,9 +57,3 @@ def words_of(scenes: Mapping[str, Sequence[Series]], tags: Mapping[str, Sequence
 def scene_ref(scene: str) -> Ref:
     """A reference to a scene."""
     return Ref("scene", scene, scene_name(scene))
-
-
-def accuracy(question: Question) -> Sentence:
-    """The accuracy with its norm: '1e-4 in acceleration (largest over time)'."""
-    norm = Ref("term", "relative-error", NORMS[NORM])
-    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
