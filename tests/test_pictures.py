@@ -111,7 +111,7 @@ def test_an_engine_that_does_not_end_is_stopped(monkeypatch):
 def test_engines_end_with_their_parent_though_they_draw():
     code = (
         "import os, threading; from reports.charts import rendering; "
-        "engine = rendering._taken(); rendering._idle.append(engine); "
+        "engine = rendering._engine(); rendering._idle.append(engine); "
         "assert rendering.picture({'mark': 'point'}).content; print(engine.pid, flush=True); "
         "threading.Timer(1.5, os.kill, (os.getpid(), 9)).start(); "
         f"rendering.picture({MANY!r})"
@@ -120,13 +120,6 @@ def test_engines_end_with_their_parent_though_they_draw():
     assert told.returncode == -9
     with contextlib.suppress(psutil.NoSuchProcess):
         psutil.Process(int(told.stdout)).wait(2)
-
-
-def test_parts_are_of_about_the_same_size():
-    texts = {str(n): "x" * n for n in (70, 40, 30, 20, 10)}
-    parts = rendering.parts(texts, 2)
-    assert sorted(sum(map(len, part.values())) for part in parts) == [80, 90]
-    assert sorted(name for part in parts for name in part) == sorted(texts)
 
 
 @pytest.mark.long

@@ -83,11 +83,12 @@ def pictures(charts: Mapping[str, Spec], form: str = "svg", **options: float) ->
     texts = {name: chart_json(chart) for name, chart in charts.items()}
     if not texts:
         return {}
-    split = parts(texts, max(1, min(cores(), sum(map(len, texts.values())) // PART_SIZE)))
-    engines = [_taken() for _ in split]
-    with ThreadPoolExecutor(len(split)) as pool:
-        found = pool.map(partial(_drawn, by=f"vegalite_to_{form}", options=options), engines, split)
-        drawn = {name: picture for part in found for name, picture in part.items()}
+    # The largest ones first, so that no engine waits for another at the end.
+    order = sorted(texts, key=lambda name: -len(texts[name]))
+    engines = max(1, min(cores(), sum(map(len, texts.values())) // PART_SIZE))
+    draw_one = partial(_drawn, by=f"vegalite_to_{form}", options=options)
+    with ThreadPoolExecutor(min(engines, len(texts))) as pool:
+        drawn = dict(zip(order, pool.map(draw_one, [texts[name] for name in order]), strict=True))
     return {name: drawn[name] for name in charts}
 
 
@@ -98,21 +99,10 @@ def picture(chart: Spec, form: str = "svg", **options: float) -> Picture:
 
 def png_of(svg: str) -> Picture:
     """Draw an SVG as PNG, a pixel for each of its units."""
-    return _drawn(_taken(), {"": svg}, "svg_to_png", {})[""]
+    return _drawn(svg, "svg_to_png", {})
 
 
-def parts(texts: Mapping[str, str], count: int) -> list[dict[str, str]]:
-    """Split charts into parts of about the same size."""
-    split: list[dict[str, str]] = [{} for _ in range(count)]
-    sizes = [0] * count
-    for name, text in sorted(texts.items(), key=lambda item: -len(item[1])):
-        smallest = sizes.index(min(sizes))
-        split[smallest][name] = text
-        sizes[smallest] += len(text)
-    return split
-
-
-# ---- parts -------------------------------------------------------------------------------
+# ---- engines -----------------------------------------------------------------------------
 def _plain(chart: Spec) -> Spec:
     """The chart without slow options that a picture does not need.
 
@@ -140,33 +130,23 @@ if hasattr(os, "register_at_fork"):  # the child must not talk to the engines of
 
 
 def _engine() -> GuardedProcess:
-    return GuardedProcess(_ready, limits=Limits(LONGEST))
-
-
-def _taken() -> GuardedProcess:
     while _idle:
         engine = _idle.pop()
         if engine.alive:
             return engine
-    return _engine()
+    return GuardedProcess(_ready, limits=Limits(LONGEST))
 
 
-def _drawn(
-    engine: GuardedProcess, texts: Mapping[str, str], by: str, options: Mapping[str, float]
-) -> dict[str, Picture]:
-    found = {}
-    for name, text in texts.items():
+def _drawn(text: str, by: str, options: Mapping[str, float]) -> Picture:
+    """A picture of text by a function of vl-convert."""
+    engine = _engine()
+    answer = engine.ask(_converted, text, by, options)
+    if not engine.alive:
+        # Somebody else may have ended it: the chart is guilty if a second one dies of it.
+        engine = _engine()
         answer = engine.ask(_converted, text, by, options)
-        if not engine.alive:
-            # Somebody else may have ended it: the chart is guilty if a second one dies of it.
-            engine = _engine()
-            answer = engine.ask(_converted, text, by, options)
-            engine = engine if engine.alive else _engine()
-        if isinstance(answer, NoAnswer):
-            answer = Picture(reason=answer.message.rstrip("."))
-        found[name] = answer
     _idle.append(engine)
-    return found
+    return Picture(reason=answer.message.rstrip(".")) if isinstance(answer, NoAnswer) else answer
 
 
 # ---- in an engine ------------------------------------------------------------------------
