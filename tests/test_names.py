@@ -13,8 +13,8 @@ from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import Damping
 from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
+from reports.pages.method_chapter import atlas_beside, nearest
 from reports.pages.templating import escape_markdown
-from reports.text.nearest_method import atlas_beside, nearest
 
 ROOT = Path(__file__).parents[1]
 GGL = "formulation=stabilised_index2"

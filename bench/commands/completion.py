@@ -52,7 +52,7 @@ def settings(ctx: click.Context, parameter: click.Parameter, text: str) -> list[
     return _items(((f"{o['name']}=", str(o["doc"])) for o in _options("problems", name)), text)
 
 
-def one_of(*words: str) -> Completer:
+def choices(*words: str) -> Completer:
     """Complete one of a few words."""
     return lambda ctx, parameter, text: _items(((word, "") for word in words), text)
 

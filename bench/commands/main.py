@@ -13,7 +13,6 @@ from bench.commands import (
     listing,
     plugins,
     results,
-    scenes,
     single_runs,
     studies,
     suite,
@@ -24,7 +23,7 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 
-_MODULES = listing, plugins, scenes, single_runs, suite, results, studies, sweeps
+_MODULES = listing, plugins, single_runs, suite, results, studies, sweeps
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 

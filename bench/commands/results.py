@@ -11,8 +11,8 @@ import click
 import msgspec
 
 from bench.commands import completion, options
+from bench.commands.options import PathName
 from bench.commands.pages import view
-from bench.commands.paths import PathName
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.history import History, history
@@ -219,7 +219,7 @@ def open_(folder: Path) -> None:
 @click.argument(
     "kind",
     metavar="KIND",
-    shell_complete=completion.one_of(
+    shell_complete=completion.choices(
         "work_precision", "convergence", "trajectory", "errors_over_time"
     ),
 )
@@ -254,7 +254,7 @@ def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
     _draw("figure", folder, out or Path(f"{kind}.svg"), question, kind)
 
 
-@click.command()
+@click.command("card")
 @options.with_results
 @click.option(
     "--group", metavar="q|v|a|lam|x|y", help="Quantity whose error counts; a if not given."
@@ -265,7 +265,7 @@ def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
 @click.option("--cost", metavar="|".join(RANKED_COSTS), help="operations if not given.")
 @click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
 @options.with_file("File that ends in .svg or .png; card.svg if not given.")
-def card(folder: Path, out: Path | None, **question: Any) -> None:
+def card_(folder: Path, out: Path | None, **question: Any) -> None:
     """Write a summary card of results.
 
     It answers a question on the results in FOLDER by three sentences and a chart, for a slide or a

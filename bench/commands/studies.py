@@ -36,20 +36,19 @@ _with_names = click.argument(
 )
 
 
-def _of_each(
-    registry: Inventory, names: Sequence[str], one: Callable[[MethodFacts], Any]
-) -> tuple[list[Any], list[str]]:
-    """Call a function for each integrator; return what it gave, and sentences of those that failed.
-
-    Raises
-    ------
-    SpecError
-        If an integrator is named twice.
-    """
+def _once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
+    """Return the facts of integrators; raise SpecError if one is named twice."""
     methods = [registry.integrator(name) for name in names]
     for k, method in enumerate(methods):
         if method in methods[:k]:
             raise SpecError(f"{method.spec} is named twice.")
+    return methods
+
+
+def _of_each(
+    methods: Sequence[MethodFacts], one: Callable[[MethodFacts], Any]
+) -> tuple[list[Any], list[str]]:
+    """Call a function for each integrator; return what it gave, and what failed."""
     results, faults = [], []
     for method in methods:
         try:
@@ -107,7 +106,7 @@ def drift(
       stepbench drift oscillator newmark bdf2 --csv > drift.csv
     """
     registry = options.usable_registry(plugins)
-    scene = registry.problem(problem, **settings)
+    scene, methods = registry.problem(problem, **settings), _once_each(registry, names)
     if step is not None:
         check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 
@@ -125,7 +124,7 @@ def drift(
             store.save_long_run(found)
             return found
 
-        results, faults = _of_each(registry, names, kept)
+        results, faults = _of_each(methods, kept)
         if results and form == "json":
             _print_json(results)
         elif results and form == "csv":
@@ -210,7 +209,7 @@ def stability(
         task = method.spec, system, zeta, pattern or (1.0,), at or (), ratios
         return options.guarded(method.spec, analysis_job, method.sources, budget, *task)
 
-    results, faults = _of_each(registry, names, analysed)
+    results, faults = _of_each(_once_each(registry, names), analysed)
     if results and as_json:
         _print_json(results)
     elif results:

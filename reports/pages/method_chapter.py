@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from bench.results.experiments import ExperimentResult
+from bench.results.experiments import ExperimentResult, spared
 from bench.results.quantities import COST, COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
+from reports.names import BUILT_IN
 from reports.questions.answers import Answer
 from reports.questions.method_card import card
 from reports.questions.question import FIRST
@@ -19,7 +21,6 @@ from reports.questions.words import Words
 from reports.scenes import StoredRuns
 from reports.series import Series, error_of, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.nearest_method import atlas_beside, nearest
 from reports.text.run_tables import failures_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
@@ -153,3 +154,43 @@ def _orders_table(series: Mapping[str, Series], claimed: Mapping[str, int]) -> T
         rows.append([scene, *(NO_VALUE if f.order is None else order_text(f.order) for f in fits)])
     note = f"Fitted to the errors, {NORMS[NORM]}, of the finest steps."
     return Table("Orders measured, scene by scene", ["scene", *groups], rows, note=note)
+
+
+def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:
+    """The nearest other built-in method: of the same family if there is one, else of any.
+
+    Near is what has damping ratios with the smallest mean distance, over the steps that both have;
+    "" if there is none. ``families`` are those of the methods by printed name.
+    """
+    others = [k for k in known if k != name and k.partition("[")[0] in BUILT_IN]
+    found = [(d, k) for k in others if (d := _distance(known[name], known[k])) < math.inf]
+    own = [pair for pair in found if families.get(pair[1]) == families.get(name)]
+    return min(own or found, default=(0.0, ""))[1]
+
+
+def _distance(one: Damping, other: Damping) -> float:
+    ratios = dict(zip(other.omega_h, other.ratio, strict=False))
+    apart = [
+        abs(mine - theirs)
+        for at, mine in zip(one.omega_h, one.ratio, strict=False)
+        if mine is not None and (theirs := ratios.get(at)) is not None
+    ]
+    return sum(apart) / len(apart) if apart else math.inf
+
+
+def atlas_beside(
+    name: str, other: str, found: Sequence[ExperimentResult], names: Mapping[str, str]
+) -> Table | None:
+    """Parts of each experiment that spare both methods, of all that apply; None without any."""
+    both = [k for k in (name, other) if k]
+    rows = []
+    for f in found:
+        own = [[c for part in f.parts for c in part.cases if c.integrator == k] for k in both]
+        if any(own):
+            cells = [spared(cases) if cases else "not tried" for cases in own]
+            rows.append([f"{f.number}. {f.title}", *cells])
+    if not rows:
+        return None
+    head = ["failure", *(names.get(k, k) for k in both)]
+    note = "Parts of an experiment of the failure atlas that spare the method, of all that apply."
+    return Table("Failures of the atlas", head, rows, code=(), note=note)

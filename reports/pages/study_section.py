@@ -41,7 +41,7 @@ from reports.series import (
     run_name,
     series_of,
 )
-from reports.text.measured_orders import orders_table
+from reports.text.measured_orders import fitted_orders_table
 from reports.text.observations import Observation, observations
 from reports.text.run_tables import runs_table
 
@@ -130,7 +130,7 @@ class StudySections:
             state=_study_state(study, records),
             observations=observations(series),
             figures=[figure for figure in figures if figure],
-            orders=orders_table(series, study.norm),
+            orders=fitted_orders_table(series, study.norm),
             runs=runs_table(series, components=self.component_names)
             if "runs" in study.figures
             else None,

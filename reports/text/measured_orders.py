@@ -44,7 +44,7 @@ def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float
     return orders, [problem for problem, f in fits if f.verdict == _STUCK]
 
 
-def orders_table(series: Sequence[Series], first: str) -> Table | None:
+def fitted_orders_table(series: Sequence[Series], first: str) -> Table | None:
     """Fitted orders with window and number of points, a row per integrator and norm.
 
     The norm ``first`` stands before the others.

@@ -17,7 +17,7 @@ from click.testing import Result
 from planted import everything, plant
 
 from bench.commands.main import main
-from bench.commands.paths import ClusterAddress, PathName
+from bench.commands.options import ClusterAddress, PathName
 from problems.plain_text import visible
 
 #: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
@@ -64,7 +64,7 @@ NEEDED = {
 }
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
 TOLD = re.compile(
-    r"(list|check) plugins (text|binary)|run plugins binary|"
+    r"(list|check) plugins (text|binary)|(run|orders-table) plugins binary|"
     r"check names (number|half)|solve seed many"
 )
 
