@@ -104,6 +104,7 @@ def test_the_estimates_are_the_local_errors(scene, gamma, rho_inf):
         assert np.abs(estimated - true).max() < 0.1 * np.abs(true).max()
 
 
+@pytest.mark.long
 def test_a_wrong_estimate_would_be_seen(monkeypatch):
     right = generalized_alpha_adaptive.bend_after
     monkeypatch.setattr(generalized_alpha_adaptive, "bend_after", lambda *args: -right(*args))

@@ -19,20 +19,21 @@ def in_an_empty_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("kind", "plural", "rest"),
+    ("kind", "plural", "rest", "checks"),
     [
-        ("integrator", "integrators", []),
-        *long(("problem", "problems", ["--out", "scene_of_mine.py"])),
+        ("integrator", "integrators", [], CHECKS["integrators"].keys() - {"order"}),
+        *long(("integrator", "integrators", [], {"order"})),
+        *long(("problem", "problems", ["--out", "scene_of_mine.py"], CHECKS["problems"])),
     ],
 )
-def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, rest):
+def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, rest, checks):
     result = stepbench("new", kind, f"my_{kind}", *rest)
     assert result.exit_code == 0, result.output
     file = tmp_path / (rest[1] if rest else f"my_{kind}.py")
     assert f"stepbench check {file.name}" in result.stdout
     assert len(file.read_text().splitlines()) < 60
     registry = Registry([file])
-    findings = [examine(registry, plural, f"my_{kind}", check) for check in CHECKS[plural]]
+    findings = [examine(registry, plural, f"my_{kind}", check) for check in checks]
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 

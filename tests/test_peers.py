@@ -41,6 +41,9 @@ ENGINES = [
 ]
 
 
+some_scenes = pytest.mark.parametrize("name", ["pendulum", *long(*list(SCENES)[1:])])
+
+
 @cache
 def reference(name: str) -> Reference:
     scene, t_end, _ = SCENES[name]
@@ -89,7 +92,7 @@ def test_a_model_with_another_gravity_is_refused(engine, name, monkeypatch):
 
 
 # ---- the same answer -------------------------------------------------------------------
-@pytest.mark.parametrize("name", SCENES)
+@some_scenes
 @pytest.mark.parametrize("options", ["rho_inf=0.5", *long("method=trapezoidal_index2")])
 def test_exudyn_is_of_second_order_in_all_groups(name, options):
     pytest.importorskip("exudyn")
@@ -97,7 +100,7 @@ def test_exudyn_is_of_second_order_in_all_groups(name, options):
     assert all(order == pytest.approx(2, abs=0.12) for order in found.values()), found
 
 
-@pytest.mark.parametrize("name", SCENES)
+@some_scenes
 @pytest.mark.parametrize("kind", ["euler", "rk4", *long("implicit")])
 def test_mujoco_has_the_orders_of_its_integrators(name, kind):
     pytest.importorskip("mujoco")
@@ -111,7 +114,7 @@ def test_mujoco_has_the_orders_of_its_integrators(name, kind):
         assert all(found[g] == pytest.approx(1, abs=near) for g in "qva"), found
 
 
-@pytest.mark.parametrize("name", SCENES)
+@some_scenes
 @pytest.mark.parametrize(
     ("label", "limits"),
     [

@@ -99,6 +99,7 @@ def test_an_engine_that_was_killed_is_replaced():
     assert rendering.picture(CHARTS["chart-0"]).content
 
 
+@pytest.mark.long
 def test_an_engine_that_does_not_end_is_stopped(monkeypatch):
     monkeypatch.setattr(rendering, "LONGEST", 0.3)
     rendering._end_engines()

@@ -163,7 +163,7 @@ def test_without_shared_memory_the_results_are_stored(disk, profile):
 @pytest.mark.parametrize(
     ("most", "sentence"),
     [
-        (0, "cannot be opened (disk I/O error)"),
+        pytest.param(0, "cannot be opened (disk I/O error)", marks=pytest.mark.long),
         pytest.param(100_000, "Earlier results are intact.", marks=attack),
         pytest.param(250_000, "The results are stored.", marks=attack),
     ],
@@ -201,7 +201,9 @@ def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
 
 
 # ---- limits ----------------------------------------------------------------------------
-@pytest.mark.parametrize("most", [8, pytest.param(12, marks=attack)])
+@pytest.mark.parametrize(
+    "most", [pytest.param(8, marks=pytest.mark.long), pytest.param(12, marks=attack)]
+)
 def test_too_few_open_files_are_a_sentence(tmp_path, profile, most):
     few = limit(resource.RLIMIT_NOFILE, most)
     code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)

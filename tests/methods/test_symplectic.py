@@ -136,6 +136,7 @@ def test_shake_has_the_positions_of_rattle_and_central_differences_as_velocities
     assert one.v[1:-1] == pytest.approx((one.q[2:] - one.q[:-2]) / 0.02, abs=1e-11)
 
 
+@pytest.mark.long
 def test_looking_ahead_costs_one_solve_in_the_run():
     averaged, one_sided = (
         m.prepare(*SWING, Steps(0.01)).measure().work.newton for m in (RATTLE(), ONE_SIDED)
