@@ -157,7 +157,6 @@ def without_processes(monkeypatch):
                 yield task, Refused(status="crashed", message=f"{said(error)}.")
 
     monkeypatch.setattr(Runner, "run", run_here)
-    monkeypatch.setattr(Runner, "expect", lambda self, groups: None)
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "one_thread", lambda: None)

@@ -18,7 +18,7 @@ from bench.results.records import (
 )
 from bench.results.store import FILE, Store
 
-NO_ROWS = Rows(t=[], values={})
+NO_ROWS = Rows()
 A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]
@@ -66,9 +66,6 @@ A_SCENE = SceneRecord(
     problem="pendulum",
     t_end=1.35,
     title="A pendulum.",
-    description="",
-    source="",
-    parameters=[],
     components={"q": ["X", "Y"]},
     sizes={"nq": 2},
     t0=0.35,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from planted import STEPS, edited, everything, plant, planted
 
-from bench.results.records import Environment, Rows, SceneRecord, endings
+from bench.results.records import Environment, SceneRecord, endings
 from bench.running.scene_records import scene_record
 from problems.scenes.pendulum import Pendulum
 from reports.pages.choosing import choosing_in_markdown, heading_anchor, measured_with, sections
@@ -40,10 +40,7 @@ def said(folder: Path, key: str) -> list[str]:
 
 
 def scene(name: str, *tags: str, **sizes: int) -> SceneRecord:
-    made = {"title": "", "description": "", "source": "", "parameters": [], "components": {}}
-    made |= {"t0": 0.0, "reference_method": "", "reference_error": {}}
-    made |= {"reference": Rows(t=[], values={}), "tags": list(tags), "sizes": sizes}
-    return SceneRecord(problem=name, t_end=1.0, **made)
+    return SceneRecord(problem=name, t0=0.0, t_end=1.0, tags=list(tags), sizes=sizes)
 
 
 def test_each_kind_has_its_scenes():

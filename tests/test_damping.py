@@ -11,7 +11,7 @@ from planted import Document, everything, plant, whole_markdown, whole_report
 
 from bench.commands.suite import run_suite
 from bench.guard.limits import Limits
-from bench.results.records import Damping, Rows, SceneRecord
+from bench.results.records import Damping, SceneRecord
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
@@ -38,11 +38,7 @@ steps = [0.02]
 
 
 def scene(name="duffing", nominal_step=0.05, rates=None) -> SceneRecord:
-    return SceneRecord(
-        problem=name, t_end=1.0, title="", description="", source="", parameters=[],
-        components={}, sizes={}, t0=0.0, reference_method="", reference_error={},
-        reference=Rows(t=[], values={}), nominal_step=nominal_step, rates=rates,
-    )  # fmt: skip
+    return SceneRecord(problem=name, t0=0.0, t_end=1.0, nominal_step=nominal_step, rates=rates)
 
 
 @pytest.fixture(scope="module")

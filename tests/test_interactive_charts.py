@@ -181,4 +181,4 @@ def test_a_still_picture_shows_few_rows_and_the_last_among_them():
     assert shown.notes["h"] == shown.t
     few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
     assert thinned(few) == few
-    assert thinned(Rows(t=[], values={})) == Rows(t=[], values={})
+    assert thinned(Rows()) == Rows()

@@ -51,14 +51,14 @@ def test_a_numpy_default_is_listed_as_json_without_what_the_plugin_prints_at_imp
 
 
 def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
-    from bench.plugins.registry import found_class
+    from bench.plugins.registry import Plugin
     from problems.scenes.pendulum import Pendulum
 
     def load():
         print("hello")
         return Pendulum
 
-    assert found_class("problems", "pendulum", load).cls is Pendulum
+    assert Plugin("problems", "pendulum", "", load).cls is Pendulum
     assert capsys.readouterr().out == ""
 
 

@@ -11,7 +11,7 @@ import pytest
 import vl_convert
 from planted import planted
 
-from bench.results.records import Rows, SceneRecord
+from bench.results.records import SceneRecord
 from bench.running.measure import MOST_COMPONENTS, rows_of
 from bench.running.scene_records import scene_record
 from problems.reference import Reference
@@ -21,11 +21,8 @@ from reports.charts.line_styles import line_styles
 
 
 def scene(problem, t_end, nq, nl):
-    return SceneRecord(
-        problem=problem, t_end=t_end, title="", description="", source="", parameters=[],
-        components={}, sizes={"nq": nq, "nl": nl, "nx": 0, "ny": 0}, t0=0.0,
-        reference_method="", reference_error={}, reference=Rows(t=[], values={}),
-    )  # fmt: skip
+    sizes = {"nq": nq, "nl": nl, "nx": 0, "ny": 0}
+    return SceneRecord(problem=problem, t0=0.0, t_end=t_end, sizes=sizes)
 
 
 def run(links, method, steps, seconds, t_end=2.0, **changes):

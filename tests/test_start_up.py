@@ -11,13 +11,10 @@ import jax
 import pytest
 from helpers import long
 
-from bench.guard.limits import Limits
-from bench.plugins.facts import Sources
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
 from bench.running.profiles import read_profile
-from bench.running.runner import Runner, measure_task
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
@@ -65,26 +62,6 @@ def test_only_a_process_that_takes_times_has_one_thread(own, after):
         text=True,
     )
     assert done.stdout.split() == [own or "None", after]
-
-
-@pytest.mark.long
-def test_workers_that_are_expected_load_while_it_is_decided_what_they_do():
-    tasks = [
-        measure_task(Cell("pendulum", "newmark", 1.0, Steps(h)), Sources())
-        for h in (0.1, 0.05, 0.025)
-    ]
-    groups = [[task] for task in tasks]
-    with Runner(2, Limits(60.0, 4.0)) as runner:
-        runner.expect([])
-        assert len(runner.workers) == 0
-        runner.expect(groups)
-        started = list(runner.workers)
-        assert len(started) == 2
-        answers = dict(runner.run(groups))
-        assert runner.workers == started
-        runner.expect(groups)
-        assert runner.workers == started
-    assert [answers[task].record.status for task in tasks] == ["ok"] * 3
 
 
 @pytest.mark.parametrize(

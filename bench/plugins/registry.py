@@ -15,11 +15,11 @@ import os
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from bench.plugins.reasons import PluginError, explain
 from integrators.contract import Integrator
@@ -36,39 +36,46 @@ FILE_PREFIX = "stepbench_plugin_"
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 
 
-class Found(NamedTuple):
-    """A class, or the reason why there is none."""
-
-    cls: type | None
-    reason: str = ""
-
-
 @dataclass
 class Plugin:
-    """A name with the function that finds its class.
+    """A name with the function that finds its class; without one the ``fault`` is the reason.
 
     ``source`` is its file or package, unless it is a part of this project.
     """
 
+    kind: str
     name: str
     origin: str
-    found: Callable[[], Found]
+    load: Callable[[], Any] | None
     source: str = ""
+    fault: str = ""
+
+    @cached_property
+    def _found(self) -> tuple[type | None, str]:
+        if self.load is None:
+            return None, self.fault
+        try:
+            with redirect_stdout(sys.stderr):  # an entry point is imported here
+                cls = self.load()
+            reason = _fault(self.kind, self.name, cls)
+        except BaseException as error:
+            return None, explain(error)
+        return (None if reason else cls), reason
+
+    @property
+    def cls(self) -> type | None:
+        """The class, if it can be used."""
+        return self._found[0]
+
+    @property
+    def reason(self) -> str:
+        """The reason why there is no class, or nothing."""
+        return self._found[1]
 
     @property
     def sources(self) -> frozenset[str]:
         """What a process has to load for it."""
         return frozenset({self.source} if self.source else ())
-
-    @property
-    def cls(self) -> type | None:
-        """The class, if it can be used."""
-        return self.found().cls
-
-    @property
-    def reason(self) -> str:
-        """The reason why there is no class, or nothing."""
-        return self.found().reason
 
     @property
     def summary(self) -> str:
@@ -132,7 +139,7 @@ class Registry:
                 if own or packages is None or package in packages:
                     if not own:
                         loading(package)
-                    self._add(kind, self._from_entry_point(kind, entry, "" if own else package))
+                    self._add(self._from_entry_point(kind, entry, "" if own else package))
         for file in plugin_files(paths):
             loading(file)
             self._add_file(Path(file))
@@ -171,47 +178,42 @@ class Registry:
             raise SpecError(f"{twice!r} is given in {text!r} and again by itself; give it once.")
         return spec.build(plugin.cls, options | more, name)
 
-    def _add(self, kind: str, plugin: Plugin) -> None:
-        plugins = getattr(self, kind)
+    def _add(self, plugin: Plugin) -> None:
+        plugins = getattr(self, plugin.kind)
         if plugin.name in plugins:
-            name, reason = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
-            plugin = _unusable(name, plugin.origin, reason, plugin.source)
+            name, fault = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
+            plugin = replace(plugin, name=name, load=None, fault=fault)
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
-        module, reason = None, self._without.get(str(file), "")
+        module, fault = None, self._without.get(str(file), "")
         try:
-            module = None if reason else _import_file(file)
+            module = None if fault else _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
-            reason = explain(error)
+            fault = explain(error)
         pairs = ((_kind_of(cls, module), cls) for cls in (vars(module).values() if module else ()))
         kinds = [(kind, cls) for kind, cls in pairs if kind]
         for kind, cls in kinds:
             # A class whose name is of no use is listed, with the reason, under its own.
             name = cls.name if spec.is_name(cls.name) else cls.__name__
-            known = found_class(kind, name, lambda cls=cls: cls)
-            self._add(kind, Plugin(name, str(file), lambda known=known: known, str(file)))
+            self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, str(file)))
         for kind in () if kinds else KINDS:  # its kind is not known: it is listed under both
-            why = reason or "it defines no MechatronicSystem and no Integrator."
-            self._add(kind, _unusable(file.stem, str(file), why, str(file)))
+            why = fault or "it defines no MechatronicSystem and no Integrator."
+            self._add(Plugin(kind, file.stem, str(file), None, str(file), why))
 
     def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
         origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value
-        if reason := self._without.get(package):
-            return _unusable(entry.name, origin, reason, package)
-        find = cache(partial(found_class, kind, entry.name, entry.load))
+        if fault := self._without.get(package):
+            return Plugin(kind, entry.name, origin, None, package, fault)
+        plugin = Plugin(kind, entry.name, origin, entry.load, package)
         if package:  # what is from outside loads now; our own at the first use, as it takes long
-            find()
-        return Plugin(entry.name, origin, find, package)
+            plugin.cls  # noqa: B018
+        return plugin
 
 
 def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
     """Return the name under which a plugin is listed whose own is taken, and the reason."""
     return f"{name} ({origin})", f"the name {name!r} is taken by {owner}; give it another name."
-
-
-def _unusable(name: str, origin: str, reason: str, source: str) -> Plugin:
-    return Plugin(name, origin, lambda: Found(None, reason), source)
 
 
 def files_of(sources: Collection[str]) -> list[str]:
@@ -289,17 +291,6 @@ def package_of(entry: Any) -> str:
 @cache  # a package reads its metadata anew each time, and has many entry points
 def _name_and_version(dist: Any) -> tuple[str, str]:
     return dist.name, dist.version
-
-
-def found_class(kind: str, name: str, load: Callable[[], Any]) -> Found:
-    """Return the class of a plugin that ``load`` returns, or the reason why it is of no use."""
-    try:
-        with redirect_stdout(sys.stderr):  # an entry point is imported here
-            cls = load()
-        reason = _fault(kind, name, cls)
-    except BaseException as error:
-        cls, reason = None, explain(error)
-    return Found(None if reason else cls, reason)
 
 
 def _is_subclass(cls: Any, base: type) -> bool:

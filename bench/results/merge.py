@@ -5,31 +5,41 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
-from bench.results.records import INTERRUPTED, Environment, Plan, Record, SceneRecord, Study
+from bench.results.records import INTERRUPTED, Plan, Record, Study
 from bench.results.store import FILE, Store
 from problems.spec import SpecError
 
+#: Date of records whose environment tells none.
+_LONG_AGO = datetime.datetime.min.replace(tzinfo=datetime.UTC)
 
-@dataclass
-class Source:
-    """The contents of a store without the sampled values, which are copied one by one."""
 
-    folder: Path
-    plan: Plan | None
-    environments: dict[int, Environment]
-    scenes: dict[tuple[str, float], SceneRecord]
-    records: dict[str, Record]
+class _Source:
+    """A store with all that it holds but the sampled values, which are copied one by one."""
+
+    def __init__(self, store: Store) -> None:
+        self.store, self.plan, self.scenes = store, store.plan(), store.scenes()
+        self.environments, self.records = store.environments(), store.records()
+        self.measured = max(map(self._date, self.records.values()), default=_LONG_AGO)
 
     def worth(self, record: Record) -> tuple[bool, datetime.datetime]:
         """Return whether a record has a verdict, and when it was measured (or long ago)."""
+        return record.status != INTERRUPTED, self._date(record)
+
+    def _date(self, record: Record) -> datetime.datetime:
         environment = self.environments.get(record.environment)
-        return record.status != INTERRUPTED, _date(environment.date if environment else "")
+        try:
+            date = datetime.datetime.fromisoformat(environment.date if environment else "")
+        except ValueError:
+            return _LONG_AGO
+        return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
 
 @dataclass
@@ -60,53 +70,46 @@ def merge(folders: Sequence[Path], out: Path) -> Merged:
         raise SpecError("To merge takes two folders or more; name them before --out.")
     if (out / FILE).exists():
         raise SpecError(f"{out} holds results already; name a new folder with --out.")
-    sources = [_read(folder) for folder in folders]
-    kept: dict[str, Source] = {}
+    kept: dict[str, _Source] = {}
     twice: dict[str, None] = {}
-    for source in sources:
-        for key, record in source.records.items():
-            other = kept.get(key)
-            if other is not None:
-                twice[key] = None
-                if source.worth(record) < other.worth(other.records[key]):
-                    continue
-            kept[key] = source
-    out.mkdir(parents=True, exist_ok=True)
-    # Only a store that is whole takes its place.
-    with tempfile.TemporaryDirectory(dir=out, prefix="merging-") as scratch:
-        count = _write(sources, kept, Path(scratch))
-        os.replace(Path(scratch) / FILE, out / FILE)
-    winners = [kept[key].folder for key in twice]
+    with ExitStack() as opened:
+        sources = [_Source(opened.enter_context(Store(folder))) for folder in folders]
+        for source in sources:
+            for key, record in source.records.items():
+                other = kept.get(key)
+                if other is not None:
+                    twice[key] = None
+                    if source.worth(record) < other.worth(other.records[key]):
+                        continue
+                kept[key] = source
+        out.mkdir(parents=True, exist_ok=True)
+        # Only a store that is whole takes its place.
+        with tempfile.TemporaryDirectory(dir=out, prefix="merging-") as scratch:
+            count = _write(sources, kept, Path(scratch))
+            os.replace(Path(scratch) / FILE, out / FILE)
     return Merged(
         records=len(kept),
         stores=len(sources),
         environments=count,
-        twice={folder: winners.count(folder) for folder in dict.fromkeys(winners)},
+        twice=Counter(kept[key].store.folder for key in twice),
     )
 
 
-def _read(folder: Path) -> Source:
-    with Store(folder) as store:
-        return Source(folder, store.plan(), store.environments(), store.scenes(), store.records())
-
-
-def _write(sources: Sequence[Source], kept: dict[str, Source], folder: Path) -> int:
+def _write(sources: Sequence[_Source], kept: dict[str, _Source], folder: Path) -> int:
     """Write the new store; returns the number of its environments."""
     numbers: dict[bytes, int] = {}
     with Store(folder, create=True) as store:
-        plan = _united(source.plan for source in sources if source.plan)
-        if plan:
-            store.save_plan(plan)
-        for source in sorted(sources, key=_latest):
+        if plans := [source.plan for source in sources if source.plan]:
+            store.save_plan(_united(plans))
+        for source in sorted(sources, key=lambda source: source.measured):
             for scene in source.scenes.values():
                 store.save_scene(scene)
-            with Store(source.folder) as origin:
-                for run in origin.long_runs().values():
-                    store.save_long_run(run)
-                for found in origin.experiments().values():
-                    store.save_experiment(found)
-                for integrator, damping in origin.damping().items():
-                    store.save_damping(integrator, damping)
+            for run in source.store.long_runs().values():
+                store.save_long_run(run)
+            for found in source.store.experiments().values():
+                store.save_experiment(found)
+            for integrator, damping in source.store.damping().items():
+                store.save_damping(integrator, damping)
         for source in sources:
             own = {}
             for number, environment in source.environments.items():
@@ -115,10 +118,9 @@ def _write(sources: Sequence[Source], kept: dict[str, Source], folder: Path) -> 
                 if same not in numbers:
                     numbers[same] = store.save_environment(environment)
                 own[number] = numbers[same]
-            with Store(source.folder) as origin:
-                for key, record in source.records.items():
-                    if kept[key] is source:
-                        _copy(record, own, origin, store)
+            for key, record in source.records.items():
+                if kept[key] is source:
+                    _copy(record, own, source.store, store)
     return len(numbers)
 
 
@@ -131,11 +133,8 @@ def _copy(record: Record, numbers: Mapping[int, int], origin: Store, store: Stor
         store.add_sample(record.key, number, seconds, numbers.get(invocation, 0))
 
 
-def _united(plans: Iterable[Plan]) -> Plan | None:
+def _united(plans: Sequence[Plan]) -> Plan:
     """One plan of all studies; studies that differ only in their cells become one."""
-    plans = list(plans)
-    if not plans:
-        return None
     studies: dict[bytes, Study] = {}
     for study in (study for plan in plans for study in plan.studies):
         about = msgspec.json.encode(msgspec.structs.replace(study, cells=[]))
@@ -151,15 +150,3 @@ def _united(plans: Iterable[Plan]) -> Plan | None:
         studies=list(studies.values()),
         mine=next((plan.mine for plan in plans if plan.mine), ""),
     )
-
-
-def _latest(source: Source) -> datetime.datetime:
-    return max((source.worth(record)[1] for record in source.records.values()), default=_date(""))
-
-
-def _date(text: str) -> datetime.datetime:
-    try:
-        date = datetime.datetime.fromisoformat(text)
-    except ValueError:
-        return datetime.datetime.min.replace(tzinfo=datetime.UTC)
-    return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)

@@ -120,8 +120,8 @@ class Rows(msgspec.Struct, kw_only=True):
     """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]`` and
     ``notes[name][k]``, None where there is none."""
 
-    t: list[float]
-    values: dict[str, list[list[float]]]
+    t: list[float] = []
+    values: dict[str, list[list[float]]] = {}
     notes: dict[str, list[float | None]] = {}
 
 
@@ -151,16 +151,16 @@ class SceneRecord(msgspec.Struct, kw_only=True):
 
     problem: Name
     t_end: float
-    title: Name
-    description: str
-    source: str
-    parameters: list[Parameter]
-    components: dict[str, list[Name]]
-    sizes: dict[str, Count]
     t0: float
-    reference_method: str
-    reference_error: dict[str, float]
-    reference: Rows
+    title: Name = ""
+    description: str = ""
+    source: str = ""
+    parameters: list[Parameter] = []
+    components: dict[str, list[Name]] = {}
+    sizes: dict[str, Count] = {}
+    reference_method: str = ""
+    reference_error: dict[str, float] = {}
+    reference: Rows = msgspec.field(default_factory=Rows)
     drawings: list[Drawing] = []
     fingerprint: str = ""
     stopped: str = ""

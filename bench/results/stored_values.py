@@ -105,16 +105,8 @@ def undescribed(scene: SceneRecord, reason: object) -> SceneRecord:
     return SceneRecord(
         problem=_text(scene.problem),
         t_end=scene.t_end,
-        title="",
-        description=f"The description of this scene cannot be stored: {reason}.",
-        source="",
-        parameters=[],
-        components={},
-        sizes={},
         t0=scene.t0,
-        reference_method="",
-        reference_error={},
-        reference=Rows(t=[], values={}),
+        description=f"The description of this scene cannot be stored: {reason}.",
         fingerprint=_text(scene.fingerprint),
     )
 

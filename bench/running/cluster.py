@@ -71,9 +71,6 @@ class ClusterRunner(Runner):
         self._client.close()
         super().__exit__(*details)
 
-    def expect(self, groups: list[list[Task]]) -> None:
-        """Do nothing: the workers of a cluster are there."""
-
     def together(self, count: int) -> int:
         """Return how many of so many short tasks are best sent as a group."""
         threads: Any = {}  # of each worker; there may be none yet

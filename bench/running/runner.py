@@ -120,11 +120,6 @@ class Runner:
             worker.end()
         self.workers.clear()
 
-    def expect(self, groups: list[list[Task]]) -> None:
-        """Start workers that groups will need: they load what they need meanwhile."""
-        for group in groups[: self._jobs - len(self.workers)]:
-            self._spawn(group[0].sources)
-
     def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
         queue = deque(deque(group) for group in groups if group)

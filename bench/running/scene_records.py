@@ -61,14 +61,10 @@ def scene_record(
             faults.append(f"Its {name} is left out: {why(error)}")
             return otherwise
 
-    known: dict[str, Any] = {
-        "reference_method": lacking or "No reference is known.",
-        "reference_error": {},
-        "reference": Rows(t=[], values={}),
-    }
+    known: dict[str, Any] = {"reference_method": lacking or "No reference is known."}
     if not lacking:
         known |= part("reference", lambda: _motion(scene, reference()), {})
-    if known["reference"].t:
+    if known.get("reference", Rows()).t:
         known |= {
             "drawings": part("picture", lambda: frames(scene, reference()), []),
             "rates": part("spectrum", lambda: rates(scene, reference()), None),
@@ -78,7 +74,7 @@ def scene_record(
     if scene.has("energy"):
         part("energy", lambda: first_energy(scene), None)
     tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
-    if part("rank of the constraints", lambda: missing_rank(scene, *_start(scene)), 0):
+    if part("rank of the constraints", lambda: _missing_rank(scene), 0):
         tags = dict.fromkeys((*tags, "redundant"))
     hard = part(
         "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
@@ -117,8 +113,8 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
     }
 
 
-def _start(scene: MechatronicSystem) -> tuple[np.ndarray, float]:
-    return np.asarray(scene.initial_state().q), scene.interval[0]
+def _missing_rank(scene: MechatronicSystem) -> int:
+    return missing_rank(scene, np.asarray(scene.initial_state().q), scene.interval[0])
 
 
 def first_energy(scene: MechatronicSystem) -> float:

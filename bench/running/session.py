@@ -98,7 +98,6 @@ def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runne
         groups = _groups(cells, scenes, registry)
         # So that no worker is left alone with the longest group in the end.
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
-        runner.expect(groups)
         # Scenes are counted if there is nothing else to do: people ask for cells.
         counted = Worker.measure if cells else Worker.scene
         progress = runner.progress
@@ -187,7 +186,7 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
     if isinstance(answer, NoAnswer):
         record = cell.record(*cell.facts(registry), answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
-        return CellResult(record, Rows(t=[], values={}))
+        return CellResult(record, Rows())
     return answer
 
 
