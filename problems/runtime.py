@@ -2,7 +2,8 @@
 
 JAX reads these settings from the environment when it is first imported, so they are set here,
 and the names ``jax`` and ``jnp`` below import it at the first use of an attribute: a list of
-plugins or a help page must not wait for a compiler.
+plugins or a help page must not wait for a compiler. ``Array``, ``Float`` ... are the types of
+arrays, for annotations.
 
 A flag of ours that a newer XLA refuses is left out, an option that it no longer heeds is noticed:
 both cost speed alone. `problems.canary` checks that JAX and NumPy compute what they should.
@@ -305,10 +306,23 @@ def _tell_once_of_broken_programs() -> None:
     warnings.showwarning = show
 
 
+class _Annotation:
+    """Type of an array where no type is checked: jaxtyping and JAX are slow to import."""
+
+    def __class_getitem__(cls, shape: Any) -> type[_Annotation]:
+        return cls
+
+
 configure()
 if TYPE_CHECKING:
     import jax
     import jax.numpy as jnp
+    from jax import Array as Array
+    from jaxtyping import Bool as Bool
+    from jaxtyping import Float as Float
+    from jaxtyping import Int as Int
+    from jaxtyping import UInt as UInt
 else:
+    Array = Bool = Float = Int = UInt = _Annotation
     jax = _LateModule("jax")
     jnp = _LateModule("jax.numpy")

@@ -80,7 +80,7 @@ def local_errors(method, scene, ratios, h):
     for ratio in ratios:
         h *= ratio
         new = step(state, t + h, h)
-        estimated = program.estimate(numbers, state, new, h)
+        estimated = program.method(numbers).estimate(state.state, new.state, h)
         old, now = program.read(scene, state), program.read(scene, new)
         s0 = np.concatenate([old.q, old.v, old.x])
         exact = solve_ivp(rate, (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
@@ -159,7 +159,7 @@ def test_accepted_steps_keep_to_the_guarded_ratios():
     assert run.work.rejected <= 2
     ratios = run.notes["h"][2:] / run.notes["h"][1:-1]
     program, numbers = method.program(Pendulum())
-    lowest, highest = program.ratios(numbers)
+    lowest, highest = program.method(numbers).ratios()
     assert lowest == pytest.approx(1 / highest)  # what is safe up is safe down
     assert highest == pytest.approx(1.15)
     # a rejected step, and the last ones that meet the end, may be cut sharper

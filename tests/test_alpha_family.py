@@ -265,8 +265,7 @@ class Jump(MechatronicSystem):
 
 
 def kernel_of(method, scene):
-    program, _ = method.program(scene)
-    return constant_steps.kernel(program, scene.template())
+    return method.prepare(scene, 5.0, Steps(0.1)).kernel
 
 
 def test_schemes_steps_patterns_and_parameters_compile_nothing_new():

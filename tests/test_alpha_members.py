@@ -19,8 +19,8 @@ from integrators.methods.generalized_alpha import (
 )
 from integrators.methods.generalized_alpha_parameters import (
     first_order_parameters,
-    safe_ratio,
     second_order_parameters,
+    smallest_safe_ratio,
     updated_weight,
 )
 from problems import MechatronicSystem, State, jnp
@@ -146,7 +146,7 @@ def test_the_linear_form_equals_the_recursion_from_gamma_to_gamma(rho_inf, ratio
     h, shift, recursion = 1.0, alpha_m - alpha_f, gamma
     weight, shift = updated_weight(alpha_m, alpha_f, shift, h)
     for s in ratios:
-        if s < safe_ratio(alpha_m):
+        if s < smallest_safe_ratio(alpha_m):
             continue
         h *= s
         weight, shift = updated_weight(alpha_m, alpha_f, shift, h)
@@ -161,7 +161,7 @@ def test_guarded_ratios_keep_gamma_in_its_proven_interval():
         low, high = (1 - alpha_m) / (2 * (1 - alpha_f)), 1 - alpha_m
         shift = alpha_m - alpha_f
         # Sharp cuts and long growth in turn; s = h/last is all that matters, so h restarts at 1.
-        for s in np.exp(chance.uniform(np.log(safe_ratio(alpha_m)), np.log(5.0), 20_000)):
+        for s in np.exp(chance.uniform(np.log(smallest_safe_ratio(alpha_m)), np.log(5.0), 20_000)):
             weight, after = updated_weight(alpha_m, alpha_f, shift, s)
             assert low * (1 - 1e-12) <= weight < high
             shift = after / s

@@ -24,7 +24,6 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno5,
 )
 from integrators.adapters.diffrax_runs import adaptive_programs
-from integrators.native import constant_steps
 from problems import MechatronicSystem, jnp
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
@@ -151,8 +150,8 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        program, _ = DiffraxStepMethod(method.scheme(scene), scene, counted).program(scene)
-        assert constant_steps.kernel(program, scene.template()).compilations == 1
+        stepped = DiffraxStepMethod(method.scheme(scene), scene, counted)
+        assert stepped.prepare(scene, 1.35, Steps(0.1)).kernel.compilations == 1
 
 
 def test_the_counted_run_takes_the_timed_steps_and_more_of_them_than_max_steps():

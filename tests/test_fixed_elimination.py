@@ -16,8 +16,8 @@ from integrators import Steps
 from integrators.lowering.graph import NotLowered
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import constant_steps, linear_solvers, small_matrices
-from integrators.native.dependencies import pattern
-from integrators.native.fixed_elimination import Plan, planned
+from integrators.native.equations import tangent_pattern
+from integrators.native.fixed_elimination import EliminationPlan, planned
 from integrators.native.step_work import EquationsFinder
 from problems.initial_values import consistent_start
 from problems.scenes.car_axis import CarAxis
@@ -48,7 +48,7 @@ def tangent(scene, formulation="index3"):
         method.step(moved, method.begin(moved, start, h), start.z.t + h, h, finder)
         (equations,) = finder.found
         u = jnp.linspace(0.3, 1.7, equations.size)
-        found.append(pattern(jax.make_jaxpr(equations.residual)(u), equations.size))
+        found.append(tangent_pattern(jax.make_jaxpr(equations.residual)(u), equations.size))
         return jax.vmap(lambda scale: jax.jacfwd(equations.residual)(scale * u))(scales)
 
     scales = jnp.array([-300.0, -1.0, 0.9, 500.0])
@@ -89,7 +89,7 @@ def unknown_steps(u):
 
 def test_steps_of_a_program_that_are_not_known_hide_nothing():
     u = jnp.arange(1.0, 9.0)
-    entries = pattern(jax.make_jaxpr(unknown_steps)(u), 8)
+    entries = tangent_pattern(jax.make_jaxpr(unknown_steps)(u), 8)
     for sign in (1, -1):
         assert not (np.asarray(jax.jacfwd(unknown_steps)(sign * u)) != 0)[~entries].any()
     assert entries.sum() == 14
@@ -99,7 +99,7 @@ def test_switches_that_are_off_keep_their_entries():
     def residual(u):
         return jnp.stack([u[0] + jnp.maximum(0.0, u[1]), jnp.where(u[0] > 0, u[1], u[2]), u[2]])
 
-    entries = pattern(jax.make_jaxpr(residual)(-jnp.ones(3)), 3)
+    entries = tangent_pattern(jax.make_jaxpr(residual)(-jnp.ones(3)), 3)
     assert entries.tolist() == [[True, True, False], [False, True, True], [False, False, True]]
 
 
@@ -145,7 +145,7 @@ def test_a_pivot_of_rounding_alone_is_none(fallbacks):
 
 
 def test_without_the_test_of_a_solution_it_would_be_wrong(monkeypatch):
-    monkeypatch.setattr(Plan, "_solved", lambda *_: jnp.asarray(True))
+    monkeypatch.setattr(EliminationPlan, "_solved", lambda *_: jnp.asarray(True))
     a = np.array([[1e-9, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
     b, plan = np.array([1.0, 2.0, 3.0]), planned(BORDERED)
     assert solved(a, b, plan) != pytest.approx(np.linalg.solve(a, b), rel=1e-14)
@@ -160,7 +160,7 @@ def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks, monkey
     def refused(*_):
         raise NotLowered("it has too many operations")
 
-    monkeypatch.setattr(linear_solvers, "pattern", refused)
+    monkeypatch.setattr(linear_solvers, "tangent_pattern", refused)
     du = jax.jit(lambda u: linear_solvers.DENSE.once(lambda u: 2 * u - 1, u))(jnp.ones(2))
     jax.effects_barrier()
     assert (du.tolist(), len(fallbacks)) == ([0.5, 0.5], 1)

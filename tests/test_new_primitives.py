@@ -7,8 +7,8 @@ import pytest
 
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.lowering.operators import ELEMENTARY
-from integrators.native.dependencies import pattern
 from integrators.native.discrete_gradients import discrete_gradient
+from integrators.native.equations import tangent_pattern
 from integrators.native.small_matrices import without_products
 from integrators.operations import operations
 from problems import jax, jnp
@@ -48,7 +48,7 @@ def test_it_is_counted():
 
 
 def test_its_dependence_is_found():
-    entries = pattern(jax.make_jaxpr(function)(jnp.ones(3)), 3)
+    entries = tangent_pattern(jax.make_jaxpr(function)(jnp.ones(3)), 3)
     assert entries.tolist() == [[True, True, False], [True, True, False], [False, False, True]]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from integrators.native.linear_solvers import LinearSolver
-from integrators.native.newton import newton
+from integrators.native.newton import Bounds, newton
 from integrators.native.step_records import StepReport
 from problems import jax, jnp
 
@@ -58,8 +58,8 @@ def solve(
     old = guess if old is None else np.atleast_1d(old).astype(float)
     with jax.disable_jit():
         u, _, report = newton(
-            residual, jnp.asarray(guess), jnp.asarray(old), list(cuts), tol, most,
-            (rounding,) * groups, (noise,) * groups,
+            residual, jnp.asarray(guess), jnp.asarray(old),
+            Bounds(list(cuts), tol, (rounding,) * groups, (noise,) * groups), most,
             None if kept is None else jnp.full(guess.shape, kept), linear, enough,
         )  # fmt: skip
     assert report.jacobians == linear.log.count("t") or kept is None

@@ -22,7 +22,7 @@ from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
-from integrators.native.kernel import Kernel
+from integrators.native.kernel import Form, Kernel
 from problems import other_programs, runtime, sparsity
 from problems.canary import wrong_functions
 from problems.runtime import check_runtime
@@ -255,8 +255,9 @@ def test_many_runs_give_the_same_without_wide_registers(monkeypatch, name):
     width = {name: 512}
     monkeypatch.setattr("integrators.native.kernel.known_options", lambda **_: options(**width))
     options = runtime.known_options
-    kernel = Kernel(lambda a, b: a * b)
-    packed = kernel.pack(2.0, np.array([1.0, 4.0]))
+    arguments = 2.0, np.array([1.0, 4.0])
+    form = Form.of(*arguments)
+    kernel, packed = Kernel(lambda a, b: a * b, form), form.pack(*arguments)
     assert kernel.batched(np.stack([packed, packed])).tolist() == [[2.0, 8.0]] * 2
 
 

@@ -12,7 +12,7 @@ from test_fixed_elimination import fallbacks  # noqa: F401 - a fixture
 from integrators.lowering.programs import lowered
 from integrators.lowering.side_by_side import side_by_side
 from integrators.native import linear_solvers, small_matrices
-from integrators.native.fixed_elimination import Plan
+from integrators.native.fixed_elimination import EliminationPlan
 
 
 def bordered(pivot):
@@ -70,7 +70,7 @@ def test_a_pivot_that_vanishes_in_one_run_changes_no_other(fallbacks):  # noqa: 
 
 
 def test_without_the_test_of_a_solution_it_would_be_wrong(monkeypatch):
-    monkeypatch.setattr(Plan, "_all_solved", lambda *_: jnp.asarray(True))
+    monkeypatch.setattr(EliminationPlan, "_all_solved", lambda *_: jnp.asarray(True))
     a = np.array([[1e-9, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
     found = updates(bordered, np.zeros((2, 3)), np.array([1e-9, 2.0]))
     assert found[0] != pytest.approx(np.linalg.solve(a, bordered(1e-9)(np.zeros(3))), rel=1e-14)

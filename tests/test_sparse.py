@@ -11,7 +11,6 @@ from helpers import long
 from integrators.contract import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.native import constant_steps
 from problems import (
     MechatronicSystem,
     State,
@@ -221,7 +220,7 @@ def test_work_is_counted_as_with_dense_tangents():
 def test_other_parameters_compile_nothing_new():
     method = GeneralizedAlpha(linear_solver="sparse")
     scenes = [Chain(links=12), Chain(links=12, m=0.3, th0=0.2)]
-    kernels = [constant_steps.kernel(method.program(s)[0], s.template()) for s in scenes]
+    kernels = [method.prepare(s, s.interval[0] + 0.01, Steps(1e-3)).kernel for s in scenes]
     assert kernels[0] is kernels[1]
     for scene, rho in zip(scenes, (0.8, 0.5), strict=True):
         end(GeneralizedAlpha(linear_solver="sparse", rho_inf=rho), scene, 10, 1e-3)

@@ -24,6 +24,7 @@ from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
 from integrators.native.endings import Ending
+from integrators.native.kernel import Form
 from integrators.native.step_records import Reading
 from problems.formulations import complete
 from problems.initial_values import consistent_starts
@@ -133,7 +134,6 @@ class Batch:
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
         self._times = times_of(runs, t_end, every_row)
         program = kinds[0].pop()
-        self._kernel = self._times.kernel(program, self._template)
         q, t = np.asarray(scenes[0].initial_state().q), scenes[0].interval[0]
         # Why steps fail is told by the constraints at the first start: a map has thousands of them.
         self._cause = cache(partial(program.cause, scene=scenes[0], rows={"q": [q], "t": [t]}))
@@ -153,8 +153,9 @@ class Batch:
         keys, of_method = distinct(map(id, methods))
         numbers = [programs[key][1] for key in keys]
         start = jax.tree.map(lambda leaf: leaf[0], self._starts)
-        # Packing one run tells the kernel the order of its numbers: one part after the other.
-        self._kernel.pack(settings[0], numbers[0], start, self._times.numbers[0])
+        # All runs have the form of the first: one part after the other.
+        form = Form.of(settings[0], numbers[0], start, self._times.numbers[0])
+        self._kernel = self._times.kernel(program, self._template, form)
         names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
         leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
         self._parameters = np.array([[values[name] for name in names] for values in settings])

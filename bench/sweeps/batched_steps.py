@@ -16,7 +16,7 @@ from integrators.contract import Integrator, Steps, Tolerances
 from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.native import adaptive_steps, constant_steps
 from integrators.native.endings import Ending
-from integrators.native.kernel import Kernel
+from integrators.native.kernel import Form, Kernel
 from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import COUNTS
@@ -66,9 +66,9 @@ class ConstantSteps:
         for table, numbers in zip(self._rows, rows, strict=True):
             table[: len(numbers)] = numbers
 
-    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
+    def kernel(self, program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
         """Return the compiled time loop of a method on a kind of scene."""
-        return constant_steps.kernel(program, template)
+        return constant_steps.kernel(program, template, form)
 
     def longest_first(self) -> np.ndarray:
         """Return the places of all runs, the longest run first."""
@@ -119,8 +119,8 @@ class ChosenSteps:
         # A run over no time takes no step.
         self.numbers.append(self.numbers[0]._replace(t_end=t0))
 
-    def kernel(self, program: StepProgram, template: MechatronicSystem) -> Kernel:
-        return adaptive_steps.kernel(program, template)
+    def kernel(self, program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
+        return adaptive_steps.kernel(program, template, form)
 
     def longest_first(self) -> np.ndarray:
         return np.argsort([self.numbers[k].rtol for k in self._of], kind="stable")

@@ -2,43 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.guesses import Guess
-from integrators.native.own_values import OwnValues
+from integrators.native.own_values import StageMethod, StageState
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, largest
+from integrators.native.step_records import Scalar, Time, largest
+from integrators.native.step_work import StepWork
 from problems import formulations
-from problems.formulations import Start
 from problems.kinematics import advance
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from jax import Array
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
 
 
-class ALI3PState(NamedTuple):
-    """Values at the end of the last step, projected, and the guess of the next one."""
-
-    shown: Reading
-    guess: Guess
-
-
 @dataclass(frozen=True)
-class ALI3P(OwnValues, ImplicitStepMethod):
+class ALI3P(StageMethod, ImplicitStepMethod):
     """Augmented Lagrangian of index 3 with projections, on the trapezoidal rule.
 
     The step solves M a+ + Phi_q^T lam - g = 0 with Phi(q+) = 0 for ::
@@ -84,13 +69,9 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         controlled = scene.has("state_rate") or scene.has("output")
         return dict.fromkeys(self.orders, 1 if scene.sizes.nl and controlled else 2)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ALI3PState:
-        shown = self.reported(scene, start.z, start.xdot)
-        return ALI3PState(shown, Guess.begin(start.z, start.xdot, h))
-
     def step(
-        self, scene: MechatronicSystem, state: ALI3PState, t: Time, h: Time, work: StepWork
-    ) -> ALI3PState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         now = state.shown
         q = advance(scene, now.q, h * now.v, h**2 / 4 * now.a)
         base = Base(q, now.v + h / 2 * now.a, now.x + h / 2 * now.xdot)
@@ -98,11 +79,10 @@ class ALI3P(OwnValues, ImplicitStepMethod):
         e = stage_equations(scene, "index3", base, slopes, t, (now.q, t - h))
         softness = self._softness(scene, now.q, t)
         e = e._replace(residual=self._softened(e.residual, e.layout.lam, softness))
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
-        guess = state.guess.after(z, xdot, h)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         if scene.sizes.nl:
             z = self._projected(scene, z, h, softness, work)
-        return ALI3PState(self.reported(scene, z, xdot, work), guess)
+        return StageState(self.reported(scene, z, xdot, work), guess)
 
     def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
         """4 / (alpha_p h^2), about 1/penalty of Phi_q M^-1 Phi_q^T."""

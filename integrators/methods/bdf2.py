@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
 from problems.kinematics import advance
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 
 class BDF2State(NamedTuple):
@@ -79,7 +74,6 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         both = (Slopes(h**2 / 2, 3 * h / 4, 3 * h / 4), first), (Slopes(tau**2, tau, tau), later)
         slopes, base = jax.tree.map(lambda one, two: jnp.where(state.first, one, two), *both)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         shown = self.reported(scene, z, xdot, work)
-        guess = state.guess.after(z, xdot, h)
         return BDF2State(shown, Base(now.q, now.v, now.x), guess, jnp.asarray(False))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -12,19 +12,13 @@ from integrators.native.guesses import Guess
 from integrators.native.own_values import OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
-from integrators.native.step_records import Errors, Reading
+from integrators.native.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import state_layout
-from problems.runtime import jnp
+from problems.runtime import Array, Float, Int, jnp
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float, Int
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 #: Differences that are kept: order five needs those up to the seventh for its choice.
 _KEPT = 8
@@ -148,7 +142,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         q, v, x = layout.split(predicted - tau * rate)
         base, slopes = Base(advance(scene, q, tau * v), v, x), Slopes(tau**2, tau, tau)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
 
         s = jnp.concatenate([z.q, z.v, z.x])
         sums = jnp.cumsum(shifted, axis=0)
@@ -164,7 +158,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
             self._next_order(scene, k, differences, part),
             constant * differences[k + 1],
             k,
-            state.guess.after(z, xdot, h),
+            guess,
         )
 
     def _next_order(

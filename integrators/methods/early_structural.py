@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
 from problems.kinematics import advance
+from problems.runtime import Array
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 
 class Past(NamedTuple):
@@ -96,13 +92,13 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
         now, past = state.shown, state.past
         base, slopes = self.end(scene, Base(now.q, now.v, now.x), h, past)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         first = Base((z.q - now.q) / h, (z.v - now.v) / h, (z.x - now.x) / h)
         second = Base(
             *((new - old) / (h + past.h) for new, old in zip(first, past.first, strict=True))
         )
         shown = self.reported(scene, z, xdot, work)
-        return ThreeStepState(shown, Past(first, second, h, past.h), state.guess.after(z, xdot, h))
+        return ThreeStepState(shown, Past(first, second, h, past.h), guess)
 
 
 @dataclass(frozen=True)
@@ -204,8 +200,7 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
         base = Base(q, now.v + far / 2 * a, now.x + far / 2 * xdot)
         slopes, end = Slopes(far**2 / 6, far / 2, far / 2), t - h + far
         e = stage_equations(scene, "index3", base, slopes, end, (now.q, t - h))
-        z, xdot_far = e.solve(work, state.guess.ahead(h), state.guess.last)
-        guess = state.guess.after(z, xdot_far, h)
+        z, xdot_far, guess = e.solve_from(work, state.guess, h)
 
         def nearer(old: Array, far: Array) -> Array:
             return old + (far - old) / self.theta

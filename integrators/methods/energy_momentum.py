@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,38 +38,25 @@ from integrators.native.discrete_gradients import (
     discrete_derivative,
     discrete_gradient,
 )
-from integrators.native.guesses import Guess
-from integrators.native.own_values import OwnValues
+from integrators.native.own_values import StageMethod, StageState
 from integrators.native.stage_equations import Base, Slopes, StageEquations, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, largest
+from integrators.native.step_records import Reading, Time, largest
+from integrators.native.step_work import StepWork
 from problems import lagrange
-from problems.formulations import Start, constraint_velocity, inertia
+from problems.formulations import constraint_velocity, inertia
 from problems.kinematics import advance
 from problems.layouts import Layout
 from problems.named_equations import equation
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 #: Largest part of the forces that the energies need not explain.
 _UNEXPLAINED = 1e-8
 
 
-class EnergyMomentumState(NamedTuple):
-    """Values at the end of the last step."""
-
-    shown: Reading
-    guess: Guess
-
-
 @dataclass(frozen=True)
-class EnergyMomentum(OwnValues, ImplicitStepMethod):
+class EnergyMomentum(StageMethod, ImplicitStepMethod):
     """Energy-momentum method: the energy is exact at every step size.
 
     a and lam of its own are means over the step, of order one at its end and two at its middle; on
@@ -107,13 +94,9 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
             )
         return _fault(scene)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> EnergyMomentumState:
-        shown = self.reported(scene, start.z, start.xdot)
-        return EnergyMomentumState(shown, Guess.begin(start.z, start.xdot, h))
-
     def step(
-        self, scene: MechatronicSystem, state: EnergyMomentumState, t: Time, h: Time, work: StepWork
-    ) -> EnergyMomentumState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         now = state.shown
         base, slopes = Base(advance(scene, now.q, h * now.v), now.v, now.x), Slopes(h**2 / 2, h, h)
         e = stage_equations(
@@ -122,10 +105,10 @@ class EnergyMomentum(OwnValues, ImplicitStepMethod):
         )  # fmt: skip
         if self.formulation == "stabilised_index2" and scene.sizes.nl:
             e = _stabilised(scene, e, now, base, slopes, t)
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         work.count(residuals=1, refused=~_explained(scene, z.q, z.v, t))
         shown = self.reported(scene, z, xdot, work)
-        return EnergyMomentumState(shown, state.guess.after(z, xdot, h))
+        return StageState(shown, guess)
 
 
 @equation

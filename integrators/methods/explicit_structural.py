@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.own_values import OwnValues
 from integrators.native.step_method import StepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start, complete
 from problems.kinematics import advance
+from problems.runtime import Array
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 
 @dataclass(frozen=True)
@@ -40,7 +36,7 @@ class ExplicitMethod(StepMethod):
         return None
 
 
-def evaluated(
+def evaluate_and_count(
     scene: MechatronicSystem, q: Array, v: Array, x: Array, t: Time, work: StepWork
 ) -> tuple[Variables, Array]:
     """Return all variables and xdot at q, v and x, and count the work."""
@@ -48,7 +44,7 @@ def evaluated(
     return complete(scene, q, v, x, t)
 
 
-class AlphaState(NamedTuple):
+class ExplicitAlphaState(NamedTuple):
     """Values at the end of the last step, and the auxiliary values of a and xdot there."""
 
     shown: Reading
@@ -80,13 +76,13 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         0.5, "spectral radius at the bifurcation of the roots", low=0.0, high=1.0, always=True
     )
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AlphaState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ExplicitAlphaState:
         z, xdot = start.z, start.xdot
-        return AlphaState(Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y), z.a, xdot)
+        return ExplicitAlphaState(Reading.of(z, xdot), z.a, xdot)
 
     def step(
-        self, scene: MechatronicSystem, state: AlphaState, t: Time, h: Time, work: StepWork
-    ) -> AlphaState:
+        self, scene: MechatronicSystem, state: ExplicitAlphaState, t: Time, h: Time, work: StepWork
+    ) -> ExplicitAlphaState:
         now, aux, auxx, rho = state.shown, state.aux, state.auxx, self.rho_b
         alpha = (2 * rho - 1) / (1 + rho)
         gamma, beta = 1.5 - alpha, (5 - 3 * rho) / ((1 + rho) ** 2 * (2 - rho))
@@ -95,10 +91,10 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         q = advance(scene, now.q, h * now.v, h**2 * ((0.5 - beta) * aux + beta * aux_end))
         v = now.v + h * ((1 - gamma) * aux + gamma * aux_end)
         x = now.x + h * ((1 - gamma) * auxx + gamma * auxx_end)
-        z, xdot = evaluated(scene, q, v, x, t, work)
-        return AlphaState(Reading(q, v, z.a, z.lam, x, xdot, z.y), aux_end, auxx_end)
+        z, xdot = evaluate_and_count(scene, q, v, x, t, work)
+        return ExplicitAlphaState(Reading.of(z, xdot), aux_end, auxx_end)
 
-    def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: ExplicitAlphaState) -> Reading:
         return state.shown
 
 
@@ -143,10 +139,10 @@ class NohBathe(OwnValues, ExplicitMethod):
         w0 = 0.5 - w1 - w2
         q_p = advance(scene, now.q, first * now.v, first**2 / 2 * a)
         v_first, x_first = now.v + first * a, now.x + first * xdot
-        m, xdot_p = evaluated(scene, q_p, v_first, x_first, t - d, work)
+        m, xdot_p = evaluate_and_count(scene, q_p, v_first, x_first, t - d, work)
         v_p, x_p = now.v + first / 2 * (a + m.a), now.x + first / 2 * (xdot + xdot_p)
         q = advance(scene, q_p, d * v_p, d**2 / 2 * m.a)
-        z, xdot_end = evaluated(scene, q, v_p + d * m.a, x_p + d * xdot_p, t, work)
+        z, xdot_end = evaluate_and_count(scene, q, v_p + d * m.a, x_p + d * xdot_p, t, work)
         z = z._replace(
             v=v_p + d * (w0 * a + (0.5 + w1) * m.a + w2 * z.a),
             x=x_p + d * (w0 * xdot + (0.5 + w1) * xdot_p + w2 * xdot_end),

@@ -20,27 +20,21 @@ them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.generalized_alpha_parameters import Scheme, safe_ratio
+from integrators.methods.generalized_alpha_parameters import Scheme, smallest_safe_ratio
 from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl
-from integrators.native.step_records import Errors, Reading
+from integrators.native.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
-from problems.runtime import jnp
+from problems.runtime import Array, Float, jnp
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 #: Largest ratio of neighbouring steps by the radius at infinity. In varying steps updated gamma
 #: keeps the order, but not always stability. Up to a few percent above these ratios no pattern of
@@ -49,7 +43,7 @@ _RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
-class Numbers(NamedTuple):
+class AdaptiveScheme(NamedTuple):
     """A scheme, the choice to test a and lam, too, and the largest ratio of steps."""
 
     scheme: Scheme
@@ -57,7 +51,7 @@ class Numbers(NamedTuple):
     growth: float
 
 
-class State(NamedTuple):
+class AdaptiveAlphaState(NamedTuple):
     """A state of the method with the bends, and the last divided differences of a, xdot and lam.
 
     The differences are over a step of size ``gap`` in s. At t0 they are exact derivatives, and gap
@@ -82,21 +76,23 @@ class AdaptiveAlphaStep(StepFunctions):
 
     order = 2
 
-    def with_numbers(self, numbers: Numbers) -> AdaptiveAlphaStep:
+    def with_numbers(self, numbers: AdaptiveScheme) -> AdaptiveAlphaStep:
         return replace(self, step_of=self.step_of.with_numbers(numbers.scheme), own=numbers)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> State:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AdaptiveAlphaState:
         zero = 0.0 * h
         alpha = self.step_of.begin(scene, start, h)
-        return State(alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero)
+        return AdaptiveAlphaState(
+            alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero
+        )
 
     def step(
-        self, scene: MechatronicSystem, state: State, t: Time, h: Time, work: StepWork
-    ) -> State:
+        self, scene: MechatronicSystem, state: AdaptiveAlphaState, t: Time, h: Time, work: StepWork
+    ) -> AdaptiveAlphaState:
         s, before = self.own.scheme, state.alpha
         alpha = self.step_of.step(scene, before, t, h, work)
         bend, bend_x = bends_before(s, state, h)
-        return State(
+        return AdaptiveAlphaState(
             alpha,
             bend_after(s.alpha_m, s.alpha_f, bend, alpha.shift, h),
             bend_after(s.delta_m, s.delta_f, bend_x, alpha.shift_x, h),
@@ -106,10 +102,10 @@ class AdaptiveAlphaStep(StepFunctions):
             h,
         )
 
-    def read(self, scene: MechatronicSystem, state: State) -> Reading:
+    def read(self, scene: MechatronicSystem, state: AdaptiveAlphaState) -> Reading:
         return self.step_of.read(scene, state.alpha)
 
-    def estimate(self, before: State, after: State, h: Time) -> Errors:
+    def estimate(self, before: AdaptiveAlphaState, after: AdaptiveAlphaState, h: Time) -> Errors:
         """Local errors of q, v and x; for a and lam errors of linear interpolation."""
         s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
         bend, bend_x = bends_before(s, before, h)
@@ -140,7 +136,7 @@ class AdaptiveAlphaStep(StepFunctions):
     def ratios(self) -> tuple[Scalar, Scalar]:
         """The smallest ratio without a restart of updated weights, and the largest growth."""
         s, growth = self.own.scheme, self.own.growth
-        safe = jnp.maximum(safe_ratio(s.alpha_m), safe_ratio(s.delta_m))
+        safe = jnp.maximum(smallest_safe_ratio(s.alpha_m), smallest_safe_ratio(s.delta_m))
         return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / growth), growth
 
 
@@ -149,7 +145,7 @@ def bend_after(m: Scalar, f: Scalar, bend: Scalar, shift_end: Scalar, h: Scalar)
     return ((m - f) * h**2 / 2 - m * bend) / (1 - m) - h * shift_end
 
 
-def bends_before(s: Scheme, state: State, h: Scalar) -> tuple[Scalar, Scalar]:
+def bends_before(s: Scheme, state: AdaptiveAlphaState, h: Scalar) -> tuple[Scalar, Scalar]:
     """The bends at the start of a step; zero after a restart, like the shifts."""
     w = weights(s, state.alpha, h)
     return (
@@ -197,9 +193,9 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         choices=("states", "all"),
     )
 
-    def numbers(self) -> Numbers:
+    def numbers(self) -> AdaptiveScheme:
         growth = float(np.interp(self.radius_at_infinity(), _RHO, _GROWTH))
-        return Numbers(self.scheme(), self.error_test == "all", growth)
+        return AdaptiveScheme(self.scheme(), self.error_test == "all", growth)
 
     def functions(self) -> StepFunctions:
         return AdaptiveAlphaStep(AlphaStep(self.formulation == "stabilised_index2"))

@@ -5,10 +5,9 @@ Signs of alpha_m and alpha_f are those of Bruels & Arnold (2008); other codes us
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from integrators.native.step_records import Scalar
+from integrators.native.step_records import Scalar
 
 
 class Scheme(NamedTuple):
@@ -88,7 +87,7 @@ def updated_weight(
     return weight, shift_next
 
 
-def safe_ratio(alpha_m: Scalar) -> Scalar:
+def smallest_safe_ratio(alpha_m: Scalar) -> Scalar:
     """Return the smallest step ratio that keeps the updated weight in its proven interval.
 
     With s >= alpha_m/(1 - alpha_m) at every step, (1 - alpha_m)/(2 (1 - alpha_f)) <= gamma <

@@ -23,24 +23,23 @@ they take ``aux`` for the acceleration: they report it and feed it to the contro
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from integrators.methods.generalized_alpha_parameters import Scheme, safe_ratio, updated_weight
+from integrators.methods.generalized_alpha_parameters import (
+    Scheme,
+    smallest_safe_ratio,
+    updated_weight,
+)
 from integrators.native.guesses import Guess
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_functions import StepFunctions
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.projections import constrained_part
-from problems.runtime import jnp
+from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 
 class AlphaState(NamedTuple):
@@ -91,8 +90,8 @@ def weights(s: Scheme, state: AlphaState, h: Scalar) -> Weights:
     recurrence; order two is kept.
     """
     ratio, guarded = h / state.h, s.updated & s.guarded
-    again = guarded & (ratio < safe_ratio(s.alpha_m) * (1 - 1e-9))
-    again_x = guarded & (ratio < safe_ratio(s.delta_m) * (1 - 1e-9))
+    again = guarded & (ratio < smallest_safe_ratio(s.alpha_m) * (1 - 1e-9))
+    again_x = guarded & (ratio < smallest_safe_ratio(s.delta_m) * (1 - 1e-9))
     shift = jnp.where(again, 0.0, state.shift)
     shift_x = jnp.where(again_x, 0.0, state.shift_x)
     gamma, shift_end = updated_weight(s.alpha_m, s.alpha_f, shift, h)
@@ -173,12 +172,12 @@ class AlphaStep(StepFunctions):
             scene, "stabilised_index2" if self.stabilised else "index3", base, slopes, t,
             (state.q, t - h), for_controller=for_controller,
         )  # fmt: skip
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
         reported = jnp.where(s.classical, aux_end, z.a)
         return AlphaState(
             z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-            w.gamma, w.theta, reported, state.guess.after(z, xdot, h),
+            w.gamma, w.theta, reported, guess,
         )  # fmt: skip
 
     def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:

@@ -19,15 +19,12 @@ the highest power first.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from integrators.methods.generalized_alpha_parameters import Scheme, printed_ratio
 from integrators.multistep import Multistep, MultistepForm
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from problems.runtime import Float
 
 _ONE = np.array([1.0, -1.0])  # z - 1
 

@@ -7,28 +7,22 @@ resolve the fastest vibration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
-from integrators.native.own_values import FreeSteps, OwnValues, projected
-from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
-from integrators.native.step_records import Errors, Reading
+from integrators.native.own_values import FreeSteps, OwnValues, moved_onto_constraints
+from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.kinematics import advance, q_rate
 from problems.layouts import algebraic_layout
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from jax import Array
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 #: Relative error that the iteration for outputs may leave, and its most turns.
 _TOLERANCE, _MOST = 1e-12, 20
@@ -98,7 +92,7 @@ class HalfExplicit(OwnValues, StepMethod):
     family: ClassVar[str] = "half-explicit"
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    linear_solver: str = option("auto", LINEAR_SOLVERS, choices=("auto", "dense", "sparse"))
+    linear_solver: str = linear_solver_option()
 
     @property
     def newton_settings(self) -> NewtonSettings:
@@ -260,7 +254,7 @@ class PHEM56(FreeSteps, HalfExplicit):
             of_x.append(xdot)
         z = z._replace(t=t)
         if self.projection == "positions" and scene.sizes.nl:
-            z = projected(scene, z, work)
+            z = moved_onto_constraints(scene, z, work)
         errors = state.errors
         if self.steps == "adaptive":
             weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]

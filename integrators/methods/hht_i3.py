@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -13,19 +13,14 @@ from integrators.native.guesses import Guess
 from integrators.native.own_values import FreeSteps, Needs, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Attempt, Choice, Reading
+from integrators.native.step_records import Attempt, Choice, Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.dependence import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
 from problems.kinematics import advance
-from problems.runtime import jnp
+from problems.runtime import Array, jnp
 from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 #: Negrut et al.: safety, limits of the ratio of steps, and the ratio after Newton's method failed.
 _SAFETY, _SHARPEST, _GROWTH, _AFTER_FAILURE = 0.9, 0.1, 5.0, 0.25
@@ -174,7 +169,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
             scene, "index3", base, slopes, t, (now.q, t - h),
             dynamics=dynamics, for_controller=for_controller,
         )  # fmt: skip
-        z, xdot = e.solve(work, state.guess.ahead(h), state.guess.last)
+        z, xdot, guess = e.solve_from(work, state.guess, h)
         iterations = work.report().newton
         again = (iterations < _QUICK) & (h == state.guess.h) & (state.quick < _QUICK_STEPS)
         return HHTState(
@@ -184,7 +179,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
             rate_x=(1 + alpha) * xdot - alpha * state.xdot,
             true_a=for_controller(z).a,
             force=part * state.force - inertia(scene, z.q, z.a) / (1 + alpha),
-            guess=state.guess.after(z, xdot, h),
+            guess=guess,
             weights=jnp.maximum(state.weights, jnp.abs(z.q)),
             quick=jnp.where(again, state.quick + 1, 0),
         )

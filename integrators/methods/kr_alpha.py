@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
-from integrators.methods.explicit_structural import ExplicitMethod, evaluated
+from integrators.methods.explicit_structural import ExplicitMethod, evaluate_and_count
 from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
 from integrators.native.own_values import OwnValues, rho_inf_option
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Scalar, Time
+from integrators.native.step_work import StepWork
 from problems.dependence import damping_varies
 from problems.formulations import Start, dynamics_residual
 from problems.kinematics import advance
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Float, jax, jnp
 from problems.system import MechatronicSystem
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
 
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
-
-
-class Tangents(NamedTuple):
+class SystemMatrices(NamedTuple):
     """Mass, damping and stiffness matrix at the start of a run."""
 
     mass: Float[Array, "nv nv"]
@@ -48,7 +42,7 @@ class ModelState(NamedTuple):
     q: Array
     v: Array
     a: Array
-    tangents: Tangents
+    tangents: SystemMatrices
     matrices: Integration
 
 
@@ -101,7 +95,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         damping, stiffness = jax.jacfwd(
             lambda v, q: dynamics_residual(scene, z._replace(q=q, v=v)), argnums=(0, 1)
         )(z.v, z.q)
-        tangents = Tangents(scene.mass(z.q), damping, stiffness)
+        tangents = SystemMatrices(scene.mass(z.q), damping, stiffness)
         matrices = self._matrices(tangents, h)
         q, v, a = z.q, z.v, z.a
         if self.start == "corrected":
@@ -111,7 +105,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         shown = self.reported(scene, z, start.xdot)
         return ModelState(shown, q, v, a, tangents, matrices)
 
-    def _matrices(self, tangents: Tangents, h: Time) -> Integration:
+    def _matrices(self, tangents: SystemMatrices, h: Time) -> Integration:
         p, (mass, damping, stiffness) = self.parameters(), tangents
         implicit = p.gamma * h * damping + p.beta * h**2 * stiffness
         whole = mass + implicit
@@ -135,7 +129,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
             return (1 - p.alpha_f) * new + p.alpha_f * old
 
         at = between(q, state.q), between(v, state.v), state.shown.x, t - p.alpha_f * h
-        z, xdot = evaluated(scene, *at, work)
+        z, xdot = evaluate_and_count(scene, *at, work)
         a = state.a + matrices.gain @ (z.a - state.a)
         z = z._replace(q=q, v=v, a=a, t=t)
         if self.start == "corrected":

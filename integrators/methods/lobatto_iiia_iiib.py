@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from integrators.methods.rattle import refused_control
 from integrators.native.guesses import Guess
-from integrators.native.own_values import OwnValues
+from integrators.native.own_values import StageMethod, StageState
 from integrators.native.stage_equations import Base, Slopes, resting, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, largest
+from integrators.native.step_records import Time, largest
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
-from problems.runtime import jnp
+from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
 
 
-class LobattoState(NamedTuple):
-    """Values at the end of the last step, and its unknowns [a1, a2, lam1, lam2] as a guess."""
-
-    shown: Reading
-    guess: Guess
-
-
 @dataclass(frozen=True)
-class LobattoPair(OwnValues, ImplicitStepMethod):
+class LobattoPair(StageMethod, ImplicitStepMethod):
     """Lobatto IIIA-IIIB with three stages at t, t + h/2 and t + h; symplectic as M is constant.
 
     With M a_i = f(Q_i, V_i) - Phi_q(Q_i)^T lam_i::
@@ -49,6 +37,7 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
 
     Phi = 0 at Q2 and Q3, d/dt Phi = 0 at q+, v+. The pair with two stages is RATTLE. The reported
     a3 and lam3 are second order under constraints; ``values=equations`` gives them in fourth order.
+    The guess is one of [a1, a2, lam1, lam2].
     """
 
     name: ClassVar[str] = "lobatto_iiia_iiib"
@@ -71,15 +60,13 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
             )
         return refused_control(self.name, scene)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> LobattoState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
         z, xdot = start.z, start.xdot
-        return LobattoState(
-            self.reported(scene, z, xdot), Guess.begin(_both(z, z.a, z.lam), xdot, h)
-        )
+        return StageState(self.reported(scene, z, xdot), Guess.begin(_both(z, z.a, z.lam), xdot, h))
 
     def step(
-        self, scene: MechatronicSystem, state: LobattoState, t: Time, h: Time, work: StepWork
-    ) -> LobattoState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         (q, v, _, _, x, *_), guess, t0 = state.shown, state.guess, t - h
         nv, nl = scene.sizes.nv, scene.sizes.nl
         cuts = [nv, 2 * nv, 2 * nv + nl]
@@ -123,10 +110,7 @@ class LobattoPair(OwnValues, ImplicitStepMethod):
         near = jnp.concatenate([a2, lam2])
         z, xdot = e.solve(work, near, near, 1)  # linear
         both = _both(z, jnp.concatenate([a1, a2]), jnp.concatenate([lam1, lam2]))
-        return LobattoState(self.reported(scene, z, xdot, work), guess.after(both, xdot, h))
-
-    def read(self, scene: MechatronicSystem, state: LobattoState) -> Reading:
-        return state.shown
+        return StageState(self.reported(scene, z, xdot, work), guess.after(both, xdot, h))
 
 
 def _both(z: Variables, a: Array, lam: Array) -> Variables:

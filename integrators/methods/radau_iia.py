@@ -27,9 +27,10 @@ for it. Its solution is of order ``stages``, and the errors are its distances to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -38,22 +39,14 @@ from integrators.native.own_values import Formulated, FreeSteps, Needs, OwnValue
 from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Errors, Reading, largest
+from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from jax import Array
-    from jaxtyping import Bool, Float
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
 #: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old
@@ -64,7 +57,7 @@ _ROUNDED = 0.1
 _SMOOTH = 0.1
 
 
-class Collocation(NamedTuple):
+class RadauCoefficients(NamedTuple):
     """Coefficients of a Radau IIA method: rows of ``a`` belong to stages."""
 
     c: np.ndarray
@@ -81,7 +74,7 @@ class Collocation(NamedTuple):
 
 
 @cache
-def collocation(stages: int) -> Collocation:
+def collocation(stages: int) -> RadauCoefficients:
     """Return the coefficients of the method with two or three stages.
 
     A holds the integrals of the stages' Lagrange polynomials. The filter takes the real eigenvalue
@@ -94,7 +87,7 @@ def collocation(stages: int) -> Collocation:
     a = c[:, None] ** (k + 1) / (k + 1) @ to_powers
     values = np.linalg.eigvals(a)
     real = values[abs(values.imag) < 1e-9].real
-    return Collocation(c, a, to_powers, float(real[0] if len(real) else abs(values[0])))
+    return RadauCoefficients(c, a, to_powers, float(real[0] if len(real) else abs(values[0])))
 
 
 class RadauState(NamedTuple):

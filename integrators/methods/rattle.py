@@ -15,26 +15,21 @@ part of the next step's work, which uses it if h has not changed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
-from integrators.native.own_values import Conditional, Needs, OwnValues
+from integrators.native.own_values import Conditional, Needs, OwnValues, StageState
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Time
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 
 def refused_control(method: str, scene: MechatronicSystem) -> str | None:
@@ -55,16 +50,6 @@ def refused_mass(method: str, scene: MechatronicSystem) -> str | None:
             f"variational_midpoint."
         )
     return None
-
-
-class KickedState(NamedTuple):
-    """Values at the end of a step, and unknowns [a, lam] of the first halves of steps.
-
-    The last of these are the next step's, if the method looks ahead and the guess has its h.
-    """
-
-    shown: Reading
-    guess: Guess
 
 
 def momentum_rate(scene: MechatronicSystem, q: Array, v: Array, t: Time) -> Array:
@@ -98,7 +83,11 @@ class Kick(NamedTuple):
 
 @dataclass(frozen=True)
 class KickMethod(OwnValues, ImplicitStepMethod):
-    """Base of the methods; they place their forces by ``place``."""
+    """Base of the methods; they place their forces by ``place``.
+
+    The guess is one of [a, lam] of the first halves of steps: of the next step's, if the method
+    looks ahead and the guess has its h.
+    """
 
     family: ClassVar[str] = "symplectic"
     formulation: ClassVar[str] = "index3"  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -111,10 +100,10 @@ class KickMethod(OwnValues, ImplicitStepMethod):
     def supports(self, scene: MechatronicSystem) -> str | None:
         return refused_control(self.name, scene) or refused_mass(self.name, scene)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> KickedState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
         # No step has this h: nothing is known of the first one.
         guess = Guess.begin(start.z, start.xdot, jnp.nan * h)
-        return KickedState(self.reported(scene, start.z, start.xdot), guess)
+        return StageState(self.reported(scene, start.z, start.xdot), guess)
 
     def first_half(
         self,
@@ -165,8 +154,8 @@ class BothSides(Conditional, KickMethod):
         return self.orders | {"a": 1, "lam": 1}
 
     def step(
-        self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
-    ) -> KickedState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         now, guess = state.shown, state.guess
         looks = self.multiplier == "averaged" and self.values == "own"
         known = (guess.h == h) if looks else False
@@ -185,7 +174,7 @@ class BothSides(Conditional, KickMethod):
         if looks:
             first = self.first_half(scene, work, (z.q, z.v, t), h, guess)
             z = z._replace(a=(z.a + first.a) / 2, lam=(z.lam + first.lam) / 2)
-        return KickedState(self.reported(scene, z, xdot, work), guess.after(first, xdot, h))
+        return StageState(self.reported(scene, z, xdot, work), guess.after(first, xdot, h))
 
 
 @dataclass(frozen=True)
@@ -246,8 +235,8 @@ class SHAKE(KickMethod):
     )
 
     def step(
-        self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
-    ) -> KickedState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         now, guess = state.shown, state.guess
         first = self.first_half(scene, work, (now.q, now.v, t - h), h, guess, guess.h == h)
         q, w = first.q, first.v
@@ -258,6 +247,6 @@ class SHAKE(KickMethod):
         # z ends at the next step; its v is the velocity at q.
         slopes, base = Slopes(h**2, h / 2, h), Base(advance(scene, q, h * w), w, now.x)
         e = stage_equations(scene, "index3", base, slopes, t + h, (q, t), dynamics=motion)
-        z, xdot = e.solve(work, guess.ahead(h), guess.last)
+        z, xdot, guess = e.solve_from(work, guess, h)
         z = z._replace(q=q, t=t)
-        return KickedState(self.reported(scene, z, xdot, work), guess.after(z, xdot, h))
+        return StageState(self.reported(scene, z, xdot, work), guess)

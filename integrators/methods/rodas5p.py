@@ -16,27 +16,26 @@ The unknowns that are left are the changes of a, lam and y, and k_x / g less kno
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
-from integrators.native.own_values import DriftHandling, FreeSteps, OwnValues, projected
-from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
-from integrators.native.step_records import Errors, Reading
+from integrators.native.own_values import (
+    DriftHandling,
+    FreeSteps,
+    OwnValues,
+    moved_onto_constraints,
+)
+from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.step_records import Errors, Reading, Time
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 _GAMMA = 0.21193756319429014
 #: Weights a_sj of the stages before; the last row is the end of the step.
@@ -111,7 +110,7 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
         "method is not made",
         choices=("index1", "index2"),
     )
-    linear_solver: str = option("auto", LINEAR_SOLVERS, choices=("auto", "dense", "sparse"))
+    linear_solver: str = linear_solver_option()
 
     order = 5
 
@@ -188,7 +187,7 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
         work.count(residuals=len(_PLACES))
         end, last = ahead(_A[-1], t), changes[-1]
         if self.projects(scene):
-            end = projected(scene, end, work)
+            end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still
         shown = self.reported(scene, end, xdot, work)
         return RosenbrockState(shown, end, (last.q, last.v, last.x))

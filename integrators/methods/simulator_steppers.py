@@ -18,12 +18,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 from integrators.contract import option
 from integrators.native.own_values import OwnValues
-from integrators.native.step_method import LINEAR_SOLVERS, NewtonSettings, StepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.step_records import Reading, Time
+from integrators.native.step_work import StepWork
 from problems import lagrange
 from problems.formulations import (
     Start,
@@ -35,16 +36,10 @@ from problems.formulations import (
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.named_equations import equation
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
 
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
-
-    _Force: TypeAlias = Callable[[Array], Array]
+_Force: TypeAlias = Callable[[Array], Array]
 
 #: Part of a.M a that may be rounding.
 _ROUNDING = 1e-6
@@ -60,11 +55,7 @@ class SimulatorStepper(OwnValues, StepMethod):
     orders: ClassVar[dict[str, int]] = {"q": 1, "v": 1, "a": 1, "lam": 1, "x": 1, "y": 1}
 
     erp: float = option(0.2, _ERP, low=0.0, high=1.0, always=True)
-    linear_solver: str = option(
-        "auto",
-        LINEAR_SOLVERS,
-        choices=("auto", "dense", "sparse"),
-    )
+    linear_solver: str = linear_solver_option()
 
     @property
     def newton_settings(self) -> NewtonSettings:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from integrators.methods.rattle import KickedState, refused_control, refused_mass
+from integrators.methods.rattle import refused_control, refused_mass
 from integrators.native.guesses import Guess
+from integrators.native.own_values import StageState
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Time
+from integrators.native.step_work import StepWork
 from problems.dependence import force_takes_velocities
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import jnp
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
 
 
 @dataclass(frozen=True)
@@ -48,21 +46,20 @@ class StormerVerlet(ImplicitStepMethod):
             return f"{self.name} has no constraints; rattle is the same method with them."
         return refused_control(self.name, scene) or refused_mass(self.name, scene)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> KickedState:
-        z = start.z
-        shown = Reading(z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y)
-        return KickedState(shown, Guess.begin(z, start.xdot, h))
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
+        guess = Guess.begin(start.z, start.xdot, h)
+        return StageState(Reading.of(start.z, start.xdot), guess)
 
     def step(
-        self, scene: MechatronicSystem, state: KickedState, t: Time, h: Time, work: StepWork
-    ) -> KickedState:
-        now, guess = state.shown, state.guess
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        now = state.shown
         q, w = advance(scene, now.q, h * now.v, h**2 / 2 * now.a), now.v + h / 2 * now.a
         slopes, base = Slopes(0.0 * h, h / 2, h), Base(q, w, now.x)
         linear = jnp.inf if force_takes_velocities(scene) else 1
         e = stage_equations(scene, "index3", base, slopes, t, (q, t))
-        z, xdot = e.solve(work, guess.ahead(h), guess.last, linear)
-        return KickedState(Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y), guess.after(z, xdot, h))
+        z, xdot, guess = e.solve_from(work, state.guess, h, linear)
+        return StageState(Reading.of(z, xdot), guess)
 
-    def read(self, scene: MechatronicSystem, state: KickedState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: StageState) -> Reading:
         return state.shown

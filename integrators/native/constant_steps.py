@@ -8,43 +8,31 @@ memory does not grow with the number of steps.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import PreparedRun, Steps, Trajectory, Work
-from integrators.kept_rows import EVERY_STEP, is_row, most_rows, row_times, width_of
-from integrators.native import small_matrices
+from integrators.contract import Steps, Trajectory, Work
+from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native.endings import Ending
-from integrators.native.kernel import Kernel, SparseKernel
-from integrators.native.rows import bounded, flat, with_start
-from integrators.native.step_operations import run_bill
+from integrators.native.kernel import (
+    Form,
+    Kernel,
+    LoopRun,
+    SparseKernel,
+    bounded,
+    flat_row,
+    rewritten_step,
+)
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_records import COUNTS, StepReport
+from integrators.native.step_records import COUNTS, Scalar, Time
 from problems.formulations import Start
-from problems.initial_values import consistent_start
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float, Int
-
-    from integrators.native.step_records import Scalar, Time
-
-_OK, _NEWTON_FAILED, _DIVERGED, _REFUSED = (
-    int(ending) for ending in (Ending.OK, Ending.NEWTON_FAILED, Ending.DIVERGED, Ending.REFUSED)
-)
+_OK, _REFUSED, _DIVERGED = map(int, (Ending.OK, Ending.REFUSED, Ending.DIVERGED))
+_NEWTON_FAILED = int(Ending.NEWTON_FAILED)
 _PATTERN_SLOTS = 16
-#: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
-#: anew in every call. For large scenes they are those that a trajectory keeps, so that one call is
-#: enough.
-ROW_SLOTS = 1024
-
-
-def row_slots(scene: MechatronicSystem) -> int:
-    """Rows of a scene that one call of a kernel keeps."""
-    return min(ROW_SLOTS, most_rows(width_of(scene.sizes)))
 
 
 class Clock(NamedTuple):
@@ -93,8 +81,8 @@ def kept_steps(clock: Clock, steps: int, times: int) -> Int[np.ndarray, " k"]:
     return near[is_row(near, before, part, times) | (near == steps)]
 
 
-class ConstantStepsRun(PreparedRun):
-    """A run at constant steps or patterns; ``noted`` are the names of a reading's notes."""
+class ConstantStepsRun(LoopRun):
+    """A run at constant steps or patterns."""
 
     def __init__(
         self,
@@ -106,18 +94,11 @@ class ConstantStepsRun(PreparedRun):
         resolution: Steps,
     ) -> None:
         self._clock, self._steps = grid(scene.interval[0], t_end, resolution)
-        start = consistent_start(scene)
-        self._start, self._noted, self._t_end = start, noted, float(t_end)
-        self._program, self._scene = program, scene
-        self.kernel = kernel(program, scene.template())
-        self.arguments = self.kernel.pack(scene.parameters(), numbers, start, self._clock)
-        self._slots = row_slots(scene)
+        self._t_end = float(t_end)
+        super().__init__(kernel, program, numbers, noted, scene, self._clock)
         self.end_only = jnp.asarray(np.full(self._slots, self._steps)), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
-
-    def execute(self) -> Any:
-        return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def measure(self) -> Trajectory:
         times = row_times(self._steps, width_of(self._scene.sizes))
@@ -132,16 +113,13 @@ class ConstantStepsRun(PreparedRun):
                 break
         if int(end[2]) > done:
             parts.append(self._rows(np.array([int(end[2])]))[0])  # the last good step
-        ending, t, *counts = end
-        work = Work(int(counts[0]), 0, *map(int, counts[1:]))
         rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        values = with_start(self._start, rows[:, 1:], self._noted)
-        ended = self._program.cause(Ending(int(ending)), self._scene, values)
-        status, message = ended.outcome(float(t), self._t_end)
+        work = Work(int(end[2]), 0, *map(int, end[3:]))
+        run = self._trajectory(rows, end, self._t_end, work)
         numbers: Any = rows[:, 0].astype(int) - 1  # all at once
         _, sizes = step_times(self._clock, numbers)
-        values["notes"].setdefault("h", np.append(np.nan, sizes))
-        return Trajectory(**values, status=status, message=message, work=work)
+        run.notes.setdefault("h", np.append(np.nan, sizes))
+        return run
 
     def _rows(self, wanted: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
         """The rows of wanted steps, up to a failure, and the end of the run."""
@@ -149,9 +127,6 @@ class ConstantStepsRun(PreparedRun):
         kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
         # After a failure no row is reached. A slice is no copy of a large table.
         return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
-
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        return run_bill(self._program, self._scene, run, self.kernel.shapes(self.arguments))
 
 
 class _SparseKernel(SparseKernel):
@@ -169,12 +144,12 @@ class _SparseKernel(SparseKernel):
         rows, row_count = wanted
         kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
         _, end = self._attempt(*self.limited(steps, packed, *wanted))
-        t, _ = step_times(self.unpacked(packed)[-1], steps)
+        t, _ = step_times(self.form.unpack(packed)[-1], steps)
         return kept, jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
 
 
 @cache
-def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
+def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
     """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
 
     It takes the step numbers of the rows to keep ``(rows,)`` and their count; later entries are
@@ -182,9 +157,7 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
     and ``[ending, t, counts...]``.
     """
 
-    @small_matrices.without_products
-    def advance(p: dict, numbers: Numbers, state: Any, t: Time, h: Time) -> tuple[Any, StepReport]:
-        return program.step(template.with_parameters(p), numbers, state, t, h)
+    advance = rewritten_step(program, template)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
@@ -214,12 +187,12 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
             )
             n, state, ending, _, t = progress
             reached = jnp.where(ending == _OK, n, -1)
-            row = jnp.concatenate([jnp.stack([reached, t]), flat(program.read(scene, state))])
+            row = jnp.concatenate([jnp.stack([reached, t]), flat_row(program.read(scene, state))])
             return k + 1, kept.at[k].set(row), progress
 
         counts = (jnp.asarray(0),) * (1 + len(COUNTS))
         progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
-        width = 2 + flat(first).size
+        width = 2 + flat_row(first).size
         _, kept, progress = jax.lax.while_loop(
             lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
             to_row,
@@ -230,5 +203,5 @@ def kernel(program: StepProgram, template: MechatronicSystem) -> Kernel:
         return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
 
     if program.patterns:
-        return _SparseKernel(loop)
-    return Kernel(loop, ("constant steps", program, template))
+        return _SparseKernel(loop, form)
+    return Kernel(loop, form, ("constant steps", program, template))

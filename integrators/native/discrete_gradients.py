@@ -21,21 +21,16 @@ energy-based modeling of discrete-time physics", NeurIPS 33.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
-from integrators.native.dependencies import parts
-from integrators.native.equations import bound, evaluated
-from problems.runtime import jax, jnp
+from integrators.native.equations import bound, evaluated, split_arrays
+from problems.runtime import Array, Float, jax, jnp
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
-
-    Function = Callable[[Float[Array, " n"]], Float[Array, " m"]]
+Function = Callable[[Float[Array, " n"]], Float[Array, " m"]]
 
 
 class NoDiscreteGradient(Exception):
@@ -181,7 +176,7 @@ def _is_smooth(equation: Any, given: list, place: int) -> bool:
         return False
 
     def function(numbers: Array) -> Array:
-        return bound(equation, parts(numbers, shapes))[0]
+        return bound(equation, split_arrays(numbers, shapes))[0]
 
     try:
         graph, nodes = lowered(function, tuple(aval.size for aval in avals))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from problems.runtime import Float
 from problems.start_equations import missing_rank
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from numpy import ndarray
 
 

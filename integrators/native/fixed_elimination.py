@@ -18,19 +18,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 from operator import add, and_, sub
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from integrators.native import small_matrices
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Float, Int
-
-    #: Entries of a matrix, by row and column.
-    _Numbers: TypeAlias = dict[tuple[int, int], Array]
+#: Entries of a matrix, by row and column.
+_Numbers: TypeAlias = dict[tuple[int, int], Array]
 
 #: Most multiplications of an elimination that is written out: compiling takes longer with each.
 MOST_WORK = 600
@@ -48,7 +44,7 @@ class Pivot(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class EliminationPlan:
     """Elimination of the matrices of one pattern.
 
     Parameters
@@ -79,12 +75,12 @@ class Plan:
         self, products: Sequence[Float[Array, " n"]], b: Float[Array, " n"]
     ) -> Float[Array, " n"]:
         """Solve a x = b, given the products of a with the seeds."""
-        # Each stage stands apart, and values between them are numbers: XLA computes a number anew
+        # Each stage stands unfused, and values between them are numbers: XLA computes a number anew
         # for each array that it goes into.
-        triangle, right, firm = small_matrices.apart(self._forward, products, b)
-        x = jnp.stack(small_matrices.apart(self._backward, triangle, right))
+        triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
+        x = jnp.stack(small_matrices.unfused(self._backward, triangle, right))
         a = jnp.stack(products)
-        solved = firm & small_matrices.apart(self._solved, a, b, x)
+        solved = reliable & small_matrices.unfused(self._solved, a, b, x)
         return jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
 
     def solve_many(
@@ -92,9 +88,9 @@ class Plan:
     ) -> Float[Array, "n k"]:
         """Solve a x = b for k matrices side by side, given number by number; what one of them needs
         changes no other."""
-        triangle, right, firm = small_matrices.apart(self._forward, products, b)
-        x = small_matrices.apart(self._backward, triangle, right)
-        solved = firm & small_matrices.apart(self._all_solved, products, b, x)
+        triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
+        x = small_matrices.unfused(self._backward, triangle, right)
+        solved = reliable & small_matrices.unfused(self._all_solved, products, b, x)
         # Members that have failed have no numbers, and wait for the others.
         a = self._numbers(products)
         pivots = ~solved & jnp.isfinite(reduce(add, [*a.values(), *b]))
@@ -132,14 +128,14 @@ class Plan:
     def _forward(self, products: Sequence[Any], b: Any) -> tuple[_Numbers, list[Array], Array]:
         """Rows of the triangle with inverted pivots, right-hand sides, and whether each pivot is
         more than rounding of the terms that it is the sum of."""
-        w, right, firm = self._numbers(products), list(b), []
+        w, right, reliable = self._numbers(products), list(b), []
         terms: dict[tuple[int, int], list[Array]] = {
             (one.row, one.column): [] for one in self.pivots
         }
         for i, j, rows, columns in self.pivots:
             if terms[i, j]:
                 size = reduce(add, map(jnp.abs, terms[i, j]))
-                firm.append(jnp.abs(w[i, j]) > _BACKWARD * size)
+                reliable.append(jnp.abs(w[i, j]) > _BACKWARD * size)
             w[i, j] = 1 / w[i, j]
             for r in rows:
                 factor = w.pop((r, j)) * w[i, j]
@@ -149,7 +145,7 @@ class Plan:
                     w[r, c] = w[r, c] - change if (r, c) in w else -change
                     if (r, c) in terms:
                         terms[r, c].append(change)
-        return w, right, reduce(and_, firm, jnp.asarray(True))
+        return w, right, reduce(and_, reliable, jnp.asarray(True))
 
     def _backward(self, triangle: _Numbers, right: list[Array]) -> list[Array]:
         x = list(right)
@@ -173,13 +169,13 @@ class Plan:
         return small_matrices.solve(a, b)
 
 
-def planned(entries: Bool[np.ndarray, "n n"]) -> Plan | None:
+def planned(entries: Bool[np.ndarray, "n n"]) -> EliminationPlan | None:
     """Plan the elimination of matrices with a pattern; None if it is singular or much work."""
     return _planned(entries.tobytes(), len(entries))
 
 
 @lru_cache(256)
-def _planned(pattern: bytes, n: int) -> Plan | None:
+def _planned(pattern: bytes, n: int) -> EliminationPlan | None:
     entries = np.frombuffer(pattern, bool).reshape(n, n)
     left, pivots = entries.copy(), []
     for _ in range(n):
@@ -193,7 +189,7 @@ def _planned(pattern: bytes, n: int) -> Plan | None:
         left[i] = left[:, j] = False
         left |= np.outer(rows, columns)
         pivots.append(Pivot(i, j, *(tuple(np.flatnonzero(x).tolist()) for x in (rows, columns))))
-    plan = Plan(entries, _coloured(entries), tuple(pivots))
+    plan = EliminationPlan(entries, _coloured(entries), tuple(pivots))
     return plan if plan.work <= MOST_WORK else None
 
 

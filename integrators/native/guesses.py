@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from integrators.native.step_records import largest
-from problems.runtime import jnp
+from integrators.native.step_records import Scalar, largest
+from problems.runtime import Array, Bool, Float, jnp
 from problems.system import Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Float
-
-    from integrators.native.step_records import Scalar
 
 #: The guess is extrapolated if this would have left at most this part of the last change. In a
 #: vibration that the steps do not resolve extrapolation is worse, and Newton's method may fail.

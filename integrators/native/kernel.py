@@ -1,86 +1,93 @@
-"""Compiled time loops that are called with few arguments."""
+"""Compiled time loops that are called with few arguments, their runs, and the rows they keep."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from math import prod
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from integrators.native import klu
+from integrators.contract import PreparedRun, Trajectory, Work
+from integrators.kept_rows import most_rows, width_of
+from integrators.native import klu, small_matrices
+from integrators.native.endings import Ending
+from integrators.native.step_operations import run_bill
+from integrators.native.step_program import Carried, Numbers, StepProgram
+from integrators.native.step_records import Reading, StepReport, Time, largest
 from problems.exported_programs import exported
-from problems.runtime import jax, jnp, known_options
+from problems.formulations import Start
+from problems.initial_values import consistent_start
+from problems.layouts import row_layout
+from problems.runtime import Array, Bool, Float, Int, jax, jnp, known_options
+from problems.system import MechatronicSystem
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
+
+class Form(NamedTuple):
+    """The form of a kernel's arguments: their structure, and shapes and types of its arrays.
+
+    The many small arguments of a kernel travel as one array, as each array that goes into a
+    compiled program or comes back costs as much as a step.
+    """
+
+    tree: Any
+    shapes: tuple[tuple[int, ...], ...]
+    types: tuple[str, ...]
+
+    @classmethod
+    def of(cls, *arguments: Any) -> Form:
+        """Find the form of parameters, numbers, start and time: floats, and integers below 2^53."""
+        leaves, tree = jax.tree.flatten(arguments)
+        leaves = [np.asarray(leaf) for leaf in leaves]
+        shapes = tuple(leaf.shape for leaf in leaves)
+        return cls(tree, shapes, tuple(leaf.dtype.str for leaf in leaves))
+
+    def pack(self, *arguments: Any) -> Float[Array, " n"]:
+        """Put arguments of this form into one array."""
+        if Form.of(*arguments)[:2] != self[:2]:
+            raise RuntimeError(
+                "A kernel takes arguments of one form; another needs its own program."
+            )
+        leaves = jax.tree.leaves(arguments)
+        return jnp.asarray(np.concatenate([np.ravel(leaf).astype(float) for leaf in leaves]))
+
+    def unpack(self, packed: Float[Array, " n"]) -> Any:
+        """Return the arguments that were packed."""
+        parts = jnp.split(packed, np.cumsum([prod(shape) for shape in self.shapes])[:-1])
+        leaves = zip(parts, self.shapes, self.types, strict=True)
+        arrays = [part.reshape(shape).astype(dtype) for part, shape, dtype in leaves]
+        return jax.tree.unflatten(self.tree, arrays)
+
+    @property
+    def structs(self) -> Any:
+        """Shapes and types in the place of the arguments."""
+        pairs = zip(self.shapes, self.types, strict=True)
+        return jax.tree.unflatten(self.tree, [jax.ShapeDtypeStruct(*pair) for pair in pairs])
 
 
 class Kernel:
-    """A compiled time loop; its many small arguments travel as one array.
-
-    Each array that goes into a compiled program or comes back costs as much as a step.
+    """A compiled time loop.
 
     Parameters
     ----------
     loop
         Traceable function of (parameters, numbers, start, time, *wanted); ``wanted`` selects the
         rows to keep.
+    form
+        Form of the arguments but ``wanted``.
     about
-        All that decides the loop, so that its trace can be kept; None if it cannot.
+        All that decides the loop beside the form, so that its trace can be kept; None if it cannot.
     """
 
-    def __init__(self, loop: Callable, about: tuple | None = None) -> None:
-        self._unpack: Callable | None = None
-        self._form: Any = None
-        self._types: tuple[str, ...] = ()
-        self._shapes: Any = None
-
+    def __init__(self, loop: Callable, form: Form, about: tuple | None = None) -> None:
         def run(packed: Array, *wanted: Any) -> Any:
-            return loop(*self.unpacked(packed), *wanted)
+            return loop(*form.unpack(packed), *wanted)
 
-        self.compiled = (
-            exported(run, lambda: (about, str(self._form), self._types)) if about else jax.jit(run)
-        )
-        self._run = run
-
-    def pack(self, *arguments: Any) -> Float[Array, " n"]:
-        """Pack parameters, numbers, start and time: floats, and integers below 2^53."""
-        leaves, tree = jax.tree.flatten(arguments)
-        leaves = [np.asarray(leaf) for leaf in leaves]
-        cuts = np.cumsum([leaf.size for leaf in leaves])[:-1]
-
-        def unpack(packed: Array) -> Any:
-            parts = jnp.split(packed, cuts)
-            return jax.tree.unflatten(
-                tree,
-                [
-                    part.reshape(leaf.shape).astype(leaf.dtype)
-                    for part, leaf in zip(parts, leaves, strict=True)
-                ],
-            )
-
-        form = tree, tuple(leaf.shape for leaf in leaves)
-        if self._form not in (None, form):
-            raise RuntimeError(
-                "A kernel takes arguments of one form; another needs its own program."
-            )
-        self._form, self._unpack = form, self._unpack or unpack
-        self._types = self._types or tuple(leaf.dtype.str for leaf in leaves)
-        return jnp.asarray(np.concatenate([leaf.ravel().astype(float) for leaf in leaves]))
-
-    def unpacked(self, packed: Float[Array, " n"]) -> Any:
-        """The arguments that were packed; RuntimeError if this kernel has packed none yet."""
-        if self._unpack is None:
-            raise RuntimeError("A kernel unpacks only arguments that it has packed.")
-        return self._unpack(packed)
-
-    def shapes(self, packed: Float[Array, " n"]) -> Any:
-        """The shapes of the arguments that were packed."""
-        self._shapes = self._shapes or jax.eval_shape(self.unpacked, packed)
-        return self._shapes
+        about = about and (about, str(form[:2]), form.types)
+        self.compiled = exported(run, about) if about else jax.jit(run)
+        self.form, self._run = form, run
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)
@@ -138,3 +145,127 @@ class SparseKernel(Kernel):
             if klu.FAILURE in str(error):
                 return None
             raise
+
+
+#: A run whose q and v, or x, have grown by this factor is called diverged.
+GROWTH_LIMIT = 1e12
+#: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
+#: anew in every call. For large scenes they are those that a trajectory keeps, so that one call is
+#: enough.
+ROW_SLOTS = 1024
+
+
+class LoopRun(PreparedRun):
+    """A run of a compiled time loop.
+
+    Parameters
+    ----------
+    kernel
+        The time loop of a program on a kind of scene.
+    program, numbers
+        The method.
+    noted
+        Names of the notes of a reading.
+    scene
+        The scene; the run begins at its start.
+    times
+        Steps or tolerances as the loop takes them.
+    """
+
+    #: Arguments of the kernel that select the last row alone, and none at all.
+    end_only: tuple[Array, Array]
+
+    def __init__(
+        self,
+        kernel: Callable[[StepProgram, MechatronicSystem, Form], Kernel],
+        program: StepProgram,
+        numbers: Numbers,
+        noted: tuple[str, ...],
+        scene: MechatronicSystem,
+        times: Any,
+    ) -> None:
+        self._start, self._noted = consistent_start(scene), noted
+        self._program, self._scene = program, scene
+        self._parts = scene.parameters(), numbers, self._start
+        form = Form.of(*self._parts, times)
+        self.kernel = kernel(program, scene.template(), form)
+        self.arguments = form.pack(*self._parts, times)
+        # Rows that one call of the kernel keeps.
+        self._slots = min(ROW_SLOTS, most_rows(width_of(scene.sizes)))
+
+    def execute(self) -> Any:
+        return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
+
+    def bill(self, run: Trajectory) -> dict[str, float]:
+        return run_bill(self._program, self._scene, run, self.kernel.form.structs)
+
+    def _trajectory(
+        self, rows: np.ndarray, end: np.ndarray, t_end: float, work: Work, max_steps: int = 0
+    ) -> Trajectory:
+        """The trajectory of rows ``[step, t, ...]`` and of ``[ending, t, ...]``."""
+        values = _with_start(self._start, self._scene, rows[:, 1:], self._noted)
+        ended = self._program.cause(Ending(int(end[0])), self._scene, values)
+        status, message = ended.outcome(float(end[1]), t_end, max_steps)
+        return Trajectory(**values, status=status, message=message, work=work)
+
+
+def flat_row(reading: Reading) -> Float[Array, " n"]:
+    """All numbers of a reading in one array."""
+    return jnp.concatenate([jnp.atleast_1d(part) for part in jax.tree.leaves(reading)])
+
+
+def bounded(first: Reading) -> Callable[[Reading], Bool[Array, ""]]:
+    """The test that a reading is finite and has not grown beyond all bounds since the first one."""
+    bound = GROWTH_LIMIT * (1.0 + largest(first.q, first.v))
+    bound_x = GROWTH_LIMIT * (1.0 + largest(first.x, 0.0))
+
+    def sane(now: Reading) -> Bool[Array, ""]:
+        # A comparison with NaN is false: not finite counts as grown beyond the bound.
+        grown_little = (largest(now.q, now.v) < bound) & (largest(now.x, 0.0) < bound_x)
+        return grown_little & jnp.isfinite(largest(now.a, now.lam, now.xdot, now.y))
+
+    return sane
+
+
+class KeptRows(NamedTuple):
+    """Rows of a run with an unknown number of steps: those of `is_row`, from ``first`` on."""
+
+    table: Float[Array, "k n"]
+    #: Number of rows so far, those before ``first`` included.
+    number: Int[Array, ""]
+
+    def with_row(self, row: Array, kept: Bool[Array, ""], first: Array) -> Self:
+        """Take the row of a step if it is kept."""
+        number = self.number + kept
+        place = jnp.where(kept & (number >= first), number - first, len(self.table))
+        return type(self)(self.table.at[place].set(row, mode="drop"), number)
+
+
+def rewritten_step(program: StepProgram, template: MechatronicSystem) -> Callable:
+    """The step of a program on a kind of scene as a function of (p, numbers, state, t, h)."""
+
+    @small_matrices.without_products
+    def step(
+        p: dict, numbers: Numbers, state: Carried, t: Time, h: Time
+    ) -> tuple[Carried, StepReport]:
+        return program.step(template.with_parameters(p), numbers, state, t, h)
+
+    return step
+
+
+def _with_start(
+    start: Start, scene: MechatronicSystem, rows: np.ndarray, noted: tuple[str, ...]
+) -> dict[str, Any]:
+    """Fields of a Trajectory from rows ``(k, [t, q, v, a, lam, x, xdot, y, notes])`` of a kernel.
+
+    The scene's start is the first row; its notes are NaN, because no step led to it.
+    """
+    z = start.z
+    first = z.t, z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y, np.full(len(noted), np.nan)
+    table = np.concatenate([np.hstack(first)[None], rows])
+    *groups, notes = row_layout(scene.sizes, len(noted)).split(table[:, 1:])
+    return {
+        "t": table[:, 0],
+        **dict(zip(Reading._fields[:-1], groups, strict=True)),
+        "notes": dict(zip(noted, notes.T, strict=True)),
+    }

@@ -12,18 +12,14 @@ single runs: there is no rule for `jax.vmap`.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from problems.runtime import jax, jnp, slower
+from problems.runtime import Array, Float, Int, UInt, jax, jnp, slower
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float, Int, UInt
-
-    #: The address of a factorisation, one integer; zero for none.
-    Address: TypeAlias = UInt[Array, " one"]
+#: The address of a factorisation, one integer; zero for none.
+Address: TypeAlias = UInt[Array, " one"]
 
 #: KLU's complaint about a singular matrix; the compiled program ends with it.
 FAILURE = "klu_factor"
@@ -46,7 +42,7 @@ def none() -> Address:
     return jnp.zeros(1, jnp.uint64)
 
 
-def solve(
+def solve_once(
     pattern: Analysis, values: Float[Array, " e"], right: Float[Array, " n"]
 ) -> Float[Array, " n"]:
     """Solve the equations of a matrix with these values of the pattern's entries."""
@@ -95,7 +91,7 @@ def works() -> bool:
         @jax.jit
         def solutions(values: Array, right: Array) -> tuple[Array, Array, Address]:
             factors = factorised(pattern, values, none())
-            return solve(pattern, values, right), solve_by(factors, pattern, right), factors
+            return solve_once(pattern, values, right), solve_by(factors, pattern, right), factors
 
         *both, factors = solutions(jnp.array([2.0, 1.0, 4.0]), jnp.array([2.0, 9.0]))
         jax.block_until_ready(free(factors))

@@ -20,24 +20,22 @@ from integrators.lowering.graph import NotLowered
 from integrators.lowering.programs import lowered
 from integrators.lowering.side_by_side import side_by_side
 from integrators.native import klu, small_matrices
-from integrators.native.dependencies import (
-    parts,
-    pattern,
+from integrators.native.equations import (
     replaced,
+    split_arrays,
+    tangent_pattern,
     traced_constants,
     with_constants,
 )
-from integrators.native.fixed_elimination import Plan, planned
+from integrators.native.fixed_elimination import EliminationPlan, planned
 from problems import runtime
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.sparsity import Pattern
 
 if TYPE_CHECKING:
-    from jax import Array
     from jax.extend.core import ClosedJaxpr
-    from jaxtyping import Bool, Float
 
-    Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
 #: Most operations on arrays of all products with a tangent that are written out one by one, which
@@ -93,7 +91,7 @@ class DenseSolver(LinearSolver):
             residual = partial(with_constants, program, constants)
             return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))
 
-        def in_order(order: Plan, u: Array, *constants: Array) -> Array:
+        def in_order(order: EliminationPlan, u: Array, *constants: Array) -> Array:
             r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
             return order.solve(products, r)
 
@@ -133,13 +131,13 @@ class DenseSolver(LinearSolver):
 DENSE = DenseSolver()
 
 
-def _order(program: ClosedJaxpr, n: int) -> Plan | None:
+def _order(program: ClosedJaxpr, n: int) -> EliminationPlan | None:
     """Order of the elimination; None for full matrices, also if JAX names parts of programs
     otherwise than today."""
     if not 0 < n <= small_matrices.MOST or not runtime.joins_loops():
         return None
     try:
-        return planned(pattern(program, n))
+        return planned(tangent_pattern(program, n))
     except NotLowered as error:
         runtime.slower(f"Full Newton runs slowly: programs cannot be followed ({error}).")
         return None
@@ -156,14 +154,14 @@ def _linearised(
         programs.append(jax.make_jaxpr(linear)(u))
         return r, list(programs[-1].consts)
 
-    r, constants = small_matrices.apart(coefficients, u)
+    r, constants = small_matrices.unfused(coefficients, u)
     product = partial(with_constants, programs[-1], constants)
     if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
         return r, list(jax.vmap(product)(jnp.asarray(seeds)))
     return r, [product(jnp.asarray(seed)) for seed in seeds]
 
 
-def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | None:
+def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:
     """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
     the residual's program cannot be followed number by number."""
     u, *_ = program.jaxpr.invars
@@ -172,14 +170,14 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
     linear: list[ClosedJaxpr] = []
 
     def coefficients(numbers: Array) -> Array:
-        u, *constants = parts(numbers, shapes)
+        u, *constants = split_arrays(numbers, shapes)
         residual = partial(with_constants, program, replaced(program, differs, constants))
         r, product = jax.linearize(residual, u)
         linear.append(jax.make_jaxpr(product)(u))
         return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
 
     def products(numbers: Array) -> Array:
-        constants = parts(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
+        constants = split_arrays(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
         product = partial(with_constants, linear[-1], constants)
         return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
 
@@ -194,8 +192,8 @@ def _side_by_side(program: ClosedJaxpr, order: Plan) -> Callable[..., Array] | N
     def many(u: Array, *constants: Array) -> Array:
         given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
         numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
-        found = small_matrices.apart(steps[0], *numbers)
-        entries = small_matrices.apart(steps[1], *found[n:])
+        found = small_matrices.unfused(steps[0], *numbers)
+        entries = small_matrices.unfused(steps[1], *found[n:])
         return order.solve_many(entries, found[:n])
 
     return many
@@ -213,7 +211,7 @@ class SparseSolver(LinearSolver):
     analysis: klu.Analysis
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        return klu.solve(self.analysis, self.pattern.values(residual, u), residual(u))
+        return klu.solve_once(self.analysis, self.pattern.values(residual, u), residual(u))
 
     def nothing_kept(self, size: int) -> Array:
         return klu.none()

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from integrators.contract import Integrator, option
+from integrators.native.guesses import Guess
 from integrators.native.step_method import ErrorControl, NativeMethod
-from integrators.native.step_records import Reading
+from integrators.native.step_records import Reading, Time
+from integrators.native.step_work import StepWork
 from problems import formulations
-from problems.formulations import Baumgarte, complete
+from problems.formulations import Baumgarte, Start, complete
 from problems.kinematics import advance
-from problems.runtime import jnp
+from problems.runtime import Array, jnp
 from problems.spec import SpecError, format_value
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-
-    from integrators.native.step_work import StepWork
 
 #: Options by name: another option, and the value of it without which they decide nothing.
 Needs: TypeAlias = dict[str, tuple[str, str]]
 
 #: What `formulation` means, for the lists of options.
-FORMULATIONS = (
+FORMULATION_TEXT = (
     "constraints that hold: index3, of positions; index2, of velocities; stabilised_index2, both "
     "(Gear, Gupta & Leimkuhler)"
 )
@@ -66,10 +63,26 @@ class OwnValues(NativeMethod):
         if work is not None and self.values == "equations":
             z, xdot = complete(scene, z.q, z.v, z.x, z.t)
             work.count(residuals=1)
-        return Reading(z.q, z.v, z.a, z.lam, z.x, xdot, z.y)
+        return Reading.of(z, xdot)
 
     def read(self, scene: MechatronicSystem, state: Any) -> Reading:
         return state.shown
+
+
+class StageState(NamedTuple):
+    """Values that are reported at the end of the last step, and the guess of the next one."""
+
+    shown: Reading
+    guess: Guess
+
+
+@dataclass(frozen=True)
+class StageMethod(OwnValues):
+    """Base of methods whose steps pass on nothing else."""
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
+        guess = Guess.begin(start.z, start.xdot, h)
+        return StageState(self.reported(scene, start.z, start.xdot), guess)
 
 
 @dataclass(frozen=True)
@@ -77,7 +90,7 @@ class Formulated(NativeMethod):
     """Base of methods that solve the constrained equations in one of three formulations."""
 
     formulation: str = option(
-        "index3", FORMULATIONS, choices=("index3", "index2", "stabilised_index2")
+        "index3", FORMULATION_TEXT, choices=("index3", "index2", "stabilised_index2")
     )
 
 
@@ -163,7 +176,7 @@ class FreeSteps(Conditional, ErrorControl):
         return replace(self, steps="constant", **others)
 
 
-def projected(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
+def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
     """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
 
     As `problems.projections.projected_state`, with the matrix at z alone.

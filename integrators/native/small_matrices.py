@@ -11,15 +11,11 @@ from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from math import prod
 from operator import add
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from integrators.native.equations import bound, evaluated, is_program
 from problems import runtime
-from problems.runtime import jax, jnp
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
+from problems.runtime import Array, Float, jax, jnp
 
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32
@@ -97,11 +93,11 @@ def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[A
     """
     w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
     for k in range(a.shape[1]):
-        w = apart(partial(_eliminated, k), w)
+        w = unfused(partial(_eliminated, k), w)
     return jnp.moveaxis(w, 2, 0)
 
 
-def apart(function: Callable, *args: Any) -> Any:
+def unfused(function: Callable, *args: Any) -> Any:
     """Compute function(*args) in a branch that is always taken.
 
     XLA repeats cheap computations at every use, and would eliminate many times over. It does not

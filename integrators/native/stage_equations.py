@@ -22,23 +22,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from integrators.native.step_records import largest
+from integrators.native.guesses import Guess
+from integrators.native.step_records import Scalar, Time, largest
+from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.kinematics import advance
 from problems.layouts import Layout, stage_layout
-from problems.runtime import jnp
+from problems.runtime import Array, Float, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
-
-    from integrators.native.step_records import Scalar, Time
-    from integrators.native.step_work import StepWork
 
 _EPS = float(np.finfo(float).eps)
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.
@@ -78,6 +73,21 @@ class StageEquations(NamedTuple):
     layout: Layout
     rounding: tuple[Scalar, Scalar, Scalar]
     noise: Sequence[Scalar] | None = None
+
+    def solve_from(
+        self, work: StepWork, guess: Guess, h: Scalar, enough: Scalar = math.inf
+    ) -> tuple[Variables, Array, Guess]:
+        """Solve from the values ahead of a guess; return variables, xdot and the next guess.
+
+        Parameters
+        ----------
+        h
+            Size of the step in s.
+        enough
+            See `StepWork.solve`.
+        """
+        z, xdot = self.solve(work, guess.ahead(h), guess.last, enough)
+        return z, xdot, guess.after(z, xdot, h)
 
     def solve(
         self, work: StepWork, guess: Array, old: Array, enough: Scalar = math.inf

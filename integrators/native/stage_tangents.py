@@ -10,30 +10,24 @@ stages of n unknowns this takes 2/3 n^3 (1 + 4) operations instead of 2/3 n^3 27
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from integrators.native import small_matrices
-from integrators.native.linear_solvers import LinearSolver
+from integrators.native.linear_solvers import LinearSolver, Residual
 from integrators.operations import Algebra, dense
-from problems.runtime import jnp
+from problems.runtime import Array, Bool, Float, jnp
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Float
-
-    from integrators.native.linear_solvers import Residual
-
-    #: Unknowns of all stages to a function: slope in steps to the tangent of a stage.
-    Tangents: TypeAlias = Callable[[Array], Callable[[complex], Array]]
+#: Unknowns of all stages to a function: slope in steps to the tangent of a stage.
+TangentsBySlope: TypeAlias = Callable[[Array], Callable[[complex], Array]]
 
 #: Operations of complex arithmetic, in those of real arithmetic.
 _COMPLEX = 4
 
 
 class StageTangents(LinearSolver):
-    """Tangents of s coupled stages, kept as an inverse for each slope.
+    """TangentsBySlope of s coupled stages, kept as an inverse for each slope.
 
     Unknowns are ordered component by component, residuals stage by stage.
 
@@ -45,7 +39,7 @@ class StageTangents(LinearSolver):
         From unknowns of all stages, the function that gives a single stage's tangent by its slope.
     """
 
-    def __init__(self, a: np.ndarray, tangents: Tangents) -> None:
+    def __init__(self, a: np.ndarray, tangents: TangentsBySlope) -> None:
         slopes, columns = np.linalg.eig(a)
         rows = np.linalg.inv(columns)
         self.stages, self._tangents = len(a), tangents

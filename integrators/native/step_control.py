@@ -23,18 +23,12 @@ A method with a published control of its own states it by ``choose`` instead.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from integrators.native.step_functions import StepFunctions
-from integrators.native.step_records import Errors, Reading
+from integrators.native.step_records import Errors, Reading, Scalar, Time
 from problems.formulations import Start
-from problems.runtime import jnp
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Int
-
-    from integrators.native.step_records import Scalar, Time
+from problems.runtime import Array, Bool, Int, jnp
 
 _SAFETY = 0.9
 #: Factors of a rejected step.

@@ -8,22 +8,20 @@ knows its time loop.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
+from integrators.native.step_records import (
+    Attempt,
+    Choice,
+    Errors,
+    MethodState,
+    Reading,
+    Scalar,
+    Time,
+)
+from integrators.native.step_work import StepWork
 from problems.formulations import Start
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from integrators.native.step_records import (
-        Attempt,
-        Choice,
-        Errors,
-        MethodState,
-        Reading,
-        Scalar,
-        Time,
-    )
-    from integrators.native.step_work import StepWork
 
 
 class StepFunctions(ABC):

@@ -23,10 +23,11 @@ from problems.sparsity import Pattern, uses_sparse
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: Choices of `linear_solver`, for the lists of options.
-LINEAR_SOLVERS = (
-    "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill"
-)
+
+def linear_solver_option() -> Any:
+    """Return the option that chooses the linear algebra of tangents."""
+    text = "dense; sparse: KLU on the tangent's pattern (extra [sparse]); auto: by size and fill"
+    return option("auto", text, choices=("auto", "dense", "sparse"))
 
 
 class NewtonSettings(NamedTuple):
@@ -166,11 +167,7 @@ class NewtonOptions(NativeMethod):
         "full: a new tangent in every iteration; modified: kept over steps while it contracts",
         choices=("full", "modified"),
     )
-    linear_solver: str = option(
-        "auto",
-        LINEAR_SOLVERS,
-        choices=("auto", "dense", "sparse"),
-    )
+    linear_solver: str = linear_solver_option()
 
     @property
     def newton_settings(self) -> NewtonSettings:

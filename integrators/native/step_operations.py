@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from integrators.contract import Trajectory
-from integrators.native.linear_solvers import SparseSolver
+from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_work import EquationsFinder
+from integrators.native.step_work import EquationsFinder, Residual
 from integrators.operations import NOTHING, Algebra, Operations, bill, dense, operations, sparse
 from problems.exported_programs import found_once
 from problems.formulations import Start
 from problems.named_equations import with_named_blocks
-from problems.runtime import jax
+from problems.runtime import Array, Float, jax
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
-
-    from integrators.native.stage_tangents import StageTangents
-    from integrators.native.step_work import Residual
 
 
 class EquationCosts(NamedTuple):
@@ -42,9 +35,9 @@ class StepCosts(NamedTuple):
 class _CostFinder(EquationsFinder):
     """Counts the operations of the equations of a step, and solves none."""
 
-    def __init__(self, program: StepProgram, numbers: Numbers) -> None:
+    def __init__(self, program: StepProgram) -> None:
         super().__init__()
-        self._program, self._numbers = program, numbers
+        self._program = program
         self.costs: list[EquationCosts] = []
 
     def solve(
@@ -55,55 +48,39 @@ class _CostFinder(EquationsFinder):
         split: StageTangents | None = None,
         **named: Any,
     ) -> Any:
-        self._add_costs(residual, guess, beside=not self._program.keeps_tangents, split=split)
+        if self._program.keeps_tangents:
+            self._add_costs(residual, guess, split)
+        else:
+            # Tangents come beside a residual, with which they share parts.
+            costs = self._add_costs(residual, guess, joint=True)
+            alone = costs.tangent.plus(costs.residual.times(-1))
+            self.costs[-1] = costs._replace(tangent=alone)
         return super().solve(residual, guess, *more, **named)
 
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Any:
         # No iteration is counted that would bill the residual: it belongs to the tangent.
-        self._add_costs(residual, guess, beside=False, both=True)
+        self._add_costs(residual, guess, joint=True)
         return super().solve(residual, guess)
 
     def _add_costs(
         self,
         residual: Residual,
         guess: Array,
-        beside: bool,
-        both: bool = False,
         split: StageTangents | None = None,
-    ) -> None:
-        """Add the costs of equations.
-
-        Parameters
-        ----------
-        beside
-            True if tangents come beside a residual, with which they share parts.
-        both
-            True if the costs of a tangent are to hold those of the residual.
-        split
-            Solver of coupled stages, which modified Newton takes.
-        """
-        patterns, k = self._program.patterns, len(self.costs)
-        solver = SparseSolver(patterns[k], self._numbers.analyses[k]) if patterns else None
-        of_residual = operations(residual, guess)
-
-        if not self._program.keeps_tangents or patterns:
-            split = None
-
-        def tangent(u: Array) -> Any:
-            if split:
-                return split.assembled(u)
-            return solver.pattern.values(residual, u) if solver else jax.jacfwd(residual)(u)
-
-        of_tangent = operations(
-            lambda u: (residual(u), tangent(u)) if beside or both else tangent(u), guess
-        )
-        if beside:
-            of_tangent = of_tangent.plus(of_residual.times(-1))
+        joint: bool = False,
+    ) -> EquationCosts:
+        """Add the costs of equations; those of a ``joint`` tangent hold those of its residual."""
+        patterns, k, size = self._program.patterns, len(self.costs), len(guess)
         if patterns:
-            algebra = sparse(patterns[k].rows, patterns[k].columns, len(guess))
+            tangent = partial(patterns[k].values, residual)
+            algebra = sparse(patterns[k].rows, patterns[k].columns, size)
+        elif split:
+            tangent, algebra = split.assembled, split.algebra(size)
         else:
-            algebra = split.algebra(len(guess)) if split else dense(len(guess))
-        self.costs.append(EquationCosts(of_residual, of_tangent, algebra))
+            tangent, algebra = jax.jacfwd(residual), dense(size)
+        both = operations(lambda u: (residual(u), tangent(u)) if joint else tangent(u), guess)
+        self.costs.append(EquationCosts(operations(residual, guess), both, algebra))
+        return self.costs[-1]
 
 
 _costs: dict[tuple[StepProgram, MechatronicSystem], StepCosts] = {}
@@ -139,7 +116,7 @@ def _step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) 
         return method.begin(named.with_parameters(p), start, h)
 
     def step(p: Any, numbers: Numbers, state: Any, t: Any, h: Any) -> Any:
-        finder, scene = _CostFinder(program, numbers), named.with_parameters(p)
+        finder, scene = _CostFinder(program), named.with_parameters(p)
         method = program.functions.with_numbers(numbers.method)
         after = method.step(scene, state, t, h, finder)
         found[:] = finder.costs

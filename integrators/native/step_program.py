@@ -9,24 +9,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from integrators.native import klu
-from integrators.native.dependencies import with_constants
 from integrators.native.endings import Ending
+from integrators.native.equations import with_constants
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.step_functions import StepFunctions
-from integrators.native.step_records import Attempt, Choice, Errors, Reading, StepReport
+from integrators.native.step_records import (
+    MethodState,
+    Reading,
+    Scalar,
+    StepReport,
+    Time,
+)
 from integrators.native.step_work import EquationsFinder, StepWork, keeper
 from problems.formulations import Start
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Bool, jax, jnp
 from problems.sparsity import NoPattern, Pattern
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Variables
 
 if TYPE_CHECKING:
-    from jax import Array
     from jax.extend.core import ClosedJaxpr
-    from jaxtyping import Bool
-
-    from integrators.native.step_records import MethodState, Scalar, Time
 
 
 class Numbers(NamedTuple):
@@ -41,11 +43,11 @@ class Numbers(NamedTuple):
     analyses: tuple[klu.Analysis, ...] = ()
 
 
-class _Carried(NamedTuple):
-    """A state with the tangents that modified Newton keeps."""
+class Carried(NamedTuple):
+    """What a step passes to the next one: the method's state, and tangents of modified Newton."""
 
     state: MethodState
-    kept: tuple[Any, ...]
+    kept: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,81 +76,54 @@ class StepProgram:
     explicit: bool = False
     dense: LinearSolver = DENSE
 
-    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Any:
-        """The state at t0, before a first step of size h in s."""
-        functions = self.functions.with_numbers(numbers.method)
-        state = functions.begin(scene, start, h)
+    def method(self, numbers: Numbers) -> StepFunctions:
+        """The step functions with their numbers."""
+        return self.functions.with_numbers(numbers.method)
+
+    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Carried:
+        """Begin at t0, before a first step of size h in s."""
+        method = self.method(numbers)
+        state = method.begin(scene, start, h)
         if not self.keeps_tangents:
-            return state
+            return Carried(state)
         finder = EquationsFinder()
-        jax.eval_shape(lambda: functions.step(scene, state, start.z.t + h, h, finder))
+        jax.eval_shape(lambda: method.step(scene, state, start.z.t + h, h, finder))
         kept = (
             keeper(self._solver(k, numbers), equations.split).nothing_kept(equations.size)
             for k, equations in enumerate(finder.found)
         )
-        return _Carried(state, tuple(kept))
+        return Carried(state, tuple(kept))
 
     def step(
-        self, scene: MechatronicSystem, numbers: Numbers, state: Any, t: Time, h: Time
-    ) -> tuple[Any, StepReport]:
-        """The state after a step of size h to time t, and the work that was done."""
-        before, kept = state if self.keeps_tangents else (state, None)
+        self, scene: MechatronicSystem, numbers: Numbers, before: Carried, t: Time, h: Time
+    ) -> tuple[Carried, StepReport]:
+        """Take a step of size h to time t; return what it passes on, and the work that was done."""
+        kept = before.kept if self.keeps_tangents else None
         work = StepWork(lambda k: self._solver(k, numbers), kept, numbers.tolerance, numbers.most)
-        functions = self.functions.with_numbers(numbers.method)
-        after = functions.step(scene, before, t, h, work)
-        if self.keeps_tangents:
-            after = _Carried(after, tuple(work.kept))
-        return after, work.report()
+        state = self.method(numbers).step(scene, before.state, t, h, work)
+        return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
 
-    def read(self, scene: MechatronicSystem, state: Any) -> Reading:
-        """The variables of a state."""
-        return self.functions.read(scene, self._of_method(state))
+    def read(self, scene: MechatronicSystem, now: Carried) -> Reading:
+        """Return the variables."""
+        return self.functions.read(scene, now.state)
 
     def cause(self, ending: Ending, scene: MechatronicSystem, rows: dict[str, Any]) -> Ending:
-        """The true name of an ending, from the rows before it."""
+        """Return the true name of an ending, from the rows before it."""
         if self.functions.takes_redundant:
             return ending
         return ending.with_cause(scene, rows["q"][-1], float(rows["t"][-1]))
 
-    def estimate(self, numbers: Numbers, before: Any, after: Any, h: Time) -> Errors:
-        """Estimated errors of the step from one state to the next."""
-        functions = self.functions.with_numbers(numbers.method)
-        return functions.estimate(self._of_method(before), self._of_method(after), h)
-
-    def order_of(self, after: Any) -> Scalar:
-        """Order of the step that led to a state."""
-        return self.functions.order_of(self._of_method(after))
-
-    def ratios(self, numbers: Numbers) -> tuple[Scalar, Scalar]:
-        """Smallest and largest ratio of the next step to an accepted one."""
-        return self.functions.with_numbers(numbers.method).ratios()
-
-    def choose(self, numbers: Numbers, tried: Attempt) -> Choice | None:
-        """The method's own choice of steps, if it has one."""
-        before, after = self._of_method(tried.before), self._of_method(tried.after)
-        functions = self.functions.with_numbers(numbers.method)
-        return functions.choose(tried._replace(before=before, after=after))
-
-    def first_step(self, numbers: Numbers, h: Time) -> Time:
-        """The first step to try; h (s) is the controller's."""
-        return self.functions.with_numbers(numbers.method).first_step(h)
-
-    def after_try(self, accepted: Bool[Array, ""], after: Any, before: Any) -> Any:
-        """The state for the next step: ``after`` if the last one was accepted, else ``before``."""
+    def chosen(self, accepted: Bool[Array, ""], after: Carried, before: Carried) -> Carried:
+        """Return ``after`` if its step was accepted, else ``before``."""
         chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), after, before)
-        if self.keeps_tangents and self.patterns:
-            # The factorisation from before the step may be freed already.
-            return chosen._replace(kept=after.kept)
-        return chosen
+        # The sparse factorisations from before the step may be freed already.
+        return chosen._replace(kept=after.kept) if self.patterns else chosen
 
-    def finish(self, state: Any) -> None:
-        """Free the factorisations of the last state."""
-        if self.keeps_tangents and self.patterns:
-            for kept in state.kept:
+    def finish(self, last: Carried) -> None:
+        """Free the factorisations that are still kept."""
+        if self.patterns:
+            for kept in last.kept:
                 klu.free(kept)
-
-    def _of_method(self, state: Any) -> MethodState:
-        return state.state if self.keeps_tangents else state
 
     def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
         if self.explicit:

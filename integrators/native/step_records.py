@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from problems.runtime import jnp
+from problems.runtime import Array, Bool, Float, Int, jnp
+from problems.system import Variables
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Float, Int
-
-    #: A number, which may be traced.
-    Scalar: TypeAlias = Float[Array, ""] | float
-    #: A time or a step in s.
-    Time: TypeAlias = Float[Array, ""]
-    #: A pytree of arrays; only the method itself reads its parts.
-    MethodState: TypeAlias = Any
+#: A number, which may be traced.
+Scalar: TypeAlias = Float[Array, ""] | float
+#: A time or a step in s.
+Time: TypeAlias = Float[Array, ""]
+#: A pytree of arrays; only the method itself reads its parts.
+MethodState: TypeAlias = Any
 
 
 class Reading(NamedTuple):
@@ -32,6 +29,11 @@ class Reading(NamedTuple):
     xdot: Float[Array, " nx"]
     y: Float[Array, " ny"]
     notes: tuple[Scalar, ...] = ()
+
+    @classmethod
+    def of(cls, z: Variables, xdot: Float[Array, " nx"]) -> Reading:
+        """Read all variables at one time."""
+        return cls(z.q, z.v, z.a, z.lam, z.x, xdot, z.y)
 
 
 class StepReport(NamedTuple):

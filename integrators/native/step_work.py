@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from integrators.native.linear_solvers import DENSE, LinearSolver
-from integrators.native.newton import newton
-from integrators.native.step_records import StepReport
-from problems.runtime import jax, jnp
+from integrators.native.linear_solvers import DENSE, LinearSolver, Residual
+from integrators.native.newton import Bounds, newton
+from integrators.native.stage_tangents import StageTangents
+from integrators.native.step_records import Scalar, StepReport
+from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Bool, Float, Int
-
-    from integrators.native.stage_tangents import StageTangents
-    from integrators.native.step_records import Scalar
-
-    Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
-    Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
+Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class StepWork:
@@ -107,19 +100,9 @@ class StepWork:
         rounding = (0.0,) * (len(groups) + 1) if rounding is None else rounding
         kept = None if self._before is None else self._before[k]
         solver = self._solvers(k) if kept is None else keeper(self._solvers(k), split)
-        u, kept, report = newton(
-            residual,
-            guess,
-            old,
-            groups,
-            self._tolerance,
-            self._most,
-            rounding,
-            (0.0,) * len(rounding) if noise is None else noise,
-            kept,
-            solver,
-            enough,
-        )
+        noise = (0.0,) * len(rounding) if noise is None else noise
+        bounds = Bounds(groups, self._tolerance, rounding, noise)
+        u, kept, report = newton(residual, guess, old, bounds, self._most, kept, solver, enough)
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
         self._add(
@@ -256,14 +239,9 @@ class EquationsFinder(StepWork):
         self,
         residual: Residual,
         guess: Float[Array, " n"],
-        old: Float[Array, " n"] | None = None,
-        groups: Sequence[int] = (),
-        rounding: Sequence[Scalar] | None = None,
-        *,
+        *more: Any,
         split: StageTangents | None = None,
-        evaluations: int = 1,
-        enough: Scalar = math.inf,
-        noise: Sequence[Scalar] | None = None,
+        **named: Any,
     ) -> Float[Array, " n"]:
         """Record the equations and return the guess."""
         self.found.append(Equations(residual, len(guess), split))

@@ -25,7 +25,7 @@ from bench.plugins.registry import Registry
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.contract import Trajectory
-from integrators.native.dependencies import pattern
+from integrators.native.equations import tangent_pattern
 from integrators.native.fixed_elimination import planned
 from integrators.native.linear_solvers import _linearised
 from integrators.native.step_method import NativeMethod
@@ -158,7 +158,7 @@ def _done(method: Any, scene: MechatronicSystem, run: Any, end: Trajectory) -> f
         functions.step(moved, functions.begin(moved, start, h), h, h, finder)
         for residual, size, _ in finder.found:
             u = jnp.ones(size)
-            order = planned(pattern(jax.make_jaxpr(residual)(u), size))
+            order = planned(tangent_pattern(jax.make_jaxpr(residual)(u), size))
             if order is not None:
                 both = operations(lambda u: _linearised(residual, u, order.seeds), u)  # noqa: B023
                 alone = operations(residual, u).of_scene(0.0)

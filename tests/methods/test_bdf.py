@@ -67,7 +67,7 @@ def _states(method, scene, steps):
     for h in map(jnp.asarray, steps):
         t = t + h
         states.append(step(states[-1], t, h))
-    return states
+    return [carried.state for carried in states]
 
 
 @pytest.mark.long
