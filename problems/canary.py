@@ -15,7 +15,7 @@ import numpy as np
 _TOLERANCE = 1e-13
 
 #: By the name of a function, what it gave and what is right.
-Results = dict[str, tuple[Any, Any]]
+_Trials = dict[str, tuple[Any, Any]]
 
 
 def wrong_functions(jax: Any, jnp: Any, foreign: bool = True) -> list[str]:
@@ -25,7 +25,7 @@ def wrong_functions(jax: Any, jnp: Any, foreign: bool = True) -> list[str]:
     takes longer than to import JAX on some machines: without ``foreign`` code a product will do.
     """
     tried = _of_python() | _under("numpy", _of_arrays(np, 2.0) | _of_numpy())
-    traced: Results = {"jax.jit": (None, 4.0)}
+    traced: _Trials = {"jax.jit": (None, 4.0)}
 
     def program(x: Any) -> dict[str, Any]:
         if not foreign:
@@ -38,7 +38,7 @@ def wrong_functions(jax: Any, jnp: Any, foreign: bool = True) -> list[str]:
     return [name for name, (value, right) in tried.items() if not _agree(value, right)]
 
 
-def _under(module: str, results: Results) -> Results:
+def _under(module: str, results: _Trials) -> _Trials:
     return {f"{module}.{name}": result for name, result in results.items()}
 
 
@@ -51,7 +51,7 @@ def _agree(value: Any, right: Any) -> bool:
     return value == right or math.fabs(value - right) <= _TOLERANCE * math.fabs(right)
 
 
-def _of_python() -> Results:
+def _of_python() -> _Trials:
     return {
         "abs": (abs(-3.0), 3.0),
         "max": (max([1.0, 3.0, 2.0]), 3.0),
@@ -63,8 +63,8 @@ def _of_python() -> Results:
     }
 
 
-def _of_arrays(xp: Any, x: Any) -> Results:
-    """Results of functions that NumPy and JAX share at x = 2, which may be traced."""
+def _of_arrays(xp: Any, x: Any) -> _Trials:
+    """_Trials of functions that NumPy and JAX share at x = 2, which may be traced."""
     a, b = xp.stack([x + 1, -2 * x, x - 1]), xp.stack([x / 4, x, 2 * x])
     m = xp.stack([xp.stack([2 * x, x - 1]), xp.stack([x, x + 1])])
     infinity = x * 1e308
@@ -101,7 +101,7 @@ def _of_arrays(xp: Any, x: Any) -> Results:
     }
 
 
-def _of_numpy() -> Results:
+def _of_numpy() -> _Trials:
     a, b, m = np.array([3.0, -4.0, 1.0]), np.array([0.5, 2.0, 4.0]), np.array([[4.0, 1], [2, 3]])
     return {
         "median": (np.median(b), 2.0),
@@ -123,8 +123,8 @@ def _of_numpy() -> Results:
     }
 
 
-def _of_jax(jax: Any, x: Any) -> Results:
-    """Results of JAX's transformations and loops at x = 2, traced."""
+def _of_jax(jax: Any, x: Any) -> _Trials:
+    """_Trials of JAX's transformations and loops at x = 2, traced."""
     b = jax.numpy.stack([x / 4, x, 2 * x])
     results = {
         "jvp": (jax.jvp(lambda s: s * s, (x,), (1.0 + 0 * x,))[1], 4.0),
