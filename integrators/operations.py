@@ -147,7 +147,7 @@ def bill(
 
 def _index1_turns(scene: MechatronicSystem, run: Trajectory) -> float:
     """Mean iterations of Newton's method for the index-1 equations, at the rows of a run."""
-    turns = compiled(scene).iterations(run.q, run.v, run.x, run.t)
+    turns = compiled(scene).iterations(scene.parameters(), run.q, run.v, run.x, run.t)
     return float(np.mean(turns))
 
 

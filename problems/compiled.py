@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -32,22 +32,24 @@ _MOST_NUMBERS = 2**21
 
 
 class Compiled(NamedTuple):
-    """Compiled functions of a scene with its parameters.
+    """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
 
-    ``start(q, v, x, t)``
+    ``start(p, q, v, x, t)``
         `formulations.with_rates` at one time
-    ``rates(t, s)``
-        `formulations.ode_rate` at k times, arrays of shape ``(k,)`` and ``(k, n)``
-    ``complete(q, v, x, t)``
+    ``rates(values, t, s)``
+        `formulations.ode_rate` at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all
+        parameters in one array, in the order of p: a call costs a microsecond for every array
+        that it is given
+    ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
-    ``levels(q, v, a, t)``
+    ``levels(p, q, v, a, t)``
         residuals of the constraints and of their first two derivatives by time, at k times;
         each ``(k, nl)``
-    ``energy(q, v)``
+    ``energy(p, q, v)``
         energy in J at k times, ``(k,)``
-    ``momentum(q, v)``
+    ``momentum(p, q, v)``
         momenta that are conserved at k times, ``(k, n)``
-    ``iterations(q, v, x, t)``
+    ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
 
@@ -61,16 +63,12 @@ class Compiled(NamedTuple):
 
 
 def compiled(scene: MechatronicSystem) -> Compiled:
-    """Return the compiled functions of a scene, whose programs all parameter values share."""
-    p, programs = scene.parameters(), _programs(scene.template())
-    # A call costs a microsecond for every array that it is given; rates are called most often.
-    given = dict.fromkeys(programs, p) | {"rates": np.array(list(p.values()))}
-    return Compiled(**{name: partial(program, given[name]) for name, program in programs.items()})
+    """Return the compiled functions of a scene, shared by all its parameter values."""
+    return _compiled(scene.template())
 
 
 @cache
-def _programs(template: MechatronicSystem) -> dict[str, Callable]:
-    """The functions of `Compiled`, which take the parameters first."""
+def _compiled(template: MechatronicSystem) -> Compiled:
     names = list(template.parameters())
 
     def at(p: Mapping[str, Array]) -> MechatronicSystem:
@@ -87,28 +85,30 @@ def _programs(template: MechatronicSystem) -> dict[str, Callable]:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    alone = {
-        "start": lambda p, q, v, x, t: with_rates(at(p), q, v, x, t),
-        "rates": jax.vmap(rate, (None, 0, 0)),
-    }
-    over_rows = {
-        "complete": lambda p, q, v, x, t: complete(at(p), q, v, x, t),
-        "levels": levels,
-        "energy": lambda p, q, v: at(p).energy(q, v),
-        "momentum": lambda p, q, v: at(p).momentum(q, v),
-        "iterations": lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t),
-    }
-    programs = {name: exported(function, (name, template)) for name, function in alone.items()}
-    return programs | {name: _over_rows(f, (name, template)) for name, f in over_rows.items()}
+    def alone(name: str, function: Callable) -> Callable:
+        return exported(function, (name, template))
+
+    def over_rows(name: str, function: Callable) -> Callable:
+        def block(p: Mapping, rows: tuple[Array, ...]) -> Any:
+            return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+        return _in_blocks(alone(name, block))
+
+    return Compiled(
+        start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
+        complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
+        levels=over_rows("levels", levels),
+        energy=over_rows("energy", lambda p, q, v: at(p).energy(q, v)),
+        momentum=over_rows("momentum", lambda p, q, v: at(p).momentum(q, v)),
+        iterations=over_rows(
+            "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
+        ),
+    )
 
 
-def _over_rows(function: Callable, about: tuple) -> Callable:
-    """Vectorise over rows, filled up to whole blocks; ``about`` tells what the function is."""
-
-    def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
-        return jax.vmap(lambda *row: function(p, *row))(*rows)
-
-    block = exported(rows_at_once, about)
+def _in_blocks(block: Callable) -> Callable:
+    """A function of any number of rows, which are filled up to whole blocks."""
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0

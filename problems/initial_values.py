@@ -84,14 +84,14 @@ def _solves(scene: MechatronicSystem, start: Start) -> bool:
 def _levels(scene: MechatronicSystem, *values: Any) -> list[np.ndarray]:
     """Residuals of the constraints and of their two derivatives at q, v, a and t."""
     one = [np.asarray(part)[None] for part in values]
-    return [level[0] for level in compiled(scene).levels(*one)]
+    return [level[0] for level in compiled(scene).levels(scene.parameters(), *one)]
 
 
 def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
     if sparsity.prefers_sparse(scene):
         with contextlib.suppress(sparsity.NoPattern):
             return sparse_start(scene, state, t)
-    return compiled(scene).start(*state, t)
+    return compiled(scene).start(scene.parameters(), *state, t)
 
 
 def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None:

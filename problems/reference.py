@@ -189,7 +189,7 @@ class Reference:
 
     def _evaluate(self, motion: Motion, t: np.ndarray) -> dict[str, np.ndarray]:
         q, v, x = state_layout(self.scene.sizes).split(motion(t))
-        z, xdot = compiled(self.scene).complete(q, v, x, t)
+        z, xdot = compiled(self.scene).complete(self.scene.parameters(), q, v, x, t)
         values = {g: np.asarray(getattr(z, g)) for g in GROUPS}
         return values | {"xdot": np.asarray(xdot)}
 
@@ -198,10 +198,10 @@ class Reference:
             raise ReferenceFailed(self.missing)
         scene, at = self.scene, state_layout(self.scene.sizes)
         start = consistent_start(scene).z
-        rates = compiled(scene).rates
+        rates, p = compiled(scene).rates, np.array(list(scene.parameters().values()))
         try:
             return integrate(
-                lambda t, s: np.asarray(rates(t, s)),
+                lambda t, s: np.asarray(rates(p, t, s)),
                 np.concatenate([start.q, start.v, start.x]),
                 (scene.interval[0], self.t_end),
                 groups=(at.q, at.v, at.x),

@@ -18,7 +18,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import constant_steps
 from integrators.operations import Operations
 from problems import exported_programs, jnp
-from problems.compiled import _programs
+from problems.compiled import _compiled
 from problems.exported_programs import exported, found_once
 from problems.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum
@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(exported_programs, "_used", True)
     yield tmp_path / "exported"
     # Whatever was made here must not outlive the folder.
-    _programs.cache_clear()
+    _compiled.cache_clear()
     constant_steps.kernel.cache_clear()
 
 
@@ -166,7 +166,7 @@ def test_foreign_code_and_a_folder_that_cannot_be_written_cost_time_alone(folder
 
 def test_a_run_by_programs_from_files_is_the_same_to_the_bit(folder, monkeypatch):
     def run():
-        _programs.cache_clear()
+        _compiled.cache_clear()
         constant_steps.kernel.cache_clear()
         scene = Pendulum()
         consistent_start(scene)

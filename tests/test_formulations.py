@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems import formulations as form
-from problems.compiled import _programs, compiled
+from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, consistent_start
 from problems.reference import Reference
 from problems.scenes.car_axis import CarAxis
@@ -122,11 +122,12 @@ def test_an_output_implicit_in_y_and_nonlinear_in_a_is_solved():
 def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion(scene):
     start = consistent_start(scene)
     z, xdot, eps = start.z, start.xdot, 1e-5
+    functions, p = compiled(scene), scene.parameters()
     ends = []
     for s in (-eps, eps):
         rows = (z.q + s * z.v + s**2 / 2 * z.a, z.v + s * z.a, z.x + s * xdot)
         rows = [np.asarray(row)[None] for row in rows]
-        ends.append(compiled(scene).complete(*rows, np.array([z.t + s]))[0].a[0])
+        ends.append(functions.complete(p, *rows, np.array([z.t + s]))[0].a[0])
     assert start.jerk == pytest.approx((ends[1] - ends[0]) / (2 * eps), rel=1e-6, abs=1e-6)
 
 
@@ -199,7 +200,7 @@ def test_the_ode_form_agrees_with_the_closed_form():
     scene = Pendulum()
     t = np.linspace(*scene.interval, 15)
     exact = Reference(scene, scene.interval[1])(t)
-    z, _ = compiled(scene).complete(exact["q"], exact["v"], exact["x"], t)
+    z, _ = compiled(scene).complete(scene.parameters(), exact["q"], exact["v"], exact["x"], t)
     assert z.a == pytest.approx(exact["a"], abs=1e-12)
     assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
 
@@ -237,6 +238,6 @@ def test_a_wrong_shape_is_named():
 
 def test_parameters_are_traced_and_compile_nothing_new():
     light, heavy = SpringMass(m=1.0), SpringMass(m=7.0)
-    assert _programs(light.template()) is _programs(heavy.template())
+    assert compiled(light) is compiled(heavy)
     a = [consistent_start(s).z.a[0] for s in (light, heavy)]
     assert a == pytest.approx([-5.0, -5.0 / 7.0])

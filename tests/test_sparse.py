@@ -153,7 +153,7 @@ def test_the_rates_at_the_start_are_slopes_along_the_motion():
     rows = (
         np.asarray(row) for row in (q, z.v + steps * z.a, z.x + steps * xdot, z.t + steps[:, 0])
     )
-    near, rates = compiled(scene).complete(*rows)
+    near, rates = compiled(scene).complete(scene.parameters(), *rows)
     assert start.xddot == pytest.approx(np.diff(rates, axis=0)[0] / (2 * eps), rel=1e-7)
     assert start.jerk == pytest.approx(np.diff(near.a, axis=0)[0] / (2 * eps), rel=1e-7)
 

@@ -161,7 +161,7 @@ def check_constraints(registry: Registry, scene: MechatronicSystem) -> str:
         raise DoesNotApply("It has no constraint.")
     t, values = _along(scene)
     rows = [values[group] for group in ("q", "v", "a")]
-    levels = compiled(scene).levels(*rows, t)
+    levels = compiled(scene).levels(scene.parameters(), *rows, t)
     for name, residual, row in zip(LEVELS, levels, rows, strict=True):
         worst, size = np.abs(residual).max(), max(1.0, np.abs(row).max())
         if not worst <= _CONSTRAINT_ERROR * size:
@@ -198,7 +198,9 @@ def _check_closed_form(scene: MechatronicSystem) -> None:
             raise Failed(
                 f"`exact` starts with {group}={first}, initial_state with {getattr(start, group)}."
             )
-    solved, _ = compiled(scene).complete(values["q"], values["v"], values["x"], t)
+    solved, _ = compiled(scene).complete(
+        scene.parameters(), values["q"], values["v"], values["x"], t
+    )
     for group in ("a", "lam"):
         _agree(f"{group} of the equations of motion", group, values, t, getattr(solved, group))
     for low, high in pairwise(("q", "v", "a")):

@@ -32,7 +32,7 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
     """
     if not scene.has("constraint"):
         return {}
-    levels = compiled(scene).levels(run.q, run.v, run.a, run.t)
+    levels = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
     return {
         name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
     }
@@ -48,9 +48,9 @@ def energy_change(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[
     """
     if not scene.has("energy"):
         return {}
-    energy = compiled(scene).energy
-    total = array(energy(run.q, run.v), "energy() of the rows", run.t.shape)
-    rest = array(energy(run.q, 0 * run.v), "energy() at rest", run.t.shape)
+    energy, p = compiled(scene).energy, scene.parameters()
+    total = array(energy(p, run.q, run.v), "energy() of the rows", run.t.shape)
+    rest = array(energy(p, run.q, 0 * run.v), "energy() at rest", run.t.shape)
     return {"energy": (total - total[0]) / (np.abs(total - rest).max() or 1.0)}
 
 
@@ -68,7 +68,7 @@ def momentum_change(
     """
     if not scene.has("momentum"):
         return {}
-    found = compiled(scene).momentum(run.q, run.v)
+    found = compiled(scene).momentum(scene.parameters(), run.q, run.v)
     shape = (len(run.t), *np.shape(found)[1:2])
     momenta = array(found, "momentum() of the rows", shape).reshape(len(run.t), -1)
     if not momenta.shape[1]:

@@ -62,4 +62,4 @@ def _solve(
                 for *state, time in zip(q, v, x, t, strict=True)
             ]
             return jax.tree.map(lambda *parts: np.array(parts), *rows)
-    return compiled(scene).complete(q, v, x, t)
+    return compiled(scene).complete(scene.parameters(), q, v, x, t)
