@@ -36,10 +36,11 @@ class Compiled(NamedTuple):
 
     ``start(p, q, v, x, t)``
         `formulations.with_rates` at one time
+    ``ode(p, t, s)``
+        `formulations.ode_rate` of s = [q, v, x]
     ``rates(values, t, s)``
-        `formulations.ode_rate` at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all
-        parameters in one array, in the order of p: a call costs a microsecond for every array
-        that it is given
+        the same at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all parameters in one
+        array, in the order of p: a call costs a microsecond for every array that it is given
     ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
     ``levels(p, q, v, a, t)``
@@ -54,6 +55,7 @@ class Compiled(NamedTuple):
     """
 
     start: Callable[..., Start]
+    ode: Callable[..., Float[Array, " n"]]
     rates: Callable[..., Float[Array, "k n"]]
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -96,6 +98,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
 
     return Compiled(
         start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
         rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
         complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=over_rows("levels", levels),
