@@ -19,7 +19,7 @@ from bench.atlas.experiments import (
     read_experiments,
 )
 from bench.atlas.measures import condition, number_of
-from bench.atlas.runs import complete
+from bench.atlas.runs import complete_experiments
 from bench.results.experiments import bounds
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -71,7 +71,7 @@ def _short_ones_run_in_this_process(request):
 
 def run(experiments, *added, plugins=()):
     with TemporaryDirectory() as folder, Store(Path(folder), create=True) as store:
-        found = complete(experiments, added, store, Inventory(plugins), 1, Progress())
+        found = complete_experiments(experiments, added, store, Inventory(plugins), 1, Progress())
     return {result.name: result for result in found}
 
 

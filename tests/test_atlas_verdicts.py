@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.atlas.experiments import Settings, read_experiments
-from bench.atlas.measures import number_of, quantity, value_of, within
+from bench.atlas.measures import number_of, quantity_words, value_of, within
 from bench.atlas.runs import digest
 from bench.results.experiments import (
     CaseResult,
@@ -48,7 +48,7 @@ def test_a_better_number_is_never_hit(number, better):
 
 def test_every_norm_has_its_words(monkeypatch):
     monkeypatch.setitem(NORMS, "mean", "mean over time")
-    said = [quantity(Settings(measure="error", group="q", norm=norm)) for norm in NORMS]
+    said = [quantity_words(Settings(measure="error", group="q", norm=norm)) for norm in NORMS]
     assert said == [f"relative error of q, {name}" for name in NORMS.values()]
 
 

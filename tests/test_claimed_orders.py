@@ -9,7 +9,7 @@ import pytest
 from radau2 import Radau2
 
 from bench.conformance.orders import check_order
-from bench.conformance.trials import GROUPS, Trial, order_trials, reference
+from bench.conformance.trials import TRAJECTORY_GROUPS, Trial, order_trials, reference
 from bench.conformance.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option
@@ -48,7 +48,7 @@ class Planted(Integrator):
                 h, settled = (t_end - t0) / steps, t >= t_end - (t_end - t0) / 4
                 next_term = h * np.where(settled, -late, early)
                 values["q"] = values["q"] + (h**order * (1 + next_term))[:, None]
-                return Trajectory(t, **{group: values[group] for group in GROUPS})
+                return Trajectory(t, **{group: values[group] for group in TRAJECTORY_GROUPS})
 
             def execute(self): ...
 

@@ -128,7 +128,7 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
 
     def complete(store, budget_s):
         with Runner(1, Limits(budget_s, 4.0)) as runner:
-            analysis.complete(suite, store, registry, runner)
+            analysis.complete_damping(suite, store, registry, runner)
         return store.damping()
 
     with Store(tmp_path / "out", create=True) as store:
@@ -151,10 +151,10 @@ def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_
     registry, runner = Inventory(), Mock(run=lambda groups: [])
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
     with Store(tmp_path / "out", create=True) as store:
-        analysis.complete(suite, store, registry, runner)
+        analysis.complete_damping(suite, store, registry, runner)
         assert len(store.damping()) == 2
         monkeypatch.setattr(analysis, "fingerprint", lambda made: "other")
-        analysis.complete(suite, store, registry, runner)
+        analysis.complete_damping(suite, store, registry, runner)
         assert store.damping() == {}
 
 

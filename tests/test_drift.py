@@ -14,7 +14,7 @@ from planted import Document, plant, planted
 from small_stores import A_LONG_RUN
 
 from bench.plugins.registry import Registry
-from bench.results.drift import LongRun, drift_table, scenes_of
+from bench.results.drift import LongRun, comparable_runs, drift_table
 from bench.results.store import Store
 from bench.running import measure
 from bench.running.drift import course, drift_job
@@ -199,7 +199,7 @@ def test_sentences_and_rows_say_the_numbers():
 def test_runs_with_other_steps_are_not_compared():
     more = msgspec.structs.replace(A_LONG_RUN, asked=200)
     runs = {run.key: run for run in [*RUNS, more]}
-    assert scenes_of(runs) == [RUNS, [more]]
+    assert comparable_runs(runs) == [RUNS, [more]]
 
 
 def plant_long_runs(folder):

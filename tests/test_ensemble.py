@@ -16,7 +16,7 @@ from test_contributing import EXAMPLES
 from bench.plugins.registry import Registry
 from bench.sweeps import batch
 from bench.sweeps.batch import Batch, BatchRun
-from bench.sweeps.ensemble import ensemble, rows_of
+from bench.sweeps.ensemble import ensemble, member_rows
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
@@ -242,7 +242,7 @@ def test_a_budget_stops_between_blocks(monkeypatch):
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0, jobs=1)
     assert Counter(found.status) == {"ok": 4, "budget_exceeded": 8}
-    assert rows_of(found.columns())[-1]["q1"] is None
+    assert member_rows(found.columns())[-1]["q1"] is None
 
 
 # ---- the command -------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.atlas.runs import complete
+from bench.atlas.runs import complete_experiments
 from bench.plugins import fingerprint as fingerprints
 from bench.plugins.fingerprint import fingerprint, modules_of
 from bench.plugins.registry import Registry
@@ -187,8 +187,8 @@ def test_the_c_compiler_takes_part_for_those_that_compile_c(monkeypatch, tmp_pat
         (scene_record, "bench.running.scene_records"),
         (linear_response, "bench.stability.matrices"),
         (linear_response, "bench.stability.spectra"),
-        (complete, "bench.atlas.measures"),
-        (complete, "bench.stability.spectra"),
+        (complete_experiments, "bench.atlas.measures"),
+        (complete_experiments, "bench.stability.spectra"),
     ],
 )
 def test_a_function_has_a_fingerprint_of_its_module_and_what_that_imports(

@@ -30,7 +30,7 @@ from bench.results.store_file import StoreError
 from bench.running.cluster import ClusterRunner
 from bench.running.worker import Worker
 from bench.sweeps import batch, jobs, parts, variation
-from bench.sweeps.ensemble import rows_of
+from bench.sweeps.ensemble import member_rows
 from bench.sweeps.parts import KeptParts, TemporaryParts, write_members
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import Quantity, Range
@@ -147,7 +147,7 @@ def test_seeds_and_places_have_different_draws():
 def test_what_is_not_finite_is_no_value(tmp_path):
     columns = {"member": np.arange(3), "q1": np.array([1.5, np.inf, np.nan])}
     wanted = [{"member": 0, "q1": 1.5}, {"member": 1, "q1": None}, {"member": 2, "q1": None}]
-    assert rows_of(columns) == wanted
+    assert member_rows(columns) == wanted
     names = [tmp_path / f"members{suffix}" for suffix in (".csv", ".json", ".parquet")]
     pytest.importorskip("pyarrow")
     for name in names:

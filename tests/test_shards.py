@@ -23,7 +23,7 @@ from bench.running.worker import Worker
 from bench.sweeps import jobs, parts
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.jobs import EnsembleRequest, SweepRequest
-from bench.sweeps.parts import KeptParts, Results, TemporaryParts
+from bench.sweeps.parts import EnsembleResults, KeptParts, TemporaryParts
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import drawn, find_range
 from integrators import Steps
@@ -73,7 +73,7 @@ def run_all(request, store, runner=None):
     runner = runner or Here()
     run = ShardRun(runner, request, Sources(), Quiet())
     run.complete(runner, store, 1)
-    return run, Results((store, run.lost), run.plan.shards, run.plan.ranges)
+    return run, EnsembleResults((store, run.lost), run.plan.shards, run.plan.ranges)
 
 
 def whole(results):

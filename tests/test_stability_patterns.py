@@ -11,8 +11,8 @@ from bench.stability.patterns import (
     ALTERNATING,
     LARGEST_RATIO,
     fractions,
-    safe_ratio,
-    words,
+    largest_safe_ratio,
+    step_words,
     worst,
 )
 from bench.stability.spectra import eigenvalues, radii
@@ -43,10 +43,10 @@ def growth_of_a_run(method, macro, pattern, patterns):
 
 
 def test_words_are_cyclic_and_sum_to_zero():
-    found = words(4)
+    found = step_words(4)
     assert found == ((1, -1), (1, 0, -1), (1, -1, 0), (1, 1, -1, -1), (1, 0, 0, -1), (1, 0, -1, 0),
                      (1, -1, 0, 0))  # fmt: skip
-    assert len(words(6)) == 39
+    assert len(step_words(6)) == 39
 
 
 def test_fractions_follow_the_word():
@@ -67,7 +67,7 @@ def test_growth_begins_at_the_safe_ratio(rho_inf, fixed, updated, gamma):
 
 
 def test_the_safe_ratio_is_searched_for():
-    found = safe_ratio(method_of(0.8, "updated"))
+    found = largest_safe_ratio(method_of(0.8, "updated"))
     assert found.ratio == pytest.approx(1.189, rel=2e-3)
     assert (found.word, found.omega_h) == (ALTERNATING, pytest.approx(4.09, rel=0.01))
     assert found.radius > 1
@@ -81,7 +81,7 @@ def test_the_safe_ratio_holds_for_all_words(rho_inf, safe, grows):
     # Doubling and halving at will is safe with rho_inf = 0.5, but not with 0.8.
     method = method_of(rho_inf, "updated")
     for ratio, wanted in ((safe, False), (grows, True)):
-        radii_over = (worst(method, fractions(word, ratio))[0] for word in words(6))
+        radii_over = (worst(method, fractions(word, ratio))[0] for word in step_words(6))
         assert any(radius > 1 + 1e-10 for radius in radii_over) == wanted
 
 

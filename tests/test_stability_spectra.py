@@ -10,7 +10,7 @@ import pytest
 from helpers import long
 
 from bench.stability.matrices import matrices
-from bench.stability.spectra import eigenvalues, nearest, radii, spectrum
+from bench.stability.spectra import eigenvalues, places_near, radii, spectrum
 from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
 from integrators.adapters.diffrax_methods import Dopri8, ImplicitEuler, Kvaerno5
 from integrators.methods.generalized_alpha import (
@@ -59,7 +59,7 @@ def test_the_spectral_radius_of_generalized_alpha(rho_inf, at_1, at_10):
 
 def test_damping_and_period_of_generalized_alpha():
     found = spectrum(GeneralizedAlpha(rho_inf=0.8), omega_h=[0.2 * math.pi])
-    (k,) = nearest(found, [0.2 * math.pi])
+    (k,) = places_near(found, [0.2 * math.pi])
     assert found.damping[k] == pytest.approx(1.572715e-4, rel=1e-6)
     assert found.period_error[k] == pytest.approx(0.0338284060, rel=1e-8)
 
@@ -158,7 +158,7 @@ def test_classical_forms_move_alike_and_react_to_feedback_otherwise(true, classi
 @pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8])
 def test_damping_at_low_frequency_is_of_third_order(rho_inf):
     found = spectrum(GeneralizedAlpha(rho_inf=rho_inf), omega_h=[0.02, 0.04])
-    low, high = (found.damping[k] for k in nearest(found, [0.02, 0.04]))
+    low, high = (found.damping[k] for k in places_near(found, [0.02, 0.04]))
     assert math.log2(high / low) == pytest.approx(3.0, abs=0.02)
 
 

@@ -78,7 +78,7 @@ def number_of(
     return known[-1]
 
 
-def quantity(s: Settings) -> str:
+def quantity_words(s: Settings) -> str:
     """Return the measured quantity in words."""
     return {
         "error": f"relative error of {s.group}, {NORMS[s.norm or NORM]}",
@@ -92,7 +92,7 @@ def quantity(s: Settings) -> str:
     }[s.measure or ""]
 
 
-def history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
+def component_history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
     """Return times in s and values of a component such as "lam1" or of a note such as "gamma"."""
     match = re.fullmatch(r"(q|v|a|lam|x|y)(\d+)", show)
     if match and match[1] in rows.values:

@@ -13,10 +13,10 @@ import msgspec
 
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, sweep_of
 from bench.atlas.measures import (
+    component_history,
     conditions,
-    history,
     number_of,
-    quantity,
+    quantity_words,
     rounding_of,
     value_of,
     within,
@@ -63,7 +63,7 @@ class _Trial:
         ]
 
 
-def complete(
+def complete_experiments(
     experiments: Sequence[Experiment],
     added: Sequence[str],
     store: Store,
@@ -121,7 +121,10 @@ def complete(
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) -> str:
     """Return a digest of the experiment and of all code that its numbers come from."""
-    parts = [msgspec.json.encode((experiment, list(added))), fingerprint(complete).encode()]
+    parts = [
+        msgspec.json.encode((experiment, list(added))),
+        fingerprint(complete_experiments).encode(),
+    ]
     for part in experiment.part:
         for case in part.case:
             if case.integrator:
@@ -181,7 +184,7 @@ def _part(
     take = part.take or "last"
     return PartResult(
         text=part.text,
-        quantity=quantity(part),
+        quantity=quantity_words(part),
         take=take,
         healthy=_bounds(part.healthy),
         show=part.show or "",
@@ -204,7 +207,7 @@ def _case(
             rounding = max(rounding, rounding_of(case, record))
             messages.append("" if record.status == "ok" else f"{record.status}: {record.message}")
             # The first run has the longest steps, of which the most are kept as rows.
-            shown = shown or history(case.show or "", rows)
+            shown = shown or component_history(case.show or "", rows)
         elif isinstance(answer, NoAnswer):
             messages.append(answer.message)
             stopped = stopped or answer.status in ("budget_exceeded", INTERRUPTED)

@@ -112,7 +112,7 @@ def drift(
 
     from bench.commands.terminal import show
     from bench.results.csv_text import csv_export
-    from bench.results.drift import LongRun, drift_table, flat
+    from bench.results.drift import LongRun, csv_row, drift_table
     from bench.results.store import Store
     from bench.running.drift import drift_job
 
@@ -128,7 +128,7 @@ def drift(
         if results and form == "json":
             _print_json(results)
         elif results and form == "csv":
-            click.echo(csv_export([flat(run) for run in results]), nl=False)
+            click.echo(csv_export([csv_row(run) for run in results]), nl=False)
         elif results:
             show(drift_table(results))
         if results:
@@ -258,7 +258,7 @@ def atlas(
       stepbench atlas -i "my_method[order=2]" --plugins my_method.py
     """
     from bench.atlas.experiments import read_experiments
-    from bench.atlas.runs import complete
+    from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress, show
     from bench.results.experiments import part_table
     from bench.results.store import Store
@@ -273,7 +273,9 @@ def atlas(
     added = [registry.integrator(name).spec for name in integrators]
     with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
         remark("Finished experiments are stored; the same command goes on.")
-        results = complete(experiments, added, store, registry, jobs, progress, budget or 60.0)
+        results = complete_experiments(
+            experiments, added, store, registry, jobs, progress, budget or 60.0
+        )
     if as_json:
         _print_json(results)
     else:
@@ -288,7 +290,7 @@ def atlas(
 
 
 # ---- orders ------------------------------------------------------------------------------
-@click.command()
+@click.command("orders-table")
 @click.argument("integrators", nargs=-1, shell_complete=completion.integrators)
 @options.with_scenes
 @click.option("--markdown", is_flag=True, help="Print the tables in Markdown, and write no report.")
@@ -296,7 +298,7 @@ def atlas(
 @options.with_fresh
 @options.with_jobs("Worker processes.")
 @options.with_plugins
-def orders_table(
+def orders_table_(
     integrators: tuple[str, ...],
     problems: tuple[str, ...],
     markdown: bool,

@@ -73,10 +73,10 @@ def run_suite(
     A long run draws its page while it goes, if ``drawn``.
     """
     from bench.atlas.experiments import read_experiments
-    from bench.atlas.runs import complete
+    from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
     from bench.running.session import measure_suite, runner_for, time_suite
-    from bench.stability import damping
+    from bench.stability.damping import complete_damping
 
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
@@ -94,13 +94,13 @@ def run_suite(
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner)
-        damping.complete(suite, store, registry, runner)
+        complete_damping(suite, store, registry, runner)
         with page.at_rest():
             time_suite(suite, store, registry, runner)
         runner.end_workers()
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib
-        results = complete(experiments, added, store, registry, jobs, progress, *limits)
+        results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
     return Outcome(records, measured, results, suite.lost)
 

@@ -22,7 +22,7 @@ from problems.spec import SpecError
 if TYPE_CHECKING:
     from bench.plugins.facts import Sources
     from bench.sweeps.jobs import EnsembleRequest
-    from bench.sweeps.parts import Parts, Results
+    from bench.sweeps.parts import EnsembleResults, Parts
     from bench.sweeps.shards import ShardRun
 
 #: Most points of a map, and members of an ensemble, that can be asked for.
@@ -216,18 +216,18 @@ def solve_ensemble(
     as_json: bool,
 ) -> None:
     """Draw the members, run them in shards, and show or write the results."""
-    from bench.sweeps.parts import KeptParts, Results, check_name, write_members
+    from bench.sweeps.parts import EnsembleResults, KeptParts, check_file_name, write_members
 
     if not request.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
     if jobs and cluster:
         raise SpecError("--jobs is for processes of this machine; leave it out with --cluster.")
     if out:
-        check_name(out)
+        check_file_name(out)
         remark("Finished members are stored; the same command goes on.")
     folder = out.with_name(f"{out.name}.parts") if out else None
     run, parts = _run(sources, request, folder, fingerprint, jobs, cluster)
-    results = Results((parts, run.lost), run.plan.shards, run.plan.ranges)
+    results = EnsembleResults((parts, run.lost), run.plan.shards, run.plan.ranges)
     if as_json:
         _print_json(run, results)
     else:
@@ -293,7 +293,7 @@ def processes(jobs: int | None, members: int) -> int:
     return min(jobs or usual, shards_of(members))
 
 
-def _shown(run: ShardRun, results: Results) -> list[Table | str]:
+def _shown(run: ShardRun, results: EnsembleResults) -> list[Table | str]:
     """Least, median and largest end values; then statuses, work and times."""
     plan, count = run.plan, results.statuses.total()
     title = f"{plan.integrator} on {plan.problem}: {count} members at t={plan.t_end:g} s"
@@ -319,7 +319,7 @@ def _shown(run: ShardRun, results: Results) -> list[Table | str]:
     return [Table(title, ["value", *columns], rows), *lines]
 
 
-def _print_json(run: ShardRun, results: Results) -> None:
+def _print_json(run: ShardRun, results: EnsembleResults) -> None:
     from bench.sweeps.parts import json_texts
 
     answer = {

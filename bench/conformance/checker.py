@@ -34,8 +34,8 @@ from problems.spec import SpecError
 
 #: The checks by kind of plugin and name, in the order in which they are told.
 CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
-    "problems": scenes.CHECKS,
-    "integrators": integrators.CHECKS,
+    "problems": scenes.SCENE_CHECKS,
+    "integrators": integrators.INTEGRATOR_CHECKS,
 }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from bench.conformance.audit import check_counts
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
-    GROUPS,
+    TRAJECTORY_GROUPS,
     TRIAL_RTOL,
     FiniteTimeBlowUp,
     Trial,
@@ -117,7 +117,7 @@ def check_repeats(registry: Registry, method: Integrator) -> str:
 
 
 def _same_run(one: Trajectory, two: Trajectory, what: str) -> None:
-    for name in ("t", *GROUPS):
+    for name in ("t", *TRAJECTORY_GROUPS):
         if not np.array_equal(getattr(one, name), getattr(two, name)):
             raise Failed(f"{what} differ in {name}; seed random numbers and keep no state.")
     if one.work != two.work:
@@ -292,7 +292,7 @@ def _ends_badly(trial: Trial, what: str) -> str:
     return f"{what} ends with {run.status} at t={time[1]} s."
 
 
-CHECKS = {
+INTEGRATOR_CHECKS = {
     "facts": check_facts,
     "scenes": check_scenes,
     "options": check_options,

@@ -65,7 +65,7 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
     return f"Described, {scene.sizes.nq} coordinates, {len(parameters)} parameters with units."
 
 
-def check_name(registry: Registry, scene: MechatronicSystem) -> str:
+def check_settings(registry: Registry, scene: MechatronicSystem) -> str:
     """Parameters are read as they are printed."""
     return round_trip(registry.problem, scene)
 
@@ -245,9 +245,9 @@ def _along(scene: MechatronicSystem) -> tuple[np.ndarray, dict[str, np.ndarray]]
     return t, reference(scene, scene.interval[1])(t)
 
 
-CHECKS = {
+SCENE_CHECKS = {
     "description": check_description,
-    "parameters": check_name,
+    "parameters": check_settings,
     "start": check_start,
     "mass": check_mass,
     "blocks": check_blocks,

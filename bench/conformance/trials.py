@@ -26,7 +26,7 @@ ORDERS_TAG = "orders"
 TRIAL_STEPS = 50
 TRIAL_RTOL = 1e-6
 #: The groups of a trajectory.
-GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
+TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
 
 # ---- trial scenes ----------------------------------------------------------------------

@@ -96,7 +96,7 @@ class LongRun(msgspec.Struct, kw_only=True):
         return [(name, self.drifts[name]) for name in DRIFTS if name in self.drifts]
 
 
-def flat(run: LongRun) -> dict[str, Any]:
+def csv_row(run: LongRun) -> dict[str, Any]:
     """Return one long run as a row: largest drifts, trends by a straight line, verdicts."""
     row = {name: getattr(run, name) for name in ("problem", "integrator", "steps", "h", "status")}
     for name, drift in run.measured:
@@ -106,7 +106,7 @@ def flat(run: LongRun) -> dict[str, Any]:
     return row
 
 
-def scenes_of(runs: Mapping[str, LongRun]) -> list[list[LongRun]]:
+def comparable_runs(runs: Mapping[str, LongRun]) -> list[list[LongRun]]:
     """Return long runs in groups that can be compared: of one scene, with the same steps."""
     groups: dict[tuple[str, int, float], list[LongRun]] = {}
     for run in runs.values():

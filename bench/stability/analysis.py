@@ -13,7 +13,7 @@ from bench.plugins.reasons import explain
 from bench.running.worker import Worker
 from bench.stability import patterns
 from bench.stability.matrices import steppable
-from bench.stability.spectra import FIRST_STEPS, nearest, radii, roots_of, spectrum
+from bench.stability.spectra import FIRST_STEPS, places_near, radii, roots_of, spectrum
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
@@ -68,12 +68,12 @@ def analyse(
     method = steppable(method)
     reported = tuple(at) or REPORTED
     found = spectrum(method, system, pattern, reported)
-    places = nearest(found, reported)
+    places = places_near(found, reported)
     maps, safe = [], {}
     if isinstance(method, NativeMethod):
         maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
         safe = {} if found.growing or found.unsolved else _safe_ratios(method, system, ratios)
-    return plain(
+    return _plain(
         vars(found)
         | {
             "stability_limit": found.limit,
@@ -86,7 +86,7 @@ def analyse(
     )
 
 
-def plain(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     """Return values of NumPy and complex numbers as those of JSON; None for what is not finite."""
 
     def known(value: Any) -> Any:
@@ -99,9 +99,9 @@ def plain(value: Any) -> Any:
 
 def _safe_ratios(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
     """Safe ratios by kind of pattern."""
-    tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.words()}
+    tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.step_words()}
     kinds = list(tried)[: ["none", *tried].index(ratios)]
-    return {kind: patterns.safe_ratio(method, tried[kind], system) for kind in kinds}
+    return {kind: patterns.largest_safe_ratio(method, tried[kind], system) for kind in kinds}
 
 
 def _option_map(

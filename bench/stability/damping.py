@@ -23,7 +23,7 @@ from bench.stability.systems import Oscillator
 from problems.spec import SpecError
 
 
-def complete(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
+def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
     """Find the damping that the store lacks; that of another source is forgotten."""
     known = store.damping()
     for name in suite.plan.integrators:

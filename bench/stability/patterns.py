@@ -20,21 +20,21 @@ from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
 
-Word = tuple[int, ...]
+_Word = tuple[int, ...]
 
 #: omega H at which patterns are analysed; with infinity they fill two blocks of `matrices`.
-OMEGA_H = np.geomspace(1e-2, 1e4, 120)
+_OMEGA_H = np.geomspace(1e-2, 1e4, 120)
 #: Growth in a period that is more than rounding.
 _GROWTH = 1e-10
 #: Letters in the longest words.
-LONGEST = 6
+_LONGEST = 6
 #: The largest ratio that is tried, and the relative accuracy of a safe ratio.
 LARGEST_RATIO, _ACCURACY = 10.0, 1e-3
 _SCAN = np.geomspace(1.0, LARGEST_RATIO, 49)[1:]
 #: Search for a resonance: most peaks of each kind, points in a refinement, refinements.
 _MOST_PEAKS, _POINTS, _REFINEMENTS = 6, 5, 8
 _REAL = 1e-9
-ALTERNATING: Word = (1, -1)
+ALTERNATING: _Word = (1, -1)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Safe:
     """
 
     ratio: float | None
-    word: Word | None = None
+    word: _Word | None = None
     omega_h: float | None = None
     radius: float | None = None
 
@@ -57,9 +57,9 @@ def fractions(word: Sequence[float], ratio: float) -> tuple[float, ...]:
 
 
 @cache
-def words(longest: int = LONGEST) -> tuple[Word, ...]:
+def step_words(longest: int = _LONGEST) -> tuple[_Word, ...]:
     """Return all cyclic words of -1, 0 and 1 that sum to zero, each once, the shortest first."""
-    found: dict[Word, None] = {}
+    found: dict[_Word, None] = {}
     for length in range(2, longest + 1):
         for word in itertools.product((1, 0, -1), repeat=length):
             turns = [word[k:] + word[:k] for k in range(length)]
@@ -97,7 +97,7 @@ def worst(
         As `bench.stability.matrices.matrices` does.
     """
     system = system or Oscillator()
-    at = np.append(OMEGA_H, INFINITY)
+    at = np.append(_OMEGA_H, INFINITY)
     sizes, turned, last = _largest_roots(method, system, at, pattern)
     if np.isfinite(last).all():  # multiple roots at infinity have lost digits
         sizes[-1] = max(abs(root) for root, _ in multiple(last, ONE_ROOT))
@@ -145,8 +145,8 @@ def _peaks(values: np.ndarray, sizes: np.ndarray) -> list[int]:
     return sorted(peaks.tolist(), key=lambda k: -sizes[k])[:_MOST_PEAKS]
 
 
-def safe_ratio(
-    method: Integrator, tried: Sequence[Word] = (ALTERNATING,), system: LinearSystem | None = None
+def largest_safe_ratio(
+    method: Integrator, tried: Sequence[_Word] = (ALTERNATING,), system: LinearSystem | None = None
 ) -> Safe:
     """Find the largest ratio up to which none of the patterns ``tried`` grows.
 

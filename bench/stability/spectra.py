@@ -309,6 +309,6 @@ def _powers(at: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[int, int] | N
     return (max(0, round(of_q)), max(0, round(of_v))) if finite else None
 
 
-def nearest(found: Spectrum, omega_h: Sequence[float]) -> list[int]:
+def places_near(found: Spectrum, omega_h: Sequence[float]) -> list[int]:
     """Return the places in a spectrum next to values of omega h."""
     return [int(np.abs(found.omega_h - w).argmin()) for w in omega_h]

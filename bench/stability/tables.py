@@ -8,23 +8,23 @@ from typing import Any
 from bench.results.table import NO_VALUE, Table, formatted, number
 
 #: What `bench.stability.analysis.analyse` returns for each integrator.
-Found = Sequence[Mapping[str, Any]]
+_Found = Sequence[Mapping[str, Any]]
 
 _PATTERNS = {"alternating": "two in turns", "any": "any of up to six steps"}
 
 
-def step_name(found: Found) -> str:
+def step_name(found: _Found) -> str:
     """Return the name of the dimensionless step, of which a pattern is a macro step."""
     return "omega H" if len(found[0]["pattern"]) > 1 else "omega h"
 
 
-def stability_tables(found: Found) -> list[Table]:
+def stability_tables(found: _Found) -> list[Table]:
     """Return tables of facts, numbers over the step, safe ratios and theory; not empty ones."""
     made = (table(found) for table in (_facts, _numbers, _ratios, _formulas))
     return [table for table in made if table]
 
 
-def _facts(found: Found) -> Table:
+def _facts(found: _Found) -> Table:
     """A row for each integrator: what it does at small and large steps."""
     name = step_name(found)
     lost = any(f["unsolved"] for f in found)
@@ -58,7 +58,7 @@ def _facts(found: Found) -> Table:
     )
 
 
-def _numbers(found: Found) -> Table:
+def _numbers(found: _Found) -> Table:
     """A row for each integrator and dimensionless step that was asked for."""
     rows = []
     for f in found:
@@ -71,7 +71,7 @@ def _numbers(found: Found) -> Table:
     return Table(f"Numbers over {name}", ["integrator", *head], rows)
 
 
-def _ratios(found: Found) -> Table | None:
+def _ratios(found: _Found) -> Table | None:
     """The largest safe ratios of neighbouring steps; None if none were sought."""
     rows = []
     for f in found:
@@ -92,7 +92,7 @@ def _ratios(found: Found) -> Table | None:
     )
 
 
-def _formulas(found: Found) -> Table | None:
+def _formulas(found: _Found) -> Table | None:
     """The methods as linear multistep formulas; None if none of them is one."""
     known = [(f["integrator"], f["theory"]) for f in found if f["theory"]]
     rows = [

@@ -69,7 +69,7 @@ class Ensemble:
         return _OUT_OF_TIME not in self.message
 
 
-def rows_of(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+def member_rows(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     """Return a row per entry of the columns; None stands for what is not finite."""
     lists = []
     for column in columns.values():

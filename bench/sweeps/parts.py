@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.results.csv_text import csv_export
 from bench.results.store_file import locked
-from bench.sweeps.ensemble import WORK, rows_of, spread
+from bench.sweeps.ensemble import WORK, member_rows, spread
 from problems.spec import SpecError
 from problems.whole_files import keep, kept
 
@@ -138,7 +138,7 @@ def read_part(part: Path | IO[bytes]) -> dict[str, np.ndarray]:
         return dict(columns)
 
 
-class Results:
+class EnsembleResults:
     """Contents of the parts 0 to ``count - 1`` of an ensemble, a few columns in memory at a time.
 
     Parameters
@@ -218,7 +218,7 @@ def _encoded(columns: Columns) -> bytes:
 
 
 # ---- files for the user ------------------------------------------------------------------
-def check_name(path: Path) -> None:
+def check_file_name(path: Path) -> None:
     """Refuse a file that cannot be written, before any work is done for it.
 
     Raises
@@ -254,7 +254,7 @@ def json_texts(parts: Iterator[Columns]) -> Iterator[str]:
     """Yield the pieces of a list of rows as JSON."""
     before = "[\n"
     for part in parts:
-        yield before + json.dumps(rows_of(part), indent=1, allow_nan=False)[2:-2]
+        yield before + json.dumps(member_rows(part), indent=1, allow_nan=False)[2:-2]
         before = ",\n"
     yield "\n]"
 
@@ -262,7 +262,7 @@ def json_texts(parts: Iterator[Columns]) -> Iterator[str]:
 def _csv_texts(parts: Iterator[Columns]) -> Iterator[str]:
     head = True
     for part in parts:
-        text = csv_export(rows_of(part))
+        text = csv_export(member_rows(part))
         yield text if head else text.partition("\n")[2]
         head = False
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench.results.drift import DRIFTS, Drift, LongRun, drift_table, scenes_of
+from bench.results.drift import DRIFTS, Drift, LongRun, comparable_runs, drift_table
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
@@ -35,7 +35,7 @@ _VERDICTS = {
 def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> Chapter:
     """The chapter on these long runs: a section for each scene with the same steps."""
     sections = []
-    for k, own in enumerate(scenes_of(runs), 1):
+    for k, own in enumerate(comparable_runs(runs), 1):
         first, anchor = own[0], f"drift-{k}"
         figure = captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)})
         sections.append(

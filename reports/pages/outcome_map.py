@@ -17,7 +17,6 @@ from problems.whole_files import put
 from reports.formatting import number
 from reports.pages.templating import html
 
-FILE = "map.html"
 #: Words of each outcome; a page numbers the outcomes in this order.
 OUTCOME_NAMES = {
     "ok": "ok",
@@ -44,7 +43,7 @@ _PLAIN: dict[str, Color] = {
     "no_reference": (190, 190, 190),
 }
 #: Logarithm of the smallest error that has a colour of its own.
-ROUND_OFF = -16.0
+_ROUND_OFF = -16.0
 #: Decades of error over which the colours of inaccurate runs change.
 _DECADES_BEYOND = 2.0
 
@@ -53,7 +52,7 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
     """Write map.html into a folder, from the plain values of a `bench.sweeps.outcome_map.Map`."""
     known = [e for row in found["log10_error"] for e in row if e is not None]
     threshold = math.log10(found["threshold"])
-    best = max(min([*known, threshold - 1]), ROUND_OFF)
+    best = max(min([*known, threshold - 1]), _ROUND_OFF)
     names = list(OUTCOME_NAMES)
     legend = [
         (OUTCOME_NAMES[name], count, legend_color(name), found["reasons"].get(name, ""))
@@ -78,8 +77,9 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
         },
     )
     folder.mkdir(parents=True, exist_ok=True)
-    put(folder / FILE, text)
-    return folder / FILE
+    page = folder / "map.html"
+    put(page, text)
+    return page
 
 
 # ---- the picture -------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from reports.charts.line_styles import line_styles
 from reports.charts.rendering import Picture, pictures
 from reports.pages.templating import html
 
-FILE = "stability.html"
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
     ("radius", "spectral radius", False),
@@ -55,8 +54,9 @@ def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
         steps=found[0]["first_steps"],
     )
     folder.mkdir(parents=True, exist_ok=True)
-    put(folder / FILE, text)
-    return folder / FILE
+    page = folder / "stability.html"
+    put(page, text)
+    return page
 
 
 def png_url(drawn: Picture) -> str:
