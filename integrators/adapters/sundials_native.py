@@ -105,8 +105,16 @@ int CVode_jacobian(double t, void *s, void *rate, void *matrix, void *run, void 
 """
 
 
-class _Run(ctypes.Structure):
-    """run_t of the C."""
+class NativeEquations(ctypes.Structure):
+    """run_t of the C: equations that have a form in C, and counts of their calls.
+
+    Parameters
+    ----------
+    given
+        The equations.
+    max_calls
+        After so many residual calls a run ends as budget_exceeded.
+    """
 
     _fields_ = [
         *((name, c_void_p) for name in ("residual", "jacobian", "numbers", "vector", "entries")),
@@ -114,6 +122,27 @@ class _Run(ctypes.Structure):
         *((name, c_int64) for name in ("parameters", "size", "row_bytes", "start_bytes")),
         *((name, c_int64) for name in ("most", "residuals", "jacobians", "ending")),
     ]
+
+    def __init__(self, given: GivenEquations, max_calls: int) -> None:
+        it, self.given, kind, indices = library(), given, "Dense", []
+        self._numbers = np.zeros(given.value.size + 1)
+        self._numbers[: len(given.p)] = given.p
+        if given.rows is not None and given.starts is not None:
+            kind, indices = "Sparse", [given.rows, given.starts]
+        self._indices = [np.ascontiguousarray(numbers, it.index) for numbers in indices]
+        super().__init__(
+            *(_address(in_c(packed)[0]) for packed in (given.value, given.jacobian)),
+            self._numbers.ctypes.data,
+            it.address("N_VGetArrayPointer"),
+            it.address(f"SUN{kind}Matrix_Data"),
+            it.address("SUNSparseMatrix_IndexValues"),
+            it.address("SUNSparseMatrix_IndexPointers"),
+            *([numbers.ctypes.data for numbers in self._indices] or (None, None)),
+            len(given.p),
+            given.size,
+            *([numbers.nbytes for numbers in self._indices] or (0, 0)),
+            max_calls,
+        )
 
 
 class NativeSolution(NamedTuple):
@@ -130,12 +159,10 @@ class NativeSolver(ABC):
 
     Parameters
     ----------
-    given
-        Equations that have a form in C, and the start.
+    equations
+        Equations, of which one solver at a time makes use.
     options
         ``rtol``, ``atol`` for each unknown, and ``max_order``.
-    max_calls
-        After so many residual calls the run ends as budget_exceeded.
 
     Raises
     ------
@@ -147,15 +174,15 @@ class NativeSolver(ABC):
     _name: ClassVar[str]
     _calls: ClassVar[str]
 
-    def __init__(
-        self, given: GivenEquations, t_end: float, options: dict[str, Any], max_calls: int
-    ) -> None:
-        self._library, self._given, self._t_end, self._run = library(), given, t_end, _Run()
-        self._t, self._context, self._memory = c_double(given.start[0]), c_void_p(), c_void_p()
+    def __init__(self, equations: NativeEquations, t_end: float, options: dict[str, Any]) -> None:
+        self._library, self._equations, self._given = library(), equations, equations.given
+        self._t, self._t_end = c_double(self._given.start[0]), t_end
+        self._context, self._memory = c_void_p(), c_void_p()
+        equations.residuals = equations.jacobians = equations.ending = 0
         #: Functions that free all memory, the last one first.
         self._memories = contextlib.ExitStack()
         try:
-            self._set_up(options, max_calls)
+            self._set_up(options)
         except BaseException:
             self.close()
             raise
@@ -164,7 +191,7 @@ class NativeSolver(ABC):
         """Free all memory of the solver."""
         self._memories.close()
 
-    def _set_up(self, options: dict[str, Any], max_calls: int) -> None:
+    def _set_up(self, options: dict[str, Any]) -> None:
         it, (t0, *vectors) = self._library, self._given.start
         _look("SUNContext_Create", it.SUNContext_Create(0, byref(self._context)))
         self._memories.callback(lambda: it.SUNContext_Free(byref(self._context)))
@@ -177,38 +204,14 @@ class NativeSolver(ABC):
         self._memory.value = _made(f"{self._name}Create", self._create(options))
         self._memories.callback(lambda: getattr(it, f"{self._name}Free")(byref(self._memory)))
         functions = load_c(_CALLED)
-        self._run = self._described(max_calls)
-        self._do("SetUserData", c_void_p(ctypes.addressof(self._run)))
-        self._do("Init", _address(functions[f"{self._name}_residual"]), t0, *self._state)
+        self._do("SetUserData", c_void_p(ctypes.addressof(self._equations)))
+        self._do("Init", _address(getattr(functions, f"{self._name}_residual")), t0, *self._state)
         self._do("SVtolerances", options["rtol"], self._vector(options["atol"]))
         self._do("SetLinearSolver", solver, matrix)
-        self._do("SetJacFn", _address(functions[f"{self._name}_jacobian"]))
+        self._do("SetJacFn", _address(getattr(functions, f"{self._name}_jacobian")))
         self._do("SetMaxOrd", options["max_order"])
         self._do("SetMaxNumSteps", _STEPS_IN_A_CALL)
         self._do("SetStopTime", self._t_end)
-
-    def _described(self, max_calls: int) -> _Run:
-        """The run as the C around the equations needs it."""
-        given, it = self._given, self._library
-        self._numbers = np.zeros(given.value.size + 1)
-        self._numbers[: len(given.p)] = given.p
-        kind, indices = "Dense", []
-        if given.rows is not None and given.starts is not None:
-            kind, indices = "Sparse", [given.rows, given.starts]
-        self._indices = [np.ascontiguousarray(numbers, it.index) for numbers in indices]
-        return _Run(
-            *(_address(in_c(packed)[0]) for packed in (given.value, given.jacobian)),
-            self._numbers.ctypes.data,
-            it.address("N_VGetArrayPointer"),
-            it.address(f"SUN{kind}Matrix_Data"),
-            it.address("SUNSparseMatrix_IndexValues"),
-            it.address("SUNSparseMatrix_IndexPointers"),
-            *([numbers.ctypes.data for numbers in self._indices] or (None, None)),
-            len(given.p),
-            given.size,
-            *([numbers.nbytes for numbers in self._indices] or (0, 0)),
-            max_calls,
-        )
 
     @abstractmethod
     def _create(self, options: dict[str, Any]) -> int:
@@ -237,8 +240,8 @@ class NativeSolver(ABC):
             steps=steps,
             rejected=self._count("ErrTestFails") + self._count("StepSolveFails"),
             newton=newton,
-            residuals=self._run.residuals,
-            jacobians=self._run.jacobians,
+            residuals=self._equations.residuals,
+            jacobians=self._equations.jacobians,
             factorisations=self._count("LinSolvSetups"),
             solves=newton,
         )
@@ -268,16 +271,16 @@ class NativeSolver(ABC):
         @self._memories.callback
         def free() -> None:
             # SuperLU_MT's memory cannot be freed before its first factorisation (SUNDIALS 7.9).
-            if rows is None or self._run.jacobians:
+            if rows is None or self._equations.jacobians:
                 it.SUNLinSolFree(solver)
 
         return matrix, solver
 
     def _solve(self, task: int) -> int:
         flag = self._go_on(task)
-        if self._run.ending == _USED_UP:
-            raise EarlyEnd("budget_exceeded", f"{self._run.most} calls were used up")
-        if self._run.ending == _NOT_FINITE:
+        if self._equations.ending == _USED_UP:
+            raise EarlyEnd("budget_exceeded", f"{self._equations.most} calls were used up")
+        if self._equations.ending == _NOT_FINITE:
             raise EarlyEnd("diverged", NOT_FINITE)
         if task == _ONE_STEP or flag != _TOO_MUCH_WORK:
             check_step(self._name.upper(), flag)
@@ -320,8 +323,8 @@ class NativeIDA(NativeSolver):
 
     _name, _calls = "IDA", "ResEvals"
 
-    def _set_up(self, options: dict[str, Any], max_calls: int) -> None:
-        super()._set_up(options, max_calls)
+    def _set_up(self, options: dict[str, Any]) -> None:
+        super()._set_up(options)
         self._do("SetId", self._vector(options["differential"]))
         self._do("SetSuppressAlg", int(options["suppress_algebraic"]))
 

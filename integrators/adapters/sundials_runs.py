@@ -8,6 +8,7 @@ import io
 import warnings
 from abc import abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -20,7 +21,7 @@ from integrators.adapters.library_runs import (
     LibrarySolver,
 )
 from integrators.adapters.sundials import check_step, library
-from integrators.adapters.sundials_native import NativeSolver
+from integrators.adapters.sundials_native import NativeEquations, NativeSolver
 from integrators.contract import Work
 from integrators.operations import Algebra
 
@@ -67,13 +68,14 @@ class SundialsRun(LibraryRun):
 
     @contextlib.contextmanager
     def _solver(self, counts: bool) -> Iterator[Any]:
-        limit = self._method.max_calls
         if not self.why:
-            options = self.options | self._more
-            solver = self.native(self.given, self._t_end, options, limit)
-            with contextlib.closing(solver):
+            solver = self.native(self._native_equations, self._t_end, self.options | self._more)
+            try:
                 yield solver
+            finally:
+                solver.close()
             return
+        limit = self._method.max_calls
         # After a NaN IDA would repeat the step without end.
         equations = CountedEquations(*self.functions, limit, ends_at_not_finite=True)
         # SUNDIALS writes its warnings to standard output; the status says the same.
@@ -90,6 +92,10 @@ class SundialsRun(LibraryRun):
                     # SuperLU_MT's memory cannot be freed before its first factorisation: the
                     # process would crash (scikit-sundae 1.2.0).
                     ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+
+    @cached_property
+    def _native_equations(self) -> NativeEquations:
+        return NativeEquations(self.given, self._method.max_calls)
 
     def _collapsed(self, status: str, work: Work) -> bool:
         # More than a Jacobian in each step.
