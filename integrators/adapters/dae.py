@@ -44,7 +44,7 @@ def given_dae(
     scene: MechatronicSystem,
     formulation: str,
     jacobian: PackedFunction,
-    *sparsity: Int32[np.ndarray, " k"],
+    sparsity: tuple[Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]] | None = None,
 ) -> GivenEquations:
     """Return the residual of a scene's DAE and a Jacobian, and the consistent start.
 
@@ -68,7 +68,7 @@ def given_dae(
         p,
         (scene.interval[0], *start),
         trajectory,
-        *sparsity,
+        sparsity,
     )
 
 

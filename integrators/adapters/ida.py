@@ -109,7 +109,7 @@ class _IDARun(SundialsRun):
             entries = csc_matrix((np.ones(len(rows)), rows, starts), (n, n))
             options |= {"linsolver": "sparse", "sparsity": entries}
             algebra = sparse(rows, np.repeat(np.arange(n), np.diff(starts)), n)
-            given = dae.given_dae(scene, key[1], jacobian, rows, starts)
+            given = dae.given_dae(scene, key[1], jacobian, (rows, starts))
         else:
             algebra, given = dense(n), dae.given_dae(scene, key[1], dae.packed_jacobian(*key))
         differential = np.zeros(n)

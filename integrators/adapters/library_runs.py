@@ -94,7 +94,7 @@ class GivenEquations:
         Parameters, and t0 with the vectors there.
     trajectory
         Makes a trajectory of times and the solver's vectors there.
-    rows, starts
+    sparsity
         Rows of the entries, and the number of the first one of each column; None if dense.
     """
 
@@ -104,8 +104,7 @@ class GivenEquations:
     p: Float[np.ndarray, " parameters"]
     start: tuple[Any, ...]
     trajectory: Callable[[np.ndarray, np.ndarray], Trajectory]
-    rows: Int32[np.ndarray, " entries"] | None = None
-    starts: Int32[np.ndarray, " n+1"] | None = None
+    sparsity: tuple[Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]] | None = None
 
     @property
     def size(self) -> int:
@@ -139,7 +138,7 @@ class GivenEquations:
         found = self.value.bind_c(self.p), self.jacobian.bind_c(self.p)
         for ours, theirs, rows, factors in (
             (found[0], functions[0], None, ()),
-            (found[1], functions[1], self.rows, self._factors),
+            (found[1], functions[1], self.sparsity and self.sparsity[0], self._factors),
         ):
             values, right = (
                 np.array([np.ravel(f(t, *at, *factors)) for at in (vectors, moved)])

@@ -124,12 +124,11 @@ class NativeEquations(ctypes.Structure):
     ]
 
     def __init__(self, given: GivenEquations, max_calls: int) -> None:
-        it, self.given, kind, indices = library(), given, "Dense", []
+        it, self.given = library(), given
         self._numbers = np.zeros(given.value.size + 1)
         self._numbers[: len(given.p)] = given.p
-        if given.rows is not None and given.starts is not None:
-            kind, indices = "Sparse", [given.rows, given.starts]
-        self._indices = [np.ascontiguousarray(numbers, it.index) for numbers in indices]
+        kind = "Sparse" if given.sparsity else "Dense"
+        self._indices = [np.ascontiguousarray(k, it.index) for k in given.sparsity or ([], [])]
         super().__init__(
             *(_address(in_c(packed)[0]) for packed in (given.value, given.jacobian)),
             self._numbers.ctypes.data,
@@ -137,10 +136,10 @@ class NativeEquations(ctypes.Structure):
             it.address(f"SUN{kind}Matrix_Data"),
             it.address("SUNSparseMatrix_IndexValues"),
             it.address("SUNSparseMatrix_IndexPointers"),
-            *([numbers.ctypes.data for numbers in self._indices] or (None, None)),
+            *(numbers.ctypes.data for numbers in self._indices),
             len(given.p),
             given.size,
-            *([numbers.nbytes for numbers in self._indices] or (0, 0)),
+            *(numbers.nbytes for numbers in self._indices),
             max_calls,
         )
 
@@ -256,22 +255,23 @@ class NativeSolver(ABC):
 
     def _linear_algebra(self, n: int) -> tuple[int, int]:
         """A new matrix and a new linear solver."""
-        it, context, rows = self._library, self._context, self._given.rows
-        if rows is None:
+        it, context, sparsity = self._library, self._context, self._given.sparsity
+        if sparsity:
+            entries = len(sparsity[0])
+            matrix = _made("SUNSparseMatrix", it.SUNSparseMatrix(n, n, entries, _CSC, context))
+        else:
             matrix = _made("SUNDenseMatrix", it.SUNDenseMatrix(n, n, context))
-        else:
-            matrix = _made("SUNSparseMatrix", it.SUNSparseMatrix(n, n, len(rows), _CSC, context))
         self._memories.callback(lambda: it.SUNMatDestroy(matrix))
-        if rows is None:
-            solver = it.SUNLinSol_Dense(self._state[0], matrix, context)
-        else:
+        if sparsity:
             solver = it.SUNLinSol_SuperLUMT(self._state[0], matrix, 1, context)
-        solver = _made("SUNLinSol_Dense" if rows is None else "SUNLinSol_SuperLUMT", solver)
+        else:
+            solver = it.SUNLinSol_Dense(self._state[0], matrix, context)
+        solver = _made("SUNLinSol_SuperLUMT" if sparsity else "SUNLinSol_Dense", solver)
 
         @self._memories.callback
         def free() -> None:
             # SuperLU_MT's memory cannot be freed before its first factorisation (SUNDIALS 7.9).
-            if rows is None or self._equations.jacobians:
+            if not sparsity or self._equations.jacobians:
                 it.SUNLinSolFree(solver)
 
         return matrix, solver

@@ -15,7 +15,7 @@ from problems.compiled import compiled
 from problems.runtime import jax
 from problems.sparsity import NoPattern, prefers_sparse
 from problems.start_equations import sparse_complete
-from problems.system import MechatronicSystem, State, Variables
+from problems.system import MechatronicSystem, State
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -41,7 +41,15 @@ def trajectory_from_states(
     -------
     A trajectory with status "ok" and no counts; its entries are NaN where there is no solution.
     """
-    z, xdot = _solve(scene, t, q, v, x)
+    found = None
+    if prefers_sparse(scene):  # many dense systems side by side would not fit into memory
+        with contextlib.suppress(NoPattern):
+            rows = [
+                sparse_complete(scene, State(*state), time)
+                for *state, time in zip(q, v, x, t, strict=True)
+            ]
+            found = jax.tree.map(lambda *parts: np.array(parts), *rows)
+    z, xdot = found or compiled(scene).complete(scene.parameters(), q, v, x, t)
     a, lam, y = (np.asarray(part) for part in (z.a, z.lam, z.y))
     return Trajectory(t, q, v, a, lam, x, np.asarray(xdot), y)
 
@@ -49,17 +57,3 @@ def trajectory_from_states(
 def early_end_message(t: float, t_end: float, reason: str, remedy: str) -> str:
     """The message of a run to t_end that ended at t (s); reason and remedy are clauses."""
     return f"Ended at t={t:.6g} s of {t_end:g} s: {reason}; {remedy}."
-
-
-def _solve(
-    scene: MechatronicSystem, t: np.ndarray, q: np.ndarray, v: np.ndarray, x: np.ndarray
-) -> tuple[Variables, np.ndarray]:
-    """All variables and xdot at k states, arrays ``(k, n)``."""
-    if prefers_sparse(scene):  # many dense systems side by side would not fit into memory
-        with contextlib.suppress(NoPattern):
-            rows = [
-                sparse_complete(scene, State(*state), time)
-                for *state, time in zip(q, v, x, t, strict=True)
-            ]
-            return jax.tree.map(lambda *parts: np.array(parts), *rows)
-    return compiled(scene).complete(scene.parameters(), q, v, x, t)

@@ -10,7 +10,9 @@ are counters, true and false, spoils only the results that need it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -225,23 +227,24 @@ class _Follower(Follower[_Value]):
             return np.array([known[node] for node in value.flat], int).reshape(value.shape)
 
         pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
-        changed = [k for k, (before, after) in pairs if before != after]
-        first = [self.nodes(given[k]) for k in changed]
-        kinds = [outer.kind(node) for nodes in first for node in nodes.flat]
-        inputs = np.array([inner._graph.input(1, k, kind) for k, kind in enumerate(kinds)], int)
-        entries = dict(zip(changed, _parts(inputs, first), strict=True))
-        state = [entries[k] if k in entries else inside(value) for k, value in enumerate(given)]
+        first = {k: self.nodes(given[k]) for k, (before, after) in pairs if before != after}
+        kinds = [outer.kind(node) for node in _joined(first.values())]
+        inputs = iter([inner._graph.input(1, k, kind) for k, kind in enumerate(kinds)])
+        state = [
+            _next(inputs, first[k].shape) if k in first else inside(value)
+            for k, value in enumerate(given)
+        ]
         around = {k: inside(values[k]) for k in condition.used | turn.used if k in values}
         (goes_on,) = inner.run(condition, state, around)
         after = inner.run(turn, state, around)
         self._entries, self._turns = inner._entries, inner._turns
         test = LoweredFunction(inner._graph, inner.nodes(goes_on))
-        loop = WhileLoop(
-            test, LoweredFunction(inner._graph, _joined([inner.nodes(after[k]) for k in changed]))
-        )
-        outputs = outer.outputs(loop, (*captured, *_joined(first).tolist()), kinds)
-        ends = dict(zip(changed, _parts(np.array(outputs, int), first), strict=True))
-        return [ends.get(k, value) for k, value in enumerate(given)]
+        changed = _joined([inner.nodes(after[k]) for k in first])
+        loop = WhileLoop(test, LoweredFunction(inner._graph, np.array(changed, int)))
+        outputs = iter(outer.outputs(loop, (*captured, *_joined(first.values())), kinds))
+        return [
+            _next(outputs, first[k].shape) if k in first else value for k, value in enumerate(given)
+        ]
 
     def _chosen(
         self, step: Step, given: list[_Value], values: dict[int, _Value]
@@ -285,11 +288,11 @@ def _sides(step: Step) -> tuple[bool, bool, bool]:
     return letters["diag"] == "U", letters["trans_x"] != "N", letters["side"] == "L"
 
 
-def _parts(nodes: np.ndarray, like: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Nodes that stand side by side, as arrays of the shapes of others."""
-    pieces = np.split(nodes, np.cumsum([part.size for part in like])[:-1])
-    return [piece.reshape(part.shape) for piece, part in zip(pieces, like, strict=True)]
+def _joined(pieces: Iterable[np.ndarray]) -> list[int]:
+    """The nodes of several arrays side by side."""
+    return [node for piece in pieces for node in piece.ravel().tolist()]
 
 
-def _joined(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.zeros(0, int), *(piece.ravel() for piece in pieces)])
+def _next(nodes: Iterator[int], shape: tuple[int, ...]) -> np.ndarray:
+    """The next of several nodes in an array of a shape."""
+    return np.array([*islice(nodes, math.prod(shape))], int).reshape(shape)
