@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, Variables, jax, jnp, parameter
-from problems.scenes import drawing
+from problems import State, Variables, drawing, jax, jnp, parameter
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall

@@ -7,8 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
-from problems.scenes import drawing
+from problems import MechatronicSystem, State, drawing, jax, jnp, lagrange, parameter
 from problems.spec import SpecError
 
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
-from problems.scenes import drawing
+from problems import MechatronicSystem, State, drawing, jax, jnp, lagrange, parameter
 from problems.spec import SpecError
 
 _PI = np.pi

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
-from problems.scenes import drawing
+from problems import MechatronicSystem, State, Variables, drawing, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
