@@ -21,7 +21,7 @@ from reports.charts.paper_style import FORMATS, file_content, on_paper
 from reports.charts.vega_lite import ChartOptions, Dataset, Spec
 from reports.formatting import component_title, words
 from reports.selection import Selection, group_and_place
-from reports.series import Series, cost_of, ok_runs
+from reports.series import Series, ok_runs
 
 if TYPE_CHECKING:
     import altair
@@ -140,7 +140,7 @@ def write_figure(
 # ---- kinds -------------------------------------------------------------------------------
 def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
     runs = ok_runs(chosen.series)
-    known = [c for c in COSTS if c == "seconds" or any(cost_of(r, c) is not None for r in runs)]
+    known = [c for c in COSTS if c == "seconds" or any(r.cost(c) is not None for r in runs)]
     if cost not in known:
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
     return _errors(chosen, chosen.series, error, cost)

@@ -18,8 +18,6 @@ from bench.results.timings import quotient
 from reports.questions.question import Question, questions
 from reports.series import (
     Series,
-    cost_of,
-    error_of,
     groups_of,
     ok_runs,
     step_or_tolerance,
@@ -67,7 +65,7 @@ class RankEntry:
 
 def reaches(record: Record, group: str, target: float) -> bool:
     """Whether the error of a group is no larger than the target."""
-    error = error_of(record, group, NORM)
+    error = record.error(group, NORM)
     return error is not None and error <= target
 
 
@@ -79,7 +77,7 @@ def told_apart(one: Record, two: Record, cost: str) -> bool:
     if COSTS[cost].is_time:
         found = quotient(one, two)
         return found is not None and found.differs
-    values = [v for r in (one, two) if (v := cost_of(r, cost)) is not None]
+    values = [v for r in (one, two) if (v := r.cost(cost)) is not None]
     return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)
 
 
@@ -114,7 +112,7 @@ def _same_run(one: Record, two: Record) -> bool:
     if one.status == "ok" and not one.errors:
         return False  # nothing is known of what they compute
     return all(
-        _same_error(error, error_of(two, group, norm), trusted_error([one, two], group, norm))
+        _same_error(error, two.error(group, norm), trusted_error([one, two], group, norm))
         for group, norms in one.errors.items()
         for norm, error in norms.items()
     )
@@ -137,7 +135,7 @@ def rank(
     runs, firsts = ok_runs(series), contestants(series)
     present = groups_of(runs)
     costs = {
-        s.label: [(r, {cost: cost_of(r, cost) for cost in RANKED_COSTS}) for r in s.ok]
+        s.label: [(r, {cost: r.cost(cost) for cost in RANKED_COSTS}) for r in s.ok]
         for s in series
         if s.label == firsts[s.label]
     }
@@ -154,7 +152,7 @@ class _Ladder:
     """The runs of an integrator from accurate to coarse, and the cheapest up to each of them."""
 
     def __init__(self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str):
-        judged = [(e, r, costs) for r, costs in runs if (e := error_of(r, group, NORM)) is not None]
+        judged = [(e, r, costs) for r, costs in runs if (e := r.error(group, NORM)) is not None]
         judged.sort(key=itemgetter(0))
         self.errors = [error for error, *_ in judged]
         self.cheapest: dict[str, list[tuple[float, Record] | None]] = {}

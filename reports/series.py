@@ -10,7 +10,7 @@ from functools import cached_property
 
 from bench.results.orders import Fit, fit_orders
 from bench.results.quantities import GROUPS, TRUST
-from bench.results.records import Record, median
+from bench.results.records import Record
 from reports.formatting import number, text_range
 
 #: A fitted order this close to a whole number is called by it.
@@ -62,7 +62,7 @@ class Series:
             groups = dict.fromkeys([*groups_of(self.ok), group])
             fits = fit_orders(
                 [step_or_tolerance(r) for r in self.ok],
-                {g: [error_of(r, g, norm) for r in self.ok] for g in groups},
+                {g: [r.error(g, norm) for r in self.ok] for g in groups},
                 {g: reference_error(self.ok, g, norm) for g in groups},
             )
             self._fits.update({(g, norm): fit for g, fit in fits.items()})
@@ -108,11 +108,6 @@ def step_or_tolerance(record: Record) -> float:
     return math.nan if value is None else value
 
 
-def error_of(record: Record, group: str, norm: str) -> float | None:
-    """A relative error, or None if the run has none."""
-    return record.errors.get(group, {}).get(norm)
-
-
 def worst_component(record: Record, group: str, norm: str) -> int | None:
     """Place of the component with the largest error, from 0; None of a group of one component."""
     errors = [math.inf if e is None else e for e in record.components.get(group, {}).get(norm, [])]
@@ -121,7 +116,7 @@ def worst_component(record: Record, group: str, norm: str) -> int | None:
 
 def reference_error(records: Iterable[Record], group: str, norm: str) -> float:
     """The largest error of the references that the records were compared with."""
-    return max((r.reference_error.get(group, {}).get(norm, 0.0) for r in records), default=0.0)
+    return max((r.floor(group, norm) for r in records), default=0.0)
 
 
 def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
@@ -129,27 +124,12 @@ def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
     return TRUST * reference_error(records, group, norm)
 
 
-def seconds_of(record: Record) -> float | None:
-    """Median seconds per run; None if a clock did not move."""
-    return median(record.run_s) or None
-
-
 def timing_spread(record: Record) -> float | None:
     """(max - min) / median of the timing samples; None for fewer than two."""
-    middle = seconds_of(record)
+    middle = record.seconds
     if len(record.run_s) < 2 or not middle:
         return None
     return (max(record.run_s) - min(record.run_s)) / middle
-
-
-def cost_of(record: Record, cost: str) -> float | None:
-    """The cost of a run, in seconds or in counts."""
-    if cost == "seconds":
-        return seconds_of(record)
-    if cost == "operations":
-        total = sum(record.operations.values())
-        return total if total >= 1 else None
-    return record.work.get(cost)
 
 
 def with_values(

@@ -20,7 +20,7 @@ from reports.questions.phrases import plain
 from reports.questions.question import Question
 from reports.questions.words import words_of
 from reports.scenes import stored_runs
-from reports.series import cost_of, series_of
+from reports.series import series_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "choosing.md"
 
@@ -78,7 +78,7 @@ def test_the_table_has_the_least_cost_and_its_multiples(store, target):
     least: dict[str, float] = {}
     for r in everything():
         if r.problem == "pendulum" and r.status == "ok" and r.errors["a"]["max"] <= target:
-            least[r.integrator] = min(cost_of(r, "operations"), least.get(r.integrator, 1e99))
+            least[r.integrator] = min(r.cost("operations"), least.get(r.integrator, 1e99))
     names = words_of(stored_runs(store).series, {}).names
     rows = {row[0]: row[1] for row in table.rows}
     assert rows["least"].split(" · ")[place] == f"{min(least.values()):.0f}"

@@ -11,7 +11,6 @@ from planted import everything, plant
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
-from reports.series import cost_of
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +84,7 @@ def expected(folder, group, target, cost):
         for r in own:
             error = r.errors.get(group, {}).get("max")
             if r.status == "ok" and error is not None and error <= target:
-                value = cost_of(r, cost)
+                value = r.cost(cost)
                 least[r.integrator] = min(value, least.get(r.integrator, math.inf))
         for label in {r.integrator for r in records}:
             runs = [r for r in own if r.integrator == label]

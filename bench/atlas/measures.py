@@ -38,7 +38,7 @@ def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
     if record.status != "ok":
         return None
     if s.measure == "error":
-        return record.errors.get(s.group or "", {}).get(s.norm or "max")
+        return record.error(s.group or "", s.norm or "max")
     if s.measure == "energy":
         return record.energy_drift
     if s.measure == "constraint":
@@ -50,7 +50,7 @@ def rounding_of(s: Settings, record: Record) -> float:
     """Return the size below which a value of one run is rounding or the reference's own error."""
     if s.measure not in ("error", "energy", "constraint"):
         return 0.0
-    own = record.reference_error.get(s.group or "", {}).get(s.norm or "max") or 0.0
+    own = record.floor(s.group or "", s.norm or "max")
     return max(ROUND_OFF, TRUST * own if s.measure == "error" else 0.0)
 
 

@@ -13,7 +13,7 @@ from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.quantities import NORMS
-from bench.results.records import UNSUPPORTED, Record, Rows, median
+from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.plan import DEFAULT_HALVINGS, Cell
 from bench.running.plan import resolution as resolution_of
@@ -139,7 +139,7 @@ def _facts(record: Record) -> list[str]:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
     if record.run_s:
         lines.append(
-            f"time: {median(record.run_s):.3g} s (median of {len(record.run_s)}), prepared in "
+            f"time: {record.seconds:.3g} s (median of {len(record.run_s)}), prepared in "
             f"{formatted(record.compile_s, '.2g')} s"
         )
     return lines

@@ -16,7 +16,7 @@ from bench.notebook.answers import Orders, Results, Solution, pandas_module
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.quantities import GROUPS
-from bench.results.records import Rows, endings, flatten, median
+from bench.results.records import Rows, endings, flatten
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite, resolution
@@ -99,8 +99,8 @@ def solve(
         components=names,
         errors=record.errors,
         work=record.work,
-        operations=sum(record.operations.values()) or None,
-        seconds=median(record.run_s),
+        operations=record.cost("operations"),
+        seconds=record.seconds,
         _rows=rows,
     )
 

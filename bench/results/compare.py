@@ -13,7 +13,6 @@ A cell is the same if its key is. Where it reached the end in both, three kinds 
 from __future__ import annotations
 
 import math
-import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -206,8 +205,8 @@ def _differences(old: Environment | None, new: Environment | None) -> list[str]:
 def _errors(run: ComparedCell, old: Record, new: Record) -> Iterator[Change]:
     for group in GROUPS:
         for norm in NORMS:
-            one, two = (r.errors.get(group, {}).get(norm) for r in (old, new))
-            floor = TRUST * max(r.reference_error.get(group, {}).get(norm, 0.0) for r in (old, new))
+            one, two = (r.error(group, norm) for r in (old, new))
+            floor = TRUST * max(r.floor(group, norm) for r in (old, new))
             if one is None or two is None:
                 # No number is worse than any error; none in both is no change.
                 ratio = 1.0 if one is two else (math.inf if two is None else 0.0)
@@ -225,7 +224,7 @@ def _work(run: ComparedCell, old: Record, new: Record) -> Iterator[Change]:
         if one != two:
             ratio = None if one is None or two is None else _ratio(one, two)
             yield Change(run=run, kind="work", name=name, old=one, new=two, ratio=ratio)
-    one, two = sum(old.operations.values()), sum(new.operations.values())
+    one, two = old.cost("operations"), new.cost("operations")
     if one and two and _changed(two / one, LEAST_CHANGE["error"]):
         yield Change(run=run, kind="work", name="operations", old=one, new=two, ratio=two / one)
 
@@ -264,8 +263,8 @@ def _time(
             run=run,
             kind="time",
             name="seconds",
-            old=statistics.median(old.run_s),
-            new=statistics.median(new.run_s),
+            old=old.seconds,
+            new=new.seconds,
             ratio=found.value,
             comparable=comparable,
         )

@@ -17,7 +17,7 @@ import msgspec
 from bench.results.compare import compare_runs, compared_cell, read_runs, titles_of
 from bench.results.comparison import ComparedCell, Comparison, factor
 from bench.results.quantities import GROUPS, NORM
-from bench.results.records import Record, median
+from bench.results.records import Record
 from problems.spec import SpecError
 
 
@@ -138,9 +138,7 @@ def _values(records: Sequence[Record | None]) -> dict[str, list[Any]]:
     values: dict[str, list[Any]] = {"status": [r.status if r else None for r in records]}
     for group in GROUPS:
         if any(r and group in r.errors for r in records):
-            values[f"error {group}"] = [
-                r.errors.get(group, {}).get(NORM) if r else None for r in records
-            ]
-    values["operations"] = [(sum(r.operations.values()) or None) if r else None for r in records]
-    values["seconds"] = [median(r.run_s) if r else None for r in records]
+            values[f"error {group}"] = [r.error(group, NORM) if r else None for r in records]
+    values["operations"] = [r.cost("operations") if r else None for r in records]
+    values["seconds"] = [r.seconds if r else None for r in records]
     return values

@@ -115,6 +115,27 @@ class Record(msgspec.Struct, kw_only=True):
         parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
         return f"h={self.h:.6g}{parts}"
 
+    @property
+    def seconds(self) -> float | None:
+        """Median of the timing samples in s."""
+        return median(self.run_s)
+
+    def error(self, group: str, norm: str) -> float | None:
+        """Return a relative error, or None if the run has none."""
+        return self.errors.get(group, {}).get(norm)
+
+    def floor(self, group: str, norm: str) -> float:
+        """Return the reference's own error."""
+        return self.reference_error.get(group, {}).get(norm, 0.0)
+
+    def cost(self, name: str) -> float | None:
+        """Return a cost by its name in `bench.results.quantities.COSTS`, or None if unknown."""
+        if name == "seconds":
+            return self.seconds
+        if name == "operations":
+            return sum(self.operations.values()) or None
+        return self.work.get(name)
+
 
 class Rows(msgspec.Struct, kw_only=True):
     """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]`` and
@@ -274,17 +295,17 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     row["pattern"] = list(record.pattern)
     for group in GROUPS:
         for norm in NORMS:
-            row[f"error_{group}_{norm}"] = record.errors.get(group, {}).get(norm)
+            row[f"error_{group}_{norm}"] = record.error(group, norm)
             floor = record.reference_error.get(group, {}).get(norm)
             row[f"reference_error_{group}_{norm}"] = floor
-            row[f"error_{group}_2norm_{norm}"] = record.errors.get(whole(group), {}).get(norm)
+            row[f"error_{group}_2norm_{norm}"] = record.error(whole(group), norm)
             each = record.components.get(group, {}).get(norm, [])
             row[f"error_{group}_components_{norm}"] = each
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
         row[f"work_{name}"] = value
-    row["operations"] = sum(record.operations.values()) or None
+    row["operations"] = record.cost("operations")
     for part in PARTS:
         row["operations_" + part.replace(" ", "_")] = record.operations.get(part)
     samples = sorted(record.run_s)

@@ -6,7 +6,7 @@ from typing import Any
 
 from bench.results.orders import fit_orders
 from bench.results.quantities import GROUPS, NORMS
-from bench.results.records import Record, Rows, median
+from bench.results.records import Record, Rows
 
 
 def solution(record: Record, rows: Rows) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def solution(record: Record, rows: Rows) -> dict[str, Any]:
         "time": {
             "compile_s": record.compile_s,
             "run_s": record.run_s,
-            "run_s_median": median(record.run_s),
+            "run_s_median": record.seconds,
         },
     }
 
@@ -45,7 +45,7 @@ def orders(records: list[Record]) -> dict[str, Any]:
     result["status"] = [record.status for record in records]
     groups = [g for g in GROUPS if any(g in r.reference_error for r in records)]
     for norm in NORMS:
-        errors = {g: [r.errors.get(g, {}).get(norm) for r in records] for g in groups}
+        errors = {g: [r.error(g, norm) for r in records] for g in groups}
         floors = {
             g: max(r.reference_error[g][norm] for r in records if g in r.reference_error)
             for g in groups

@@ -204,7 +204,7 @@ def _described(
 
 def _in_words(record: Record) -> str:
     """Return the result of a cell as a line."""
-    error = record.errors.get("a", {}).get(NORM)
+    error = record.error("a", NORM)
     text = f"relative error in a {error:.1e} ({NORMS[NORM]})" if error else record.status
     return f"{text}: {record.integrator} on {record.problem}, {record.resolution}"
 

@@ -9,7 +9,7 @@ from bench.results.quantities import PARTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import number
-from reports.series import Series, cost_of
+from reports.series import Series
 
 #: Of more runs than this the finest one of each integrator is drawn.
 MOST_BARS = 24
@@ -22,15 +22,15 @@ def bills(series: Sequence[Series], styles: Mapping[str, LineStyle]) -> vl.Spec 
 
     The label of a bar ends with the sum. Rows are those of the series, from coarse to fine.
     """
-    runs = [(s, r) for s in series for r in s.ok if cost_of(r, "operations")]
+    runs = [(s, r) for s in series for r in s.ok if r.cost("operations")]
     if len(runs) > MOST_BARS:
-        runs = [(s, s.finest) for s in series if cost_of(s.finest, "operations")]
+        runs = [(s, s.finest) for s in series if s.finest.cost("operations")]
     if not runs:
         return None
     bars: list[str] = []
     rows: list[dict[str, Any]] = []
     for s, r in runs:
-        total = cost_of(r, "operations") or 0.0
+        total = r.cost("operations") or 0.0
         bars.append(f"{styles[s.label].name}, {r.resolution.split(',')[0]}: {number(total)}")
         for order, part in enumerate(PARTS):
             count = r.operations.get(part)

@@ -11,7 +11,7 @@ from reports.charts.svg_text import Box, fitted, polyline, tag, text, text_width
 from reports.names import scene_name
 from reports.questions.answers import Answer, SceneAnswer, Standing
 from reports.questions.sentences import Words
-from reports.series import Series, cost_of, error_of
+from reports.series import Series
 
 #: Most scenes that are shown as panels, and most rows of standings.
 MOST_PANELS, _MOST_ROWS = 6, 8
@@ -109,7 +109,7 @@ def _panel(
         s.label: [
             (c, _drawn(e))
             for r in s.ok
-            if (c := cost_of(r, cost)) and (e := error_of(r, group, NORM)) is not None
+            if (c := r.cost(cost)) and (e := r.error(group, NORM)) is not None
         ]
         for s in series
     }
@@ -153,7 +153,7 @@ def _panel(
         parts.append(polyline(drawn, stroke=style.color, **look))
     for label in first:
         entry = own.entries[label]
-        if entry.run and entry.value and (error := error_of(entry.run, group, NORM)) is not None:
+        if entry.run and entry.value and (error := entry.run.error(group, NORM)) is not None:
             at = (x_of(entry.value), y_of(_drawn(error)))
             parts.append(tag("circle", cx=at[0], cy=at[1], r=5, fill=style_of(label).color))
     return parts

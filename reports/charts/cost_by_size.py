@@ -9,7 +9,7 @@ from typing import Any
 from bench.results.records import Record, SceneRecord
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.series import label_of, seconds_of
+from reports.series import label_of
 
 #: A kind of scene is drawn from this many sizes on.
 _LEAST = 3
@@ -44,13 +44,13 @@ def _rows(
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
         sizes = sum(scene.sizes.values()) if scene else 0
-        if record.status == "ok" and sizes and steps and seconds_of(record):
+        if record.status == "ok" and sizes and steps and record.seconds:
             key = record.problem.split("[")[0], sizes, label_of(record)
             if key not in best or steps > (best[key].work["steps"] or 0):
                 best[key] = record
     rows = defaultdict(list)
     for (kind, unknowns, label), record in sorted(best.items(), key=lambda item: item[0]):
-        seconds, steps = seconds_of(record) or 0.0, record.work["steps"] or 1
+        seconds, steps = record.seconds or 0.0, record.work["steps"] or 1
         rows[kind].append(
             {
                 "series": label,

@@ -10,8 +10,6 @@ from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORMS
 from reports.charts import vega_lite as vl
 from reports.series import (
     Series,
-    cost_of,
-    error_of,
     ok_runs,
     reference_error,
     step_or_tolerance,
@@ -46,7 +44,7 @@ def run_rows(
         for r in s.ok:
             row: dict[str, Any] = {"series": s.label, "run": r.resolution}
             for name in across:
-                value = getattr(r, name) if name in ("h", "rtol") else cost_of(r, name)
+                value = getattr(r, name) if name in ("h", "rtol") else r.cost(name)
                 row[name] = value if isinstance(value, int) else vl.short(value)
             if "seconds" in across:
                 row["fastest"] = vl.short(min(r.run_s, default=None))
@@ -55,7 +53,7 @@ def run_rows(
                 f"{group}_{norm}": error
                 for group in groups
                 for norm in norms
-                if (error := vl.short(error_of(r, group, norm)))
+                if (error := vl.short(r.error(group, norm)))
             }
             rows += [row | errors] if errors else []
     return rows
@@ -72,7 +70,7 @@ def full_norm(series: Sequence[Series], groups: Sequence[str], norm: str) -> str
     """The norm if every group has an error above zero in it, else the first such norm."""
 
     def full(norm: str) -> bool:
-        return all(any(error_of(r, group, norm) for r in ok_runs(series)) for group in groups)
+        return all(any(r.error(group, norm) for r in ok_runs(series)) for group in groups)
 
     return norm if full(norm) else next(filter(full, NORMS), norm)
 
@@ -232,7 +230,7 @@ def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[st
             if whole_order(fit) == order and fit.window:
                 coarse, fine = fit.window
                 last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
-                ends.append((_CLEAR * (error_of(last, group, norm) or 0.0), fine, coarse))
+                ends.append((_CLEAR * (last.error(group, norm) or 0.0), fine, coarse))
         error, fine, coarse = max(ends)
         yield {
             "norm": norm,

@@ -10,7 +10,7 @@ from reports.charts import vega_lite as vl
 from reports.charts.error_panels import Rows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
 from reports.questions.question import FIRST, TABLE_GROUPS
-from reports.series import Series, cost_of, error_of, label_of, ok_runs, trusted_error
+from reports.series import Series, label_of, ok_runs, trusted_error
 
 
 def pareto_chart(
@@ -110,7 +110,7 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     points = [
         (value, max(error, least), r)
         for r in runs
-        if (value := cost_of(r, cost)) and (error := error_of(r, group, NORM)) is not None
+        if (value := r.cost(cost)) and (error := r.error(group, NORM)) is not None
     ]
     points.sort(key=lambda point: point[:2])
     front: list[tuple[float, float, Record]] = []

@@ -19,7 +19,7 @@ from reports.questions.method_card import card
 from reports.questions.question import FIRST
 from reports.questions.words import Words
 from reports.scenes import StoredRuns
-from reports.series import Series, error_of, groups_of
+from reports.series import Series, groups_of
 from reports.text.damping_table import damping_table
 from reports.text.run_tables import failures_table, unsupported_table
 
@@ -115,7 +115,7 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
     for scene, s in series.items():
         errors = {
             f"error in {g}": number(
-                min((e for r in s.ok if (e := error_of(r, g, NORM)) is not None), default=None)
+                min((e for r in s.ok if (e := r.error(g, NORM)) is not None), default=None)
             )
             for g in groups
         }

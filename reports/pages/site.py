@@ -18,7 +18,6 @@ from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST
 from reports.ranking import reaches
-from reports.series import cost_of
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
@@ -173,7 +172,7 @@ def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:
     if not good:
         return ""
     able = [r for r in good if reaches(r, FIRST.group, FIRST.target)] or good[:1]
-    best = min(able, key=lambda r: cost_of(r, COST) or float("inf"))
+    best = min(able, key=lambda r: r.cost(COST) or float("inf"))
     control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
     if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
         control += f" --atol {best.atol:g}"

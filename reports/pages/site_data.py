@@ -18,7 +18,7 @@ from reports.questions.phrases import Part, Ref, Sentence
 from reports.questions.profile import Profile, profiles
 from reports.questions.question import FIRST, TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
-from reports.series import Series, cost_of, error_of, groups_of, step_or_tolerance, trusted_error
+from reports.series import Series, groups_of, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
@@ -312,7 +312,7 @@ def _four_characters(value: float | None) -> str:
 
 def _value(record: Record, name: str) -> float | None:
     if name in RANKED_COSTS:
-        return cost_of(record, name)
+        return record.cost(name)
     # An error of zero is drawn at the bottom of the chart.
-    error = error_of(record, name, NORM) if record.status == "ok" else None
+    error = record.error(name, NORM) if record.status == "ok" else None
     return 1e-40 if error == 0 else error

@@ -33,7 +33,6 @@ from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.series import (
     Series,
-    error_of,
     groups_of,
     label_of,
     ok_runs,
@@ -258,7 +257,7 @@ def _most_accurate(series: Sequence[Series], most: int) -> tuple[Sequence[Series
     """At most so many series, those with the smallest errors in q; and a sentence that says so."""
     if len(series) <= most:
         return series, ""
-    ranked = sorted(series, key=lambda s: error_of(s.finest, "q", NORM) or math.inf)
+    ranked = sorted(series, key=lambda s: s.finest.error("q", NORM) or math.inf)
     chosen = {s.label for s in ranked[:most]}
     said = f" Of {len(series)} integrators those {most} are shown that err least in q."
     return [s for s in series if s.label in chosen], said

@@ -12,7 +12,7 @@ from reports.questions.phrases import Part, Ref, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.sentences import sentences
 from reports.questions.words import Words, scene_ref
-from reports.series import Series, error_of
+from reports.series import Series
 
 #: Numbers of scenes of which nothing general is said.
 _FEW = {1: "One scene is", 2: "Two scenes are"}
@@ -94,7 +94,7 @@ def on_silent_errors(
     where: dict[str, list[Sentence]] = {}
     for scene, series in runs.items():
         for s in series:
-            errors = [(e, r) for r in s.ok if (e := error_of(r, group, NORM)) is not None]
+            errors = [(e, r) for r in s.ok if (e := r.error(group, NORM)) is not None]
             if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > _WRONG:
                 error, run = best
                 near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]

@@ -12,7 +12,7 @@ from bench.results.records import Record
 from reports.formatting import cost_text, named, times
 from reports.questions.question import TARGETS, Question, questions
 from reports.ranking import RankEntry, rank, told_apart
-from reports.series import Series, error_of, groups_of, ok_runs, reference_error
+from reports.series import Series, groups_of, ok_runs, reference_error
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,5 @@ def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer
 
 
 def _nearest(series: Sequence[Series], group: str) -> tuple[float, Record] | None:
-    errors = [
-        (error, r) for r in ok_runs(series) if (error := error_of(r, group, NORM)) is not None
-    ]
+    errors = [(error, r) for r in ok_runs(series) if (error := r.error(group, NORM)) is not None]
     return min(errors, key=lambda pair: pair[0], default=None)

@@ -15,7 +15,7 @@ from reports.questions.question import FIRST, Question
 from reports.questions.words import Words, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
-from reports.series import Series, error_of
+from reports.series import Series
 
 #: What an integrator is on a scene, in the order in which a card tells it.
 _STATES = {
@@ -78,7 +78,7 @@ def _detail(
         first = words.methods((s.label for s in answer.first), most=1)
         return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]
     if state == "far":
-        errors = [e for r in own.ok if (e := error_of(r, question.group, NORM)) is not None]
+        errors = [e for r in own.ok if (e := r.error(question.group, NORM)) is not None]
         return [f" (smallest error: {number(min(errors))})"] if errors else []
     return [f" ({own.statuses.replace('_', ' ')})"] if state == "failed" else []
 

@@ -9,7 +9,7 @@ from bench.results.quantities import NORM, NORMS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import named, number, order_text, text_range
-from reports.series import Series, error_of, groups_of, ok_runs, step_or_tolerance
+from reports.series import Series, groups_of, ok_runs, step_or_tolerance
 
 #: An order is lost that falls short of the claimed one by this much.
 _LOSS = 0.5
@@ -138,7 +138,7 @@ def _ends(s: Series, group: str) -> str:
     """The errors of the coarsest and of the finest run."""
     name = "h" if s.controls == "step" else "rtol"
     ends = [
-        f"{number(error_of(r, group, NORM))} at {name}={number(step_or_tolerance(r))}"
+        f"{number(r.error(group, NORM))} at {name}={number(step_or_tolerance(r))}"
         for r in (s.ok[0], s.ok[-1])
     ]
     return f"none: error {', '.join(ends)}"

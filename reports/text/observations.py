@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bench.results.records import UNSUPPORTED, Record, median
 from reports.formatting import named, number, number_range, words
-from reports.series import Series, cost_of, seconds_of
+from reports.series import Series
 
 #: Seconds per operation further from the scene's median than this factor are explained.
 FAR = 3.0
@@ -42,7 +42,7 @@ def _failure_sentence(s: Series) -> str:
 
 def seconds_per_operation(record: Record) -> float | None:
     """Median seconds of a run over its operations; None if one of them is not known."""
-    seconds, operations = seconds_of(record), cost_of(record, "operations")
+    seconds, operations = record.seconds, record.cost("operations")
     return seconds / operations if seconds and operations else None
 
 
@@ -83,8 +83,8 @@ def _mostly_fixed(s: Series) -> bool:
 
     The fastest samples are compared: what slows down a single short run is no fixed cost.
     """
-    timed = [r for r in s.ok if r.run_s and cost_of(r, "operations")]
+    timed = [r for r in s.ok if r.run_s and r.cost("operations")]
     if len(timed) < 2 or min(timed[0].run_s) > min(min(r.run_s) for r in timed[1:]):
         return False
-    coarse, fine = (min(r.run_s) / (cost_of(r, "operations") or 1) for r in (timed[0], timed[-1]))
+    coarse, fine = (min(r.run_s) / (r.cost("operations") or 1) for r in (timed[0], timed[-1]))
     return coarse > FAR * fine

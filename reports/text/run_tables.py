@@ -19,11 +19,8 @@ from reports.formatting import (
 )
 from reports.series import (
     Series,
-    cost_of,
-    error_of,
     groups_of,
     ok_runs,
-    seconds_of,
     timing_spread,
     trusted_error,
     with_values,
@@ -37,7 +34,7 @@ def summary_table(series: Sequence[Series]) -> Table:
     groups = groups_of(ok_runs(series))
     rows, best, doubtful = [], set(), False
     for s in series:
-        judged = with_values(s.ok, lambda r: error_of(r, "q", NORM))
+        judged = with_values(s.ok, lambda r: r.error("q", NORM))
         run = min(judged, key=itemgetter(0))[1] if judged else None
         orders = orders_measured([s]) or "not determined"
         rows.append(
@@ -68,16 +65,16 @@ def summary_table(series: Sequence[Series]) -> Table:
 
 
 def _smallest(s: Series, group: str) -> float | None:
-    errors = with_values(s.ok, lambda r: error_of(r, group, NORM))
+    errors = with_values(s.ok, lambda r: r.error(group, NORM))
     return min((error for error, _ in errors), default=None)
 
 
 def _costs(run: Record | None) -> dict[str, str]:
     """The costs of a run by column; signs for no value where there is no run."""
     return {
-        "time in ms": milliseconds(seconds_of(run) if run else None),
+        "time in ms": milliseconds(run.seconds if run else None),
         "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
-        "operations": number(cost_of(run, "operations") if run else None),
+        "operations": number(run.cost("operations") if run else None),
     }
 
 
@@ -125,7 +122,7 @@ def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) 
     """The error with its worst component: 0.7 roll."""
     worst = worst_component(record, group, NORM)
     name = "" if worst is None else component_text(group, worst, components).partition(" [")[0]
-    return f"{number(error_of(record, group, NORM))} {name}".strip()
+    return f"{number(record.error(group, NORM))} {name}".strip()
 
 
 def invariants_table(series: Sequence[Series]) -> Table | None:
