@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from problems.plain_text import clean, named, said
+from problems.plain_text import clean, described, said
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
@@ -74,11 +74,6 @@ def _cut(words: str, most: int) -> str:
     return words if len(words) <= most else words[: most - 2].rstrip() + " …"
 
 
-def reason(error: BaseException) -> str:
-    """Return a sentence on an exception, with its type unless it is a `SpecError`."""
-    return f"{said(error) if isinstance(error, SpecError) else named(error)}."
-
-
 def asked(owner: object, name: str, what: str) -> Any:
     """Return an attribute of a plugin's object.
 
@@ -92,7 +87,8 @@ def asked(owner: object, name: str, what: str) -> Any:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise FalseAnswer(f"{what} cannot be read: {reason(error)}") from error
+        reason = said(error) if isinstance(error, SpecError) else described(error)
+        raise FalseAnswer(f"{what} cannot be read: {reason}.") from error
 
 
 # ---- text and numbers ------------------------------------------------------------------

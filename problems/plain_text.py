@@ -58,7 +58,7 @@ def said(error: BaseException) -> str:
     return shortened(" ".join(text_of(error).split())).rstrip(".") or "no message"
 
 
-def named(error: BaseException) -> str:
+def described(error: BaseException) -> str:
     """Return the class of an exception and what it says: "ValueError: not a number"."""
     name = type.__dict__["__name__"].__get__(type(error))  # a metaclass may hide it
     return f"{_cut(visible(name), LONGEST_WORD)}: {said(error)}"

@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import cache, cached_property
 from typing import Any, TypeVar
 
-from problems.plain_text import named
+from problems.plain_text import described
 
 _NAME = r"[A-Za-z_][\w.-]*"
 _SPEC = re.compile(rf"\s*({_NAME})\s*(?:\[(.*)\])?\s*", re.DOTALL)
@@ -146,7 +146,7 @@ def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
     except SpecError:
         raise
     except (Exception, SystemExit) as error:  # the class may be a plugin
-        raise SpecError(f"{name} cannot be made: {named(error)}.") from error
+        raise SpecError(f"{name} cannot be made: {described(error)}.") from error
 
 
 def validate(instance: Any) -> None:

@@ -7,7 +7,7 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from problems.plain_text import named, said, shortened, text_of
+from problems.plain_text import described, said, shortened, text_of
 from problems.spec import SpecError
 
 #: Folders of code that is not to blame for an exception.
@@ -35,7 +35,7 @@ def explain(error: BaseException) -> str:
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return _lack_of_memory(error) or f"{named(error)}{where}."
+    return _lack_of_memory(error) or f"{described(error)}{where}."
 
 
 def _lack_of_memory(error: BaseException) -> str:

@@ -18,7 +18,7 @@ from bench.guard.process import NoAnswer
 from bench.plugins.registry import files_of, plugin_files
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
-from problems.plain_text import named, said
+from problems.plain_text import described, said
 from problems.spec import SpecError
 
 CONNECT_SECONDS = 10
@@ -119,7 +119,7 @@ class ClusterRunner(Runner):
 
 def _lost(group: list[Task], error: BaseException) -> list[tuple[Task, Any]]:
     """The tasks of a group, each with the reason why it has no answer."""
-    reason = f"The cluster could not run it: {named(error)}"
+    reason = f"The cluster could not run it: {described(error)}"
     return [(task, NoAnswer(status="interrupted", message=reason)) for task in group]
 
 
