@@ -15,7 +15,7 @@ from problems.scenes.pendulum import Pendulum
 from reports.pages.choosing import choosing_in_markdown, heading_anchor, measured_with, sections
 from reports.questions.advice import on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import answers
-from reports.questions.kinds import KINDS, scenes_of
+from reports.questions.kinds import KINDS, scenes_of_kind
 from reports.questions.phrases import plain
 from reports.questions.question import Question
 from reports.questions.words import words_of
@@ -53,7 +53,7 @@ def test_each_kind_has_its_scenes():
         "twice": scene("twice", "redundant", nq=2, nl=2),
         "long": scene("long", nq=80, nl=40),
     }
-    assert {kind.key: scenes_of(kind, scenes) for kind in KINDS} == {
+    assert {kind.key: scenes_of_kind(kind, scenes) for kind in KINDS} == {
         "smooth": ["free"],
         "stiff": ["stiff", "loop"],
         "constrained": ["rod", "top", "long"],

@@ -14,12 +14,12 @@ from planted import curves, everything, plant, planted
 from bench.results.csv_text import csv_export, csv_text
 from reports.charts.errors import (
     acceleration_accuracy,
-    convergence,
-    work_precision,
+    convergence_chart,
+    work_precision_chart,
     work_precision_with_menus,
 )
 from reports.charts.line_styles import line_styles
-from reports.charts.over_time import histories, trajectory
+from reports.charts.over_time import histories, trajectory_chart
 from reports.charts.pareto_front import pareto_chart
 from reports.series import series_of
 
@@ -77,12 +77,12 @@ def test_no_chart_has_a_number_in_the_place_of_a_name(tmp_path, interactive):
     rows = [(label, curves(1.0, {"q": 2})) for label in sorted(labels)]
     rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
     charts = [
-        work_precision(series, ["q", "a"], styles),
-        convergence(series, ["q", "a"], styles, interactive=interactive),
+        work_precision_chart(series, ["q", "a"], styles),
+        convergence_chart(series, ["q", "a"], styles, interactive=interactive),
         acceleration_accuracy(series, styles, interactive=interactive),
         work_precision_with_menus(series, ["q", "a"], styles),
         pareto_chart({"pendulum": series}, styles, interactive),
-        trajectory(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
+        trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
         histories(rows, styles, interactive),
     ]
     for chart in charts:

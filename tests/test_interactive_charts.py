@@ -13,7 +13,7 @@ from bench.results.records import Rows
 from bench.results.store import Store
 from reports.charts.errors import acceleration_accuracy, work_precision_with_menus
 from reports.charts.line_styles import line_styles
-from reports.charts.over_time import ERRORS, STILL_ROWS, histories, thinned, trajectory
+from reports.charts.over_time import ERRORS, STILL_ROWS, histories, thinned, trajectory_chart
 from reports.pages.report import read_report
 from reports.series import series_of
 
@@ -147,7 +147,9 @@ def _over_time(chapter):
 def test_a_study_chooses_what_is_drawn_over_time(styles):
     label = next(iter(styles))
     rows = curves(1.0, {"q": 5, "x": 2})
-    chart = trajectory([(label, rows)], None, ["q", "x"], styles, components=[("q", 4), ("x", 0)])
+    chart = trajectory_chart(
+        [(label, rows)], None, ["q", "x"], styles, components=[("q", 4), ("x", 0)]
+    )
     fields = [panel["layer"][-1]["encoding"]["y"]["field"] for panel in chart["concat"]]
     assert fields == ["q4", "x0"]
     first = table(chart["datasets"]["runs"])[0]
@@ -159,7 +161,7 @@ def test_a_path_is_drawn_over_another_component_in_the_order_of_time(styles):
     label = next(iter(styles))
     rows = curves(1.0, {"q": 2, "x": 1})
     chosen = [("q", 1, "q", 0), ("x", 0)]
-    chart = trajectory([(label, rows)], rows, ["q", "x"], styles, components=chosen)
+    chart = trajectory_chart([(label, rows)], rows, ["q", "x"], styles, components=chosen)
     path, over_time = chart["concat"]
     for layer in path["layer"]:  # the reference and the run
         axes = layer["encoding"]

@@ -101,7 +101,7 @@ def test_an_engine_that_was_killed_is_replaced():
 
 @pytest.mark.long
 def test_an_engine_that_does_not_end_is_stopped(monkeypatch):
-    monkeypatch.setattr(rendering, "LONGEST", 0.3)
+    monkeypatch.setattr(rendering, "LONGEST_DRAWING", 0.3)
     rendering._end_engines()
     assert "more than 0.3 s of processor time" in rendering.picture(MANY).sentence
     rendering._end_engines()

@@ -12,7 +12,11 @@ import vl_convert
 from planted import STEPS, everything, planted
 
 from bench.results.quantities import NORMS
-from reports.charts.errors import acceleration_accuracy, convergence, work_precision_with_menus
+from reports.charts.errors import (
+    acceleration_accuracy,
+    convergence_chart,
+    work_precision_with_menus,
+)
 from reports.charts.line_styles import line_styles
 from reports.series import series_of
 
@@ -24,7 +28,7 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         record.run_s = [1e-3, 2e-3]
     series = series_of(records)
     styles = line_styles(s.label for s in series)
-    by_step = convergence(series, ["q", "v", "a", "lam"], styles, interactive=True)
+    by_step = convergence_chart(series, ["q", "v", "a", "lam"], styles, interactive=True)
     assert len(by_step["concat"]) == 4
     for chart in (
         by_step,
@@ -44,7 +48,7 @@ def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
     records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
     series = series_of(records)
     styles = line_styles(s.label for s in series)
-    svg = vl_convert.vegalite_to_svg(convergence(series, ["q", "lam"], styles))
+    svg = vl_convert.vegalite_to_svg(convergence_chart(series, ["q", "lam"], styles))
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
     assert "m: order q 2.00, lam 1.00" in text
     assert "n: order q 2.00, lam 0.00" in text
@@ -69,12 +73,12 @@ def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
     series = series_of(records)
     styles = line_styles(s.label for s in series)
     for norm, order in (("end", 2), ("max", 1)):
-        found = guides(convergence(series, ["q", "lam"], styles, norm))
+        found = guides(convergence_chart(series, ["q", "lam"], styles, norm))
         assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
         assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
     odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
     styles = line_styles(["odd"])
-    assert guides(convergence(series_of(odd), ["q"], styles)) == {"q": []}
+    assert guides(convergence_chart(series_of(odd), ["q"], styles)) == {"q": []}
 
 
 def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
@@ -83,7 +87,7 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         record.errors["lam"]["end"] = 0.0
         record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
     series, styles = series_of(records), line_styles(["m"])
-    chart = convergence(series, ["q", "lam"], styles, "end", interactive=True)
+    chart = convergence_chart(series, ["q", "lam"], styles, "end", interactive=True)
     (choice,) = chart["params"]
     assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
     # Layers hold something in every norm in which there are errors, so that no scale is empty.
@@ -92,5 +96,5 @@ def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
         assert {row["norm"] for row in rows} == norms
         unnamed = [row for row in rows if not row["name"]]
         assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
-    picture = convergence(series, ["q", "lam"], styles, "end")
+    picture = convergence_chart(series, ["q", "lam"], styles, "end")
     assert [*guides(picture)] == ["q"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from bench.results.quantities import COSTS, NORM
 from reports.charts.line_styles import style_of
-from reports.charts.svg_text import Box, fitted, polyline, tag, text, text_width
+from reports.charts.svg_text import Box, fitted, polyline, tag, text_line, text_width
 from reports.names import scene_name
 from reports.questions.answers import Answer, SceneAnswer, Standing
 from reports.questions.sentences import Words
@@ -44,11 +44,11 @@ def standings(found: Answer, words: Words, box: Box) -> list[str]:
     x, y = box.x, box.y + box.height
     for name, opacity in _LOOKS.items():
         parts.append(_bar(x, y - 12, 14, 12, _GREY, opacity))
-        parts.append(text(name, x + 20, y - 1, 14, fill=_GREY))
+        parts.append(text_line(name, x + 20, y - 1, 14, fill=_GREY))
         x += 20 + text_width(name, 14) + 12
     if more := len(found.standings) - len(rows):
         parts.append(
-            text(f"{more} more", box.x + box.width, y - 1, 14, fill=_GREY, text_anchor="end")
+            text_line(f"{more} more", box.x + box.width, y - 1, 14, fill=_GREY, text_anchor="end")
         )
     return parts
 
@@ -61,8 +61,8 @@ def _row(row: Standing, name: str, unit: float, place: Box, scenes: str) -> list
     color, y = style_of(row.label).color, place.y + 24
     counts = (row.tried, row.reached, first, row.alone)
     return [
-        text(fitted(name, 17, room, bold=True), place.x, place.y + 17, 17, font_weight="bold"),
-        text(said, right, place.y + 17, 15, fill=_GREY, text_anchor="end"),
+        text_line(fitted(name, 17, room, bold=True), place.x, place.y + 17, 17, font_weight="bold"),
+        text_line(said, right, place.y + 17, 15, fill=_GREY, text_anchor="end"),
         *(
             _bar(place.x, y, count * unit, 14, color, opacity)
             for count, opacity in zip(counts, reversed(_LOOKS.values()), strict=True)
@@ -98,7 +98,7 @@ def panels(
         parts += _panel(found, name, own, scenes[name], words, place)
     group, cost = found.question.quantity, COSTS[found.question.cost].title
     said = fitted(f"error in {group} against {cost}", 14, box.width)
-    return [*parts, text(said, box.x, box.y + box.height - 1, 14, fill=_GREY)]
+    return [*parts, text_line(said, box.x, box.y + box.height - 1, 14, fill=_GREY)]
 
 
 def _panel(
@@ -126,8 +126,8 @@ def _panel(
     room = place.width - text_width(title, 15) - 12
     color = style_of(first[0]).color if first else _GREY
     parts = [
-        text(title, place.x, place.y + 15, 15),
-        text(
+        text_line(title, place.x, place.y + 15, 15),
+        text_line(
             fitted(winners, 15, room, bold=True), place.x + place.width, place.y + 15, 15,
             fill=color, font_weight="bold", text_anchor="end",
         ),
@@ -135,15 +135,15 @@ def _panel(
         polyline(
             [(inner.x, asked), (right, asked)], stroke="#1b2430", stroke_dasharray="5 4"
         ),
-        text(found.question.accuracy, inner.x - 5, asked + 4, 12, text_anchor="end"),
+        text_line(found.question.accuracy, inner.x - 5, asked + 4, 12, text_anchor="end"),
     ]  # fmt: skip
     for at in _ends(errors):
         if inner.y <= y_of(at) <= bottom and abs(y_of(at) - asked) > 13:
             look = {"fill": _GREY, "text_anchor": "end"}
-            parts.append(text(_power(at), inner.x - 5, y_of(at) + 4, 12, **look))
+            parts.append(text_line(_power(at), inner.x - 5, y_of(at) + 4, 12, **look))
     for at in _ends([c for c, _ in points]):
         look = {"fill": _GREY, "text_anchor": "middle"}
-        parts.append(text(_power(at), x_of(at), bottom + 15, 12, **look))
+        parts.append(text_line(_power(at), x_of(at), bottom + 15, 12, **look))
     for label in sorted(lines, key=lambda k: k in first):  # the cheapest above the others
         best, style = label in first, style_of(label)
         drawn = [(x_of(c), y_of(e)) for c, e in lines[label]]

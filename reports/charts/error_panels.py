@@ -28,12 +28,12 @@ _FORMATS = {"h": "~g", "seconds": ".0e"}
 #: A guide to the eye runs this factor above the errors.
 _CLEAR = 2.0
 
-Rows = list[dict[str, Any]]
+RunRows = list[dict[str, Any]]
 
 
 def run_rows(
     series: Sequence[Series], groups: Sequence[str], norms: Sequence[str], across: Sequence[str]
-) -> Rows:
+) -> RunRows:
     """A row per run that has an error: what it is shown against, and a column per error.
 
     The column of an error has the name of its group and norm, such as "a_max". An error of zero
@@ -152,7 +152,9 @@ def times_layer(options: vl.ChartOptions, y: vl.Spec) -> vl.Spec:
 
 
 # ---- the reference's own error ------------------------------------------------------------
-def floors(series: Sequence[Series], errors: Mapping[str, Mapping[str, Sequence[float]]]) -> Rows:
+def floors(
+    series: Sequence[Series], errors: Mapping[str, Mapping[str, Sequence[float]]]
+) -> RunRows:
     """The reference's own error by group and norm; no rows if none can be seen.
 
     It is hidden if it lies far below all ``errors``, which are by group and norm. The hidden line
@@ -169,7 +171,7 @@ def floors(series: Sequence[Series], errors: Mapping[str, Mapping[str, Sequence[
     return rows if any(row["seen"] for row in rows) else []
 
 
-def floor_layer(rows: Rows, options: vl.ChartOptions, group: str = "") -> list[vl.Spec]:
+def floor_layer(rows: RunRows, options: vl.ChartOptions, group: str = "") -> list[vl.Spec]:
     """A dashed line at the reference's own error in the norm shown, and in a group of a menu."""
     if not rows:
         return []
@@ -213,7 +215,7 @@ def _slope_guides(
     return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
 
 
-def _no_guide(data: vl.Dataset, group: str, norm: str) -> Rows:
+def _no_guide(data: vl.Dataset, group: str, norm: str) -> RunRows:
     """A guide of no length: Vega warns of a scale without values."""
     points = [(row["h"], e) for row in data.rows if (e := row.get(f"{group}_{norm}"))]
     return [

@@ -27,7 +27,7 @@ from reports.series import Series, ok_runs
 _MENU = [name for name in ACROSS if name not in ("solves", "rejected")]
 
 
-def convergence(
+def convergence_chart(
     series: Sequence[Series],
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
@@ -55,7 +55,7 @@ def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
     return f": order {', '.join(known)}" if known else ": order not determined"
 
 
-def work_precision(
+def work_precision_chart(
     series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
 ) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.results.records import Drawing
 from reports.charts.vega_lite import Dataset, Spec, category, config, datasets, quantity, short
 
 #: Most times at which a still picture shows a scene.
@@ -13,7 +14,6 @@ _GHOSTS = 7
 #: Most lines and points per line of a little picture.
 _LINES, _POINTS = 40, 60
 
-Drawing = Mapping[str, Any]
 Line = list[tuple[float, float]]
 
 
@@ -96,7 +96,7 @@ def mechanism(drawings: Sequence[Drawing]) -> Spec | None:
 
 
 @dataclass
-class Motion:
+class Animation:
     """Frames of an animation, the part of the plane that they need, and the width of a line."""
 
     view: str
@@ -110,7 +110,7 @@ class Motion:
         return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in line) for line in lines if line)
 
 
-def motion(drawings: Sequence[Drawing]) -> Motion | None:
+def motion(drawings: Sequence[Drawing]) -> Animation | None:
     """The frames of these drawings, y downwards; None if they hold no point."""
     frames = [
         {"t": d["t"], "lines": [[(x, 0.0 - y) for x, y in line] for line in _lines(d)]}
@@ -121,7 +121,7 @@ def motion(drawings: Sequence[Drawing]) -> Motion | None:
         return None
     corner = (plane.x - plane.wide / 2, plane.y - plane.high / 2)
     view = " ".join(f"{x:.6g}" for x in (*corner, plane.wide, plane.high))
-    return Motion(view, f"{plane.extent / 150:.4g}", frames)
+    return Animation(view, f"{plane.extent / 150:.4g}", frames)
 
 
 def little_picture(drawings: Sequence[Drawing]) -> list[Line]:

@@ -13,7 +13,7 @@ from reports.charts.line_styles import LineStyle
 from reports.formatting import component_title
 
 #: Components of a group that are drawn if no others are chosen.
-MOST_COMPONENTS = 3
+COMPONENTS_SHOWN = 3
 #: Field and title of the horizontal axis.
 TIME = ("t", "time in s")
 #: Notes of a run by name: title of the axis, and whether it is logarithmic.
@@ -34,7 +34,7 @@ STILL_ROWS = 110
 _OUT_OF_SCALE = 5
 
 
-def trajectory(
+def trajectory_chart(
     runs: Sequence[tuple[str, Rows]],
     reference: Rows | None,
     groups: Sequence[str],
@@ -154,8 +154,8 @@ def _axes(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
 
 def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
     """The first components of every group: (q, v, a) of each coordinate, then the others."""
-    motion = [(g, i) for i in range(MOST_COMPONENTS) for g in groups if g in "qva"]
-    return motion + [(g, i) for g in groups if g not in "qva" for i in range(MOST_COMPONENTS)]
+    motion = [(g, i) for i in range(COMPONENTS_SHOWN) for g in groups if g in "qva"]
+    return motion + [(g, i) for g in groups if g not in "qva" for i in range(COMPONENTS_SHOWN)]
 
 
 def time_rows(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, RANKED_COSTS
 from bench.results.records import Record
 from reports.charts import vega_lite as vl
-from reports.charts.error_panels import Rows, cost_tooltip, run_rows
+from reports.charts.error_panels import RunRows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
 from reports.questions.question import FIRST, TABLE_GROUPS
 from reports.series import Series, label_of, ok_runs, trusted_error
@@ -120,7 +120,7 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     return [r for *_, r in front]
 
 
-def _rows(scene: str, series: Sequence[Series]) -> Rows:
+def _rows(scene: str, series: Sequence[Series]) -> RunRows:
     """The rows of the runs, with the pairs of group and cost in which they are on the front."""
     least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in TABLE_GROUPS}
     fronts = {

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Characters of charts per engine; one takes a third of a second to start.
 PART_SIZE = 240_000
 #: An engine that computes at one chart for longer, in s, is stopped.
-LONGEST = 120.0
+LONGEST_DRAWING = 120.0
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _engine() -> GuardedProcess:
         engine = _idle.pop()
         if engine.alive:
             return engine
-    return GuardedProcess(_ready, limits=Limits(LONGEST))
+    return GuardedProcess(_ready, limits=Limits(LONGEST_DRAWING))
 
 
 def _drawn(text: str, by: str, options: Mapping[str, float]) -> Picture:

@@ -23,7 +23,7 @@ _WIDTHS = {
 _OTHER, _BOLD = 1050, 1.13
 
 #: A word of a text: pieces, each bold or not.
-Word = list[tuple[str, bool]]
+StyledWord = list[tuple[str, bool]]
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ def fitted(text: str, size: float, width: float, bold: bool = False) -> str:
     return f"{text.rstrip()}…"
 
 
-def wrapped(words: Iterable[Word], size: float, width: float) -> list[list[Word]]:
+def wrapped(words: Iterable[StyledWord], size: float, width: float) -> list[list[StyledWord]]:
     """Words in lines that are at most so wide; a longer word loses its end."""
-    lines: list[list[Word]] = []
+    lines: list[list[StyledWord]] = []
     left = 0.0
     for word in words:
         taken = sum(text_width(text, size, bold) for text, bold in word)
@@ -79,7 +79,7 @@ def tag(name: str, content: str = "", /, **attributes: object) -> str:
     return f"<{name}{given}>{content}</{name}>" if content else f"<{name}{given}/>"
 
 
-def text(content: str, x: float, y: float, size: float, **attributes: str) -> str:
+def text_line(content: str, x: float, y: float, size: float, **attributes: str) -> str:
     """A line of text."""
     return tag("text", xml(content), x=x, y=y, font_size=size, **attributes)
 

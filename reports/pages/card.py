@@ -9,7 +9,17 @@ from bench.results.quantities import COSTS, GROUPS, RANKED_COSTS
 from problems.spec import SpecError, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
-from reports.charts.svg_text import Box, Word, fitted, svg, tag, text, text_width, wrapped, xml
+from reports.charts.svg_text import (
+    Box,
+    StyledWord,
+    fitted,
+    svg,
+    tag,
+    text_line,
+    text_width,
+    wrapped,
+    xml,
+)
 from reports.formatting import words as listed
 from reports.questions.answers import Answer, answer
 from reports.questions.phrases import Sentence, plain
@@ -95,14 +105,14 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     mark = "measured by stepbench"
     parts = [
         tag("rect", width=WIDTH, height=8, fill="#2456c4"),
-        text(fitted(stored.title, size, wide, True), _MARGIN, 76, size, font_weight="bold"),
-        text(fitted(f"Error at most {asked}", 20, wide), _MARGIN, 116, 20, fill=_GREY),
+        text_line(fitted(stored.title, size, wide, True), _MARGIN, 76, size, font_weight="bold"),
+        text_line(fitted(f"Error at most {asked}", 20, wide), _MARGIN, 116, 20, fill=_GREY),
         tag("rect", x=_MARGIN, y=140, width=wide, **rule),
         *_paragraphs(said, _SENTENCES),
         *card_chart(found, stored.series, words, _CHART),
         tag("rect", x=_MARGIN, y=foot - 28, width=wide, **rule),
-        text(fitted(_measured(stored), 16, wide - 260), _MARGIN, foot, 16, fill=_GREY),
-        text(mark, WIDTH - _MARGIN, foot, 16, font_weight="bold", text_anchor="end"),
+        text_line(fitted(_measured(stored), 16, wide - 260), _MARGIN, foot, 16, fill=_GREY),
+        text_line(mark, WIDTH - _MARGIN, foot, 16, font_weight="bold", text_anchor="end"),
     ]
     return svg(WIDTH, HEIGHT, stored.title, " ".join([f"Error at most {asked}.", *told]), parts)
 
@@ -147,9 +157,9 @@ def _paragraphs(said: Sequence[Sentence], box: Box) -> list[str]:
     return parts
 
 
-def _words(sentence: Sentence) -> list[Word]:
+def _words(sentence: Sentence) -> list[StyledWord]:
     """The words of a sentence; names of methods are bold."""
-    found: list[Word] = [[]]
+    found: list[StyledWord] = [[]]
     for part in sentence:
         content, bold = (
             (part, False) if isinstance(part, str) else (part.text, part.kind == "method")
@@ -160,7 +170,7 @@ def _words(sentence: Sentence) -> list[Word]:
     return [word for word in ([piece for piece in w if piece[0]] for w in found) if word]
 
 
-def _line(line: Sequence[Word], x: float, y: float, size: float) -> str:
+def _line(line: Sequence[StyledWord], x: float, y: float, size: float) -> str:
     pieces = [piece for word in line for piece in (*word, (" ", False))][:-1]
     spans = "".join(
         tag("tspan", xml(t), font_weight="bold") if bold else xml(t) for t, bold in pieces

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from bench.results.records import SceneRecord
+from bench.results.records import Drawing, SceneRecord
 from problems.spec import SpecError
 from problems.whole_files import put
 from reports.charts.mechanism import mechanism, motion
@@ -22,7 +21,7 @@ class NoPicture(SpecError):
     """The scene has nothing to draw, or the format is not known."""
 
 
-def write_picture(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
+def write_picture(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
     """Write a picture of a scene at several times; the suffix says SVG or PNG.
 
     Raises
@@ -42,7 +41,7 @@ def write_picture(title: str, drawings: Sequence[dict[str, Any]], path: Path) ->
     return path
 
 
-def write_animation(title: str, drawings: Sequence[dict[str, Any]], path: Path) -> Path:
+def write_animation(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
     """Write a page that plays a scene; the file needs no other.
 
     Raises

@@ -14,7 +14,7 @@ from bench.results.table import Table
 from reports.pages.templating import code, escape_markdown, markdown
 from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes, on_silent_errors
 from reports.questions.answers import Answer, answers
-from reports.questions.kinds import KINDS, Kind, scenes_of
+from reports.questions.kinds import KINDS, Kind, scenes_of_kind
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import TABLE_TARGETS, Question
 from reports.questions.words import Words, words_of
@@ -73,7 +73,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Section:
+class KindAdvice:
     """The advice for one kind of system."""
 
     kind: Kind
@@ -127,7 +127,7 @@ def choosing_in_markdown(folder: Path) -> str:
     )
 
 
-def sections(stored: StoredRuns) -> list[Section]:
+def sections(stored: StoredRuns) -> list[KindAdvice]:
     """Return the advice for every kind of system, from the runs of a store."""
     words = replace(words_of(stored.series, stored.tags), brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
@@ -137,14 +137,14 @@ def sections(stored: StoredRuns) -> list[Section]:
 
 def _section(
     kind: Kind, stored: StoredRuns, found: Mapping[Question, Answer], words: Words
-) -> Section:
-    scenes = [k for k in scenes_of(kind, stored.scenes) if stored.series.get(k)]
+) -> KindAdvice:
+    scenes = [k for k in scenes_of_kind(kind, stored.scenes) if stored.series.get(k)]
     made = [_on_group(kind, group, scenes, stored, found, words) for group in kind.groups]
     if not kind.groups and _ENERGY in found:
         drifts = energy_drifts(found[_ENERGY].on(scenes))
         said, table = [on_energy(_ENERGY, drifts, words)], energy_table(_ENERGY, drifts, words)
         made = [Advice(kind, "energy", said, table)] if drifts else []
-    return Section(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
+    return KindAdvice(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
 
 
 def _on_group(

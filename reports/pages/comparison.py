@@ -12,7 +12,7 @@ from reports.charts.comparison import ratio_charts
 from reports.charts.rendering import draw
 from reports.pages.templating import html, markdown
 
-FIGURES = "comparison_figures"
+_FIGURES = "comparison_figures"
 _RUN = ["integrator", "scene", "run"]
 _CHARTED = (
     "Every run that came to the end in both, by the ratio of new to old that is furthest from one: "
@@ -35,9 +35,9 @@ def write_comparison(
     """
     folder.mkdir(parents=True, exist_ok=True)
     charts = ratio_charts(comparison)
-    failed = draw(charts, folder / FIGURES)
+    failed = draw(charts, folder / _FIGURES)
     pictures = {
-        f"{FIGURES}/{name}.svg": chart["title"]["text"]
+        f"{_FIGURES}/{name}.svg": chart["title"]["text"]
         for name, chart in charts.items()
         if name not in failed
     }

@@ -19,7 +19,7 @@ from reports.questions.sentences import scene_sentence, sentences, unjudged
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
-FIGURES = "report_figures"
+_FIGURES = "report_figures"
 
 
 def write_markdown_report(folder: Path) -> Path:
@@ -42,7 +42,7 @@ def write_markdown_report(folder: Path) -> Path:
     """
     report = read_report(folder, interactive=False)
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
-    failed = draw(charts, folder / FIGURES)
+    failed = draw(charts, folder / _FIGURES)
     files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
     said = {
         name: scene_sentence(report.answer.question, name, on, report.words)
@@ -62,7 +62,7 @@ def write_markdown_report(folder: Path) -> Path:
             scene=chapter,
             verdict=escape_markdown(plain(said.get(chapter.name, []))),
             index=FILE,
-            figures=f"../{FIGURES}",
+            figures=f"../{_FIGURES}",
             failed=failed,
         )
         put(own / _scene_file(chapter.name), text)
@@ -80,7 +80,7 @@ def write_markdown_report(folder: Path) -> Path:
             (scene_name(s.name), files[s.name], rendered(said.get(s.name, []), _escaped, links))
             for s in report.scenes
         ],
-        figures=FIGURES,
+        figures=_FIGURES,
         failed=failed,
     )
     put(folder / FILE, text)

@@ -15,7 +15,7 @@ from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.names import BUILT_IN
 from reports.questions.answers import Answer
-from reports.questions.method_card import card
+from reports.questions.method_card import card_sentences
 from reports.questions.question import FIRST
 from reports.questions.words import Words
 from reports.scenes import StoredRuns
@@ -66,7 +66,7 @@ class MethodChapter:
         stability = f'stepbench stability "{name}"{self.plugins}'
         self.command = stability if first.controls == "step" else ""
         self.title = facts.title.rstrip(".") if facts else ""
-        self.card = card(label, answer, stored.series, words)
+        self.card = card_sentences(label, answer, stored.series, words)
         self.facts = _facts(name, first, facts)
         self.scenes = _scenes_table(label, by_scene, answer)
         self.orders = _orders_table(by_scene, facts.orders if facts else {})

@@ -14,7 +14,7 @@ from reports.names import family_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
 from reports.questions.answers import Answer, SceneAnswer, answers
-from reports.questions.phrases import Part, Ref, Sentence
+from reports.questions.phrases import Piece, Ref, Sentence
 from reports.questions.profile import Profile, profiles
 from reports.questions.question import FIRST, TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
@@ -188,7 +188,7 @@ class SiteData:
         """
         places: dict[Ref, int] = {}
 
-        def plain(said: Sentence) -> list[Part | int]:
+        def plain(said: Sentence) -> list[Piece | int]:
             return [p if isinstance(p, str) else places.setdefault(p, len(places)) for p in said]
 
         def part(answer: Answer) -> dict[str, Any]:

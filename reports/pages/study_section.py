@@ -15,19 +15,19 @@ from bench.results.table import Table
 from reports.charts.bills import bills
 from reports.charts.errors import (
     acceleration_accuracy,
-    convergence,
-    work_precision,
+    convergence_chart,
+    work_precision_chart,
     work_precision_with_menus,
 )
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import (
+    COMPONENTS_SHOWN,
     ERRORS,
-    MOST_COMPONENTS,
     before_divergence,
     groups_with_values,
     histories,
     thinned,
-    trajectory,
+    trajectory_chart,
 )
 from reports.formatting import number, words
 from reports.pages.captioned_charts import CaptionedCharts, captioned
@@ -147,7 +147,7 @@ class StudySections:
         norms = [NORM, "end"] if held and not self.interactive else [NORM]
         shown, left_out = self._few(series)
         made = {
-            f"{name}-{norm}": convergence(shown, groups, self.styles, norm, self.interactive)
+            f"{name}-{norm}": convergence_chart(shown, groups, self.styles, norm, self.interactive)
             for norm in norms
         }
         caption = (
@@ -162,7 +162,7 @@ class StudySections:
         if self.interactive:
             chart, where = work_precision_with_menus(series, groups, self.styles), ""
         else:
-            chart = work_precision(shown, [g for g in groups if g in "qa"], self.styles)
+            chart = work_precision_chart(shown, [g for g in groups if g in "qa"], self.styles)
             where = f" {self._norms_text([NORM])}"
         caption = (
             f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
@@ -224,13 +224,15 @@ class StudySections:
         lines = [(run_name(r), rows) for r, rows in shown]
         groups = groups_with_values([rows for _, rows in lines] or [reference or Rows()])
         names = self.component_names
-        chart = trajectory(lines, reference, groups, styles, names, self.interactive, components)
+        chart = trajectory_chart(
+            lines, reference, groups, styles, names, self.interactive, components
+        )
         caption = "Values over time"
         caption += "; the reference is the broad grey line." if reference else "."
         caption += left_out
         sizes = self.scene.sizes if self.scene else {}
-        if not components and any(size > MOST_COMPONENTS for size in sizes.values()):
-            caption += f" Of each group the first {MOST_COMPONENTS} components are shown."
+        if not components and any(size > COMPONENTS_SHOWN for size in sizes.values()):
+            caption += f" Of each group the first {COMPONENTS_SHOWN} components are shown."
         return captioned(caption, {name: chart}, "time")
 
     def _rows(self, record: Record) -> Rows | None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import GROUP_NAMES, NORM
 from reports.formatting import number
 from reports.questions.answers import Answer
-from reports.questions.phrases import Part, Ref, Sentence, listed, plain
+from reports.questions.phrases import Piece, Ref, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.sentences import sentences
 from reports.questions.words import Words, scene_ref
@@ -74,7 +74,7 @@ def _joined(said: Sequence[Sentence]) -> Sentence:
     return [part for part in joined if part is not None] if None not in joined else []
 
 
-def _joined_part(parts: Sequence[Part]) -> Part | None:
+def _joined_part(parts: Sequence[Piece]) -> Piece | None:
     if len({*parts}) == 1:
         return parts[0]
     texts = [plain([part]) for part in parts]
@@ -120,7 +120,7 @@ def on_energy(
             first = tuple(k for k, drift in own.items() if drift <= least)
             shown = f"below {_ROUNDING:g}" if least == _ROUNDING else number(least)
             where.setdefault(first, []).append([scene_ref(scene), f" ({shown})"])
-    parts: list[Part] = []
+    parts: list[Piece] = []
     for first, own in sorted(where.items(), key=lambda pair: -len(pair[1])):
         parts += ["; " if parts else "", *words.methods(first), " on ", *listed(own, len(own))]
     if not parts:

@@ -10,7 +10,7 @@ from bench.results.records import Record
 from reports.formatting import cost_text, number, number_range, times
 from reports.names import family_name
 from reports.questions.answers import Answer, SceneAnswer
-from reports.questions.phrases import Part, Sentence, listed
+from reports.questions.phrases import Piece, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, scene_ref
 from reports.series import step_or_tolerance
@@ -120,14 +120,14 @@ def _alone(alone: str, wins: int, count: int) -> str:
     return f", {alone} on {wins}" if wins else ", always tied" if count > 1 else ", tied"
 
 
-def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Part]:
+def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Piece]:
     """Cost of the next one where integrators are first with none but each other."""
     seconds = [s.second for s in voting.values() if {e.label for e in s.first} <= set(lead)]
     ratios = [s.ratio for s in seconds if s and s.ratio]
     return [f" (the next costs {number_range(ratios)} times as much)"] if ratios else []
 
 
-def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -> list[Part]:
+def _kind(own: Sequence[str], voting: Mapping[str, SceneAnswer], words: Words) -> list[Piece]:
     """', all of them stiff' if the scenes have a tag in common that parts them from others."""
     if not _NAMED <= len(own) < len(voting):
         return []

@@ -67,6 +67,6 @@ KINDS = (
 )
 
 
-def scenes_of(kind: Kind, scenes: Mapping[str, SceneRecord]) -> list[str]:
+def scenes_of_kind(kind: Kind, scenes: Mapping[str, SceneRecord]) -> list[str]:
     """The titles of the scenes of a kind."""
     return [title for title, scene in scenes.items() if kind.has(scene)]

@@ -29,7 +29,7 @@ _STATES = {
 }
 
 
-def card(
+def card_sentences(
     label: str, found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words
 ) -> list[Sentence]:
     """The sentences about one integrator; those of which there is nothing to say are left out."""
@@ -100,7 +100,7 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     if not chosen:
         raise SpecError(f"There is no integrator {integrator!r}; {suggest(integrator, labels)}.")
     found = answer(scenes, FIRST)
-    return [plain(sentence) for k in chosen for sentence in card(k, found, scenes, words)]
+    return [plain(sentence) for k in chosen for sentence in card_sentences(k, found, scenes, words)]
 
 
 def _endings(series: Mapping[str, Series]) -> list[Sentence]:

@@ -20,23 +20,23 @@ class Ref:
     text: str
 
 
-Part = str | Ref
-Sentence = list[Part]
+Piece = str | Ref
+Sentence = list[Piece]
 
 
-def plain(sentence: Sequence[Part]) -> str:
+def plain(sentence: Sequence[Piece]) -> str:
     """The sentence without its references."""
     return rendered(sentence, str, lambda ref: ref.text)
 
 
 def rendered(
-    sentence: Sequence[Part], text_of: Callable[[str], str], link_of: Callable[[Ref], str]
+    sentence: Sequence[Piece], text_of: Callable[[str], str], link_of: Callable[[Ref], str]
 ) -> str:
     """The sentence in a page's language: plain parts by ``text_of``, references by ``link_of``."""
     return "".join(text_of(p) if isinstance(p, str) else link_of(p) for p in sentence)
 
 
-def listed(items: Iterable[Sequence[Part]], most: int = 3) -> Sentence:
+def listed(items: Iterable[Sequence[Piece]], most: int = 3) -> Sentence:
     """'a', 'a and b', 'a, b and c'; of more than ``most`` the first ones and a count."""
     shown = [list(item) for item in items]
     if len(shown) > most:
