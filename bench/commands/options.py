@@ -6,14 +6,14 @@ import math
 import os
 import re
 import stat
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import click
 
 from bench.commands import completion
-from bench.plugins.facts import SceneFacts, Sources
+from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
@@ -126,6 +126,18 @@ def usable_registry(plugins: Sequence[str]) -> Inventory:
     registry = inventory(plugins)
     registry.require_files()
     return registry
+
+
+def asked_for(
+    problem: str,
+    integrator: str,
+    settings: Mapping[str, Any] | None,
+    plugins: Sequence[str | Path],
+) -> tuple[Inventory, SceneFacts, MethodFacts]:
+    """Return all plugins, and the facts of a scene with parameters and of an integrator."""
+    registry = usable_registry(list(map(str, plugins)))
+    scene = registry.problem(problem, **(settings or {}))
+    return registry, scene, registry.integrator(integrator)
 
 
 def end_time(scene: SceneFacts, t_end: float | None) -> float:

@@ -64,9 +64,7 @@ def solve(
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
       stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.parquet
     """
-    registry = options.usable_registry(plugins)
-    scene = registry.problem(problem, **settings)
-    method = registry.integrator(integrator)
+    registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
     if ensemble is not None:
         from bench.sweeps.jobs import EnsembleRequest, SweepRequest
 
@@ -206,9 +204,7 @@ def order(
       stepbench order pendulum "generalized_alpha[rho_inf=0.9]" --steps 0.01,0.005,0.0025,0.00125
       stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
     """
-    registry = options.usable_registry(plugins)
-    scene = registry.problem(problem, **settings)
-    method = registry.integrator(integrator)
+    registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
     cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve_cells

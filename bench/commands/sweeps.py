@@ -117,8 +117,7 @@ def map_(
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
     counts = None if grid is None else _read_grid(grid)
-    registry = options.usable_registry(plugins)
-    scene, method = registry.problem(problem, **settings), registry.integrator(integrator)
+    _, scene, method = options.asked_for(problem, integrator, settings, plugins)
     given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
 
     from bench.commands.terminal import show

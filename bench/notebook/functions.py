@@ -13,7 +13,6 @@ from bench.commands.pages import write_reports
 from bench.commands.single_runs import order_cells
 from bench.commands.suite import run_suite
 from bench.notebook.answers import Orders, Results, Solution, pandas_module
-from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results import summary
 from bench.results.quantities import GROUPS
 from bench.results.records import Rows, endings, flatten
@@ -81,7 +80,7 @@ def solve(
     True
     """
     _check(budget=budget, samples=samples)
-    registry, scene, method = _asked(problem, integrator, parameters, plugins)
+    registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
     fractions = tuple(pattern) if pattern else None
     taken = resolution(scene, method, step, fractions, rtol, atol)
     cell = Cell(scene.spec, method.spec, options.end_time(scene, t_end), taken)
@@ -137,7 +136,7 @@ def order(
     2
     """
     _check(budget=budget)
-    registry, scene, method = _asked(problem, integrator, parameters, plugins)
+    registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
     cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=OnStandardError())
     records = [record for record, _ in results]
@@ -263,17 +262,6 @@ def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
         raise SpecError(f"A run cannot be timed {samples} times; give 0 or more samples.")
     if jobs < 1:
         raise SpecError(f"The number of worker processes is {jobs}; give 1 or more jobs.")
-
-
-def _asked(
-    problem: str,
-    integrator: str,
-    parameters: Mapping[str, Any] | None,
-    plugins: Sequence[str | Path],
-) -> tuple[Inventory, SceneFacts, MethodFacts]:
-    registry = options.usable_registry(list(map(str, plugins)))
-    scene = registry.problem(problem, **(parameters or {}))
-    return registry, scene, registry.integrator(integrator)
 
 
 def _array(rows: Rows, group: str) -> np.ndarray:
