@@ -197,7 +197,7 @@ def solves(u):
 
 @pytest.mark.parametrize("function", [many, solves, lambda u: jnp.arange(1.0, 3000.0)])
 def test_no_piece_is_longer_than_a_compiler_likes(function):
-    source = c_function("f", lowered(function, (20 if function is solves else 12,)), 1)
+    source = c_function(lowered(function, (20 if function is solves else 12,)))
     pieces = [body.split("\n}")[0] for body in source.split("\n{\n")[1:]]
     assert max(piece.count("\n") for piece in pieces) < 2 * c_source._PIECE
 
@@ -331,7 +331,7 @@ def test_only_operations_that_matter_remain():
 )
 def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):
     def lower():
-        return c_function("f", lowered(function, (3,)), 1)
+        return c_function(lowered(function, (3,)))
 
     if reason is None:
         assert lower()

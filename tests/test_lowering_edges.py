@@ -150,7 +150,7 @@ def test_constants_of_any_type_are_those_of_jax(name):
 )  # fmt: skip
 def test_what_c_would_get_wrong_is_refused(function, reason):
     with pytest.raises(NotLowered, match=reason):
-        c_function("f", lowered(function, (2,)), 1)
+        c_function(lowered(function, (2,)))
 
 
 @pytest.mark.parametrize(

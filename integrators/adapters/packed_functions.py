@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from integrators.lowering.c_source import HEADER, c_function
+from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.native import load_c
 from integrators.lowering.programs import lowered
@@ -117,7 +117,7 @@ def in_c(packed: PackedFunction) -> Any:
     result, and the shape of the result; a NotLowered if there is none."""
     try:
         program = lowered(packed.program, (packed.size,))
-        function = load_c(HEADER + c_function("function", program, 1)).function
+        function = load_c(c_function(program)).function
     except NotLowered as reason:
         return NotLowered(str(reason))  # without what the first one holds in memory
     function.restype, function.argtypes = None, [c_void_p, c_void_p]

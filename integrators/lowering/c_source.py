@@ -13,7 +13,7 @@ from typing import NamedTuple
 from integrators.lowering.graph import Entry, LoweredFunction, NotLowered, Solve, WhileLoop
 from integrators.lowering.operators import OPERATORS
 
-HEADER = """#include <math.h>
+_HEADER = """#include <math.h>
 #include <stdint.h>
 #include <string.h>
 #define NOINLINE __attribute__((noinline))
@@ -66,17 +66,15 @@ _MOST_OPERATIONS = 13_000
 _MOST_LINES = 2 * _MOST_OPERATIONS
 
 
-def c_function(name: str, program: LoweredFunction, arguments: int) -> str:
-    """A C function of so many pointers to floats, and a pointer to the results, all written.
-
-    It is ``void name(const double *a0, const double *a1, ..., double *out)``.
+def c_function(program: LoweredFunction) -> str:
+    """The C of ``void function(const double *a0, double *out)``, which writes all results.
 
     Raises
     ------
     NotLowered
         If a result needs an operation that has no form in C, or there are too many operations.
     """
-    return _function(name, program, arguments)[0]
+    return _HEADER + _function("function", program, 1)[0]
 
 
 def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str, int]:
