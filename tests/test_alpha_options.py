@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import long
 
-from bench.running.measure import rows_of
+from bench.running.measure import stored_rows
 from integrators import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, HHTClassical, Newmark
 from integrators.methods.generalized_alpha_parameters import updated_weight
@@ -72,7 +72,7 @@ def test_steps_and_weights_are_recorded():
     assert math.isnan(fixed.notes["h"][0])  # no step led to the start
     np.testing.assert_allclose(fixed.notes["h"][1:5], [0.03, 0.07, 0.03, 0.07])
     assert np.ptp(fixed.notes["gamma"][1:]) == 0
-    rows = rows_of(fixed)
+    rows = stored_rows(fixed)
     assert rows.notes["gamma"][0] is None
     assert rows.notes["gamma"][1:7] == fixed.notes["gamma"][1:7].tolist()
 

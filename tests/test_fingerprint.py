@@ -34,7 +34,8 @@ for edit in [None, *sys.argv[1:]]:
     if edit:
         with Path(edit).open("a") as file:
             file.write("\\n# edited\\n")
-    fingerprints.forget()
+    for cached in vars(fingerprints).values():
+        getattr(cached, "cache_clear", int)()
     found.append([
         fingerprints.fingerprint(registry.problems["quarter_car"].cls),
         fingerprints.fingerprint(registry.integrators["hht"].cls),
@@ -81,6 +82,12 @@ def test_each_edit_of_the_project_changes_what_it_takes_part_in(tmp_path):
         before = after
 
 
+def forget() -> None:
+    """Read sources, versions and flags anew from now on."""
+    for cached in vars(fingerprints).values():
+        getattr(cached, "cache_clear", int)()
+
+
 @pytest.fixture
 def plugin(tmp_path, monkeypatch):
     """A plugin with a helper beside it, another plugin, and a base class in another folder."""
@@ -104,7 +111,7 @@ def plugin(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(own))
     yield tmp_path
     sys.modules.pop("shared_rods", None)
-    fingerprints.forget()
+    forget()
 
 
 @pytest.mark.parametrize(
@@ -123,7 +130,7 @@ def test_the_helpers_and_base_classes_of_a_plugin_take_part(plugin, file, takes_
     with (plugin / file).open("a") as edited:
         edited.write("# edited\n")
     assert fingerprint(cls) == before  # a run has one fingerprint from beginning to end
-    fingerprints.forget()
+    forget()
     assert (fingerprint(cls) != before) == takes_part
 
 
@@ -143,10 +150,10 @@ def test_another_version_of_a_library_is_another_fingerprint(monkeypatch, librar
     before = fingerprint(cls)
     version = environment.version
     monkeypatch.setattr(environment, "version", lambda p: "99" if p == library else version(p))
-    fingerprints.forget()
+    forget()
     assert fingerprint(cls) != before
     monkeypatch.undo()
-    fingerprints.forget()
+    forget()
     assert fingerprint(cls) == before
 
 
@@ -157,10 +164,10 @@ def test_flags_of_the_compiler_take_part(monkeypatch, flag, takes_part):
     cls = Registry().problems["pendulum"].cls
     before = fingerprint(cls)
     monkeypatch.setenv(flag, "other")
-    fingerprints.forget()
+    forget()
     assert (fingerprint(cls) != before) == takes_part
     monkeypatch.undo()
-    fingerprints.forget()
+    forget()
 
 
 def test_the_c_compiler_takes_part_for_those_that_compile_c(monkeypatch, tmp_path):
@@ -171,10 +178,10 @@ def test_the_c_compiler_takes_part_for_those_that_compile_c(monkeypatch, tmp_pat
         if script:
             (tmp_path / "cc").write_text(script)
             (tmp_path / "cc").chmod(0o755)
-        fingerprints.forget()
+        forget()
         found.append((fingerprint(compiles), fingerprint(others)))
     monkeypatch.undo()
-    fingerprints.forget()
+    forget()
     none, one, two, spoilt = (compiled for compiled, _ in found)
     assert len({none, one, two}) == 3
     assert spoilt == none
@@ -209,13 +216,13 @@ def test_a_function_has_a_fingerprint_of_its_module_and_what_that_imports(
 
 def test_a_source_is_parsed_once(monkeypatch, tmp_path):
     monkeypatch.setattr(fingerprints, "CACHE", tmp_path)
-    fingerprints.forget()
+    forget()
     found = modules_of(Pendulum)
-    fingerprints.forget()
+    forget()
     monkeypatch.setattr(fingerprints.ast, "parse", lambda code: 1 / 0)
     assert modules_of(Pendulum) == found
     monkeypatch.undo()
-    fingerprints.forget()
+    forget()
 
 
 def test_imports_for_types_alone_take_no_part():

@@ -84,7 +84,7 @@ def test_a_refusal_keeps_its_sentence(guarded):
 
 def test_a_phase_has_a_budget_of_its_own(guarded, monkeypatch):
     process, told = guarded(), []
-    process.told = lambda *phase: told.append(phase)
+    process.on_phase = lambda *phase: told.append(phase)
     assert process.ask(jobs.computes_a_reference, 0.8) == 1
     assert ("reference", "making the reference of x") in told
     monkeypatch.setattr(limits, "LEAST_SECONDS", 0.2)
@@ -335,7 +335,7 @@ def test_what_is_no_array_of_numbers_is_told(value):
 def test_who_closes_its_output_keeps_nobody_awake(guarded):
     guarded().start(jobs.closes_its_output, 0.5)
     looks, begun = 0, time.monotonic()
-    while guarded().take() is None:
+    while guarded().poll() is None:
         process_module.wait_for_any([guarded()])
         looks += 1
     assert looks < 5 + (time.monotonic() - begun) / process_module._WATCH_SECONDS

@@ -13,7 +13,7 @@ from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record
 from bench.results.store import Store
 from bench.running.errors import norms, relative_errors
-from bench.running.measure import energy_change, rows_of, violations
+from bench.running.measure import energy_change, stored_rows, violations
 from bench.running.scene_records import rates
 from integrators import Steps, Tolerances
 from integrators.adapters.diffrax_methods import Kvaerno3
@@ -46,7 +46,7 @@ def trajectory(**changes: np.ndarray) -> Trajectory:
 
 
 def test_a_finite_trajectory_is_kept_whole():
-    rows = rows_of(trajectory())
+    rows = stored_rows(trajectory())
     assert rows.t == TIMES.tolist()
     assert set(rows.values) == {"q", "v", "a", "y"}
     assert rows.values["y"] == [[t, t] for t in TIMES]
@@ -57,7 +57,7 @@ def test_a_finite_trajectory_is_kept_whole():
 def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_path, group, bad):
     whole = vars(trajectory())[group].copy()
     whole.reshape(5, -1)[3, -1] = bad
-    rows = rows_of(trajectory(**{group: whole}))
+    rows = stored_rows(trajectory(**{group: whole}))
     assert rows.t == TIMES[:3].tolist()
     assert {len(values) for values in rows.values.values()} == {3}
     record = Record(
@@ -78,15 +78,15 @@ def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_p
 
 
 def test_nothing_is_left_of_a_run_without_rows_or_without_numbers():
-    assert rows_of(Trajectory.failed("unsupported", "no")).t == []
-    lost = rows_of(trajectory(v=np.full((5, 1), np.nan)))
+    assert stored_rows(Trajectory.failed("unsupported", "no")).t == []
+    lost = stored_rows(trajectory(v=np.full((5, 1), np.nan)))
     assert lost.t == []
     assert not any(lost.values.values())
 
 
 def test_the_values_of_a_reference_are_rows_too():
     values = {name: np.ones((5, 1)) for name in (*GROUPS, "xdot")}
-    rows = rows_of({"t": TIMES} | values)
+    rows = stored_rows({"t": TIMES} | values)
     assert rows.t == TIMES.tolist()
     assert set(rows.values) == set(values)
 
@@ -235,14 +235,14 @@ def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(method, resol
     run = method.prepare(scene, 2.0, resolution).measure()
     assert run.work.steps == len(run.t) - 1 > 300
     assert (np.diff(run.t) > 0).all()
-    stored = rows_of(run)
+    stored = stored_rows(run)
     assert len(stored.t) < 240
     reference = Reference(scene, 2.0)
     _, _, components, histories = relative_errors(run, reference)
     worst = np.abs(run.a - reference(run.t)["a"]).max(axis=0) / np.abs(reference.largest["a"][0])
     assert components["a"]["max"] == pytest.approx(worst, rel=1e-12)
     run.notes |= histories
-    kept = rows_of(run)
+    kept = stored_rows(run)
     assert kept.t == stored.t
     exact = [histories["error_a"][np.searchsorted(run.t, t)] for t in kept.t]
     assert kept.notes["error_a"] == pytest.approx(exact, rel=5e-3)

@@ -12,7 +12,7 @@ import vl_convert
 from planted import planted
 
 from bench.results.records import SceneRecord
-from bench.running.measure import MOST_COMPONENTS, rows_of
+from bench.running.measure import MOST_COMPONENTS, stored_rows
 from bench.running.scene_records import scene_record
 from problems.reference import Reference
 from problems.scenes.chain import Chain
@@ -78,7 +78,7 @@ def test_of_large_groups_the_first_components_are_stored():
     t = np.linspace(0, 1, 3)
     values = dict.fromkeys(("v", "a", "x", "xdot", "y"), np.zeros((3, 0)))
     values |= {"t": t, "q": np.arange(900.0).reshape(3, 300), "lam": np.ones((3, 5))}
-    rows = rows_of(values)
+    rows = stored_rows(values)
     assert np.shape(rows.values["q"]) == (3, MOST_COMPONENTS)
     assert rows.values["q"][2][0] == 600.0
     assert np.shape(rows.values["lam"]) == (3, 5)

@@ -89,7 +89,7 @@ class GrowingPage:
     def look(self) -> None:
         """Draw the page if it is time to; called after each result, it never waits."""
         if self._process:
-            if (answer := self._process.take()) is not None:
+            if (answer := self._process.poll()) is not None:
                 self._take(answer)
         elif not self._resting and time.monotonic() >= self._next:
             try:

@@ -91,7 +91,7 @@ class GuardedProcess:
 
     Attributes
     ----------
-    told
+    on_phase
         Called with the phase to which the job goes on, and words on it.
     """
 
@@ -134,7 +134,7 @@ class GuardedProcess:
         self._meter, self._words = Meter(self._limits), "this program"
         self._job: Callable[..., Any] | None = None
         self._printed = bytearray()
-        self.told: Callable[[str, str], None] = lambda phase, words: None
+        self.on_phase: Callable[[str, str], None] = lambda phase, words: None
         self.alive = True
         self._send((prepare, arguments))
 
@@ -145,7 +145,7 @@ class GuardedProcess:
         self._printed.clear()
         self._send((job, arguments, named))
 
-    def take(self) -> Any:
+    def poll(self) -> Any:
         """Return the answer of the job, NoAnswer if it has none, None while it is in work."""
         try:
             self._inbox += self._received()
@@ -153,7 +153,7 @@ class GuardedProcess:
                 if message.kind == wire.PHASE:
                     phase, self._words = wire.decode(message.content, tuple[str, str])
                     self._meter.begin(phase, self.pid if self._meter.is_due else None)
-                    self.told(phase, self._words)
+                    self.on_phase(phase, self._words)
                 else:
                     return self._answer(message)
         except wire.BrokenMessage as error:
@@ -175,7 +175,7 @@ class GuardedProcess:
 
     def answer(self) -> Any:
         """Wait for the answer of the job in work, or NoAnswer."""
-        while (answer := self.take()) is None:
+        while (answer := self.poll()) is None:
             wait_for_any([self])
         return answer
 
@@ -204,7 +204,7 @@ class GuardedProcess:
         self._pipe.close()
         os.close(self._output)
 
-    def ends(self) -> list[socket.socket | int]:
+    def descriptors(self) -> list[socket.socket | int]:
         """Return the descriptors on which news can come; one that is closed is always ready."""
         return [self._pipe, self._control, *([] if self._silent else [self._output])]
 
@@ -218,7 +218,7 @@ class GuardedProcess:
     # ---- parts -------------------------------------------------------------------------
     def _send(self, task: tuple[Any, ...]) -> None:
         self._pipe.setblocking(True)
-        with suppress(OSError):  # it is dead, as take() will find
+        with suppress(OSError):  # it is dead, as poll() will find
             self._pipe.sendall(pickle.dumps(task))
         with suppress(OSError):
             self._pipe.setblocking(False)
@@ -289,7 +289,7 @@ class GuardedProcess:
 
 def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
     """Return when one of the processes has something to tell, or budgets should be looked at."""
-    wait([end for process in processes for end in process.ends()], timeout=_WATCH_SECONDS)
+    wait([end for process in processes for end in process.descriptors()], timeout=_WATCH_SECONDS)
 
 
 def ask_once(

@@ -18,7 +18,7 @@ from bench.results.quantities import GROUPS
 from bench.results.records import Rows, endings, flatten
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, make_suite, resolution
+from bench.running.plan import Cell, make_suite, resolution_of
 from bench.running.profiles import read_profile
 from bench.running.progress import OnStandardError
 from bench.running.session import solve_cells
@@ -82,7 +82,7 @@ def solve(
     _check(budget=budget, samples=samples)
     registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
     fractions = tuple(pattern) if pattern else None
-    taken = resolution(scene, method, step, fractions, rtol, atol)
+    taken = resolution_of(scene, method, step, fractions, rtol, atol)
     cell = Cell(scene.spec, method.spec, options.end_time(scene, t_end), taken)
     ((record, rows),), names = solve_cells(
         [cell], registry, samples, budget_s=budget, progress=OnStandardError()

@@ -73,12 +73,6 @@ def reference_file(registry: Registry, scene: MechatronicSystem, t_end: float) -
     return CACHE / "references" / f"{scene.name}-{digest}"
 
 
-def forget() -> None:
-    """Read sources, versions and flags anew from now on."""
-    for cached in (fingerprint, compiler_version, _file_of, _source, _imports, library_versions):
-        cached.cache_clear()
-
-
 def _compiler() -> str:
     """The first line of what the C compiler says of itself; empty if there is none, or it hangs."""
     with suppress(OSError):

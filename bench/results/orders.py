@@ -45,6 +45,9 @@ class Fit(msgspec.Struct, frozen=True):
     verdict: str
 
 
+NOT_DETERMINED = Fit(None, None, 0, "not determined")
+
+
 def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0) -> Fit:
     """Fit the order of ``errors`` over ``steps``.
 
@@ -65,7 +68,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
             worst[place] = max(e, worst.get(place, 0.0))
     points = sorted((place, math.log(e)) for place, e in worst.items())
     if len(points) < 3:
-        return Fit(None, None, 0, "not determined")
+        return NOT_DETERMINED
     if min(e for _, e in points) > points[-1][1] - math.log(2.0):
         window = _window(points)
         order = _slope(window) if len(window) == len(points) else None
@@ -76,7 +79,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
         points = points[1:]
     window = _window(points)
     if len(window) < 3:
-        return Fit(None, None, 0, "not determined")
+        return NOT_DETERMINED
     edges = (math.exp(window[-1][0]), math.exp(window[0][0]))
     return Fit(_slope(window), edges, len(window), "converges")
 
@@ -100,8 +103,7 @@ def fit_orders(
     fits = {group: fit_order(steps, own, floors[group]) for group, own in errors.items()}
     if any(_gains(steps, own, floors[group]) for group, own in errors.items()):
         return fits
-    unknown = Fit(None, None, 0, "not determined")
-    return {g: unknown if f.verdict == "does not converge" else f for g, f in fits.items()}
+    return {g: NOT_DETERMINED if f.verdict == "does not converge" else f for g, f in fits.items()}
 
 
 def _gains(steps: Sequence[float], errors: Sequence[float | None], floor: float) -> bool:

@@ -55,7 +55,7 @@ def quotient(one: Record, two: Record) -> Quotient | None:
 
     None if a short run has a single sample.
     """
-    if not (_enough(one.run_s) and _enough(two.run_s)):
+    if not (_precise(one.run_s) and _precise(two.run_s)):
         return None
     a, b = _by_round(one), _by_round(two)
     quotients = [b[place] / a[place] for place in a if place in b]
@@ -69,7 +69,7 @@ def quotient_of_medians(one: Sequence[float], two: Sequence[float]) -> Quotient 
 
     None if a short run has a single sample.
     """
-    if not (_enough(one) and _enough(two)):
+    if not (_precise(one) and _precise(two)):
         return None
     (a, b), (c, d) = median_interval(one), median_interval(two)
     value = statistics.median(two) / statistics.median(one)
@@ -82,7 +82,7 @@ def _by_round(record: Record) -> dict[tuple[int, int], float]:
     return dict(zip(rounds, record.run_s, strict=True))
 
 
-def _enough(samples: Sequence[float]) -> bool:
+def _precise(samples: Sequence[float]) -> bool:
     """Whether there is more than one sample, or one that averages the noise itself."""
     return len(samples) > 1 or sum(samples) > TIMING_SECONDS
 

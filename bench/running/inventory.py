@@ -88,7 +88,7 @@ class Inventory:
         self._outside: GuardedProcess | None = None
         self._loaded = self._sources
         # Whether one plugin has spoilt the process of others, so that each gets one of its own.
-        self._apart = False
+        self._isolated = False
         self._known: dict[Any, Any] = {}
 
     @property
@@ -175,14 +175,14 @@ class Inventory:
             self._progress.printed("The loading of plugins", text)
         suspects = self._sources
         if isinstance(answer, NoAnswer):
-            self._apart = True
+            self._isolated = True
         else:
             every = [f for known in answer.values() for f in known.values()]
             faulty = frozenset().union(*(f.sources for f in every if f.reason))
             suspects = faulty if len(self._sources) > 1 else frozenset()
             for kind, known in answer.items():
                 listed[kind] = {n: f for n, f in known.items() if f.sources.isdisjoint(suspects)}
-        for source, alone in zip(sorted(suspects), _listed_alone(sorted(suspects)), strict=True):
+        for source, alone in zip(sorted(suspects), _listed_isolated(sorted(suspects)), strict=True):
             for kind, known in alone.items():
                 _add(listed[kind], [f for f in known.values() if source in f.sources])
         return listed
@@ -206,11 +206,11 @@ class Inventory:
             return question(self._own, text, *more)
         if plugin.reason:
             raise PluginFailed(_unusable(plugin))
-        sources = plugin.sources if self._apart else self._sources
+        sources = plugin.sources if self._isolated else self._sources
         answer = self._answer(sources, question, text, *more)
         failed = isinstance(answer, NoAnswer) and not isinstance(answer, Refused)
         if failed and sources != plugin.sources:  # others may be to blame
-            self._apart = True
+            self._isolated = True
             answer = self._answer(plugin.sources, question, text, *more)
         if isinstance(answer, Refused):
             raise SpecError(answer.message)
@@ -241,7 +241,7 @@ def _unusable(plugin: PluginFacts) -> str:
     return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
 
 
-def _listed_alone(each: Sequence[str]) -> list[dict[str, dict[str, PluginFacts]]]:
+def _listed_isolated(each: Sequence[str]) -> list[dict[str, dict[str, PluginFacts]]]:
     """List plugins by sources, each in a process of its own, several side by side."""
     found: dict[str, dict[str, dict[str, PluginFacts]]] = {}
     due, asked = deque(each), {}
@@ -252,7 +252,7 @@ def _listed_alone(each: Sequence[str]) -> list[dict[str, dict[str, PluginFacts]]
             asked[source].start(facts.listing)
         wait_for_any(asked.values())
         for source, process in list(asked.items()):
-            if (answer := process.take()) is not None:
+            if (answer := process.poll()) is not None:
                 asked.pop(source).end()
                 if isinstance(answer, NoAnswer):
                     without = {source: answer.message}

@@ -120,7 +120,7 @@ def _noted(error: float) -> float | None:
     return float(f"{error:.3g}") if math.isfinite(error) else None
 
 
-def rows_of(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
+def stored_rows(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
     """Return a trajectory, or the values of a reference with "t", in the form that is stored.
 
     Rows end before the first one that is not finite, as JSON has no such numbers. Of many rows some

@@ -321,7 +321,7 @@ def check_end(t0: float, t_end: float) -> float:
     return float(t_end)
 
 
-def resolution(
+def resolution_of(
     scene: SceneFacts | MechatronicSystem,
     method: MethodFacts | Integrator,
     step: float | None,

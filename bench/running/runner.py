@@ -191,7 +191,7 @@ class Runner:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
                 self.progress.working(task.label)
-                worker.told = partial(self._tell, task.label)
+                worker.on_phase = partial(self._tell, task.label)
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
                 worker.start(task.job, *task.arguments, **named)
@@ -219,7 +219,7 @@ class Runner:
 
     def _take(self, worker: _WorkerProcess) -> Any:
         """The answer of a worker's task, NoAnswer, or None while it is in work or done again."""
-        answer, task = worker.take(), worker.task
+        answer, task = worker.poll(), worker.task
         if answer is None or task is None:
             return None
         if text := worker.printed():

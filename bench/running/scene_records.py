@@ -109,7 +109,7 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
     return {
         "reference_method": reference.method,
         "reference_error": relative_reference_error(reference),
-        "reference": measure.rows_of({"t": t} | reference(t)),
+        "reference": measure.stored_rows({"t": t} | reference(t)),
     }
 
 

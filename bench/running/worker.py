@@ -36,13 +36,12 @@ from problems.runtime import check_runtime, jax, one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: A timing sample repeats short runs until it has lasted this long.
+#: A timing sample repeats short runs until it has lasted this long; longer ones warm their caches
+#: themselves.
 SAMPLE_SECONDS = 1e-3
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.
 _GARBAGE = 100_000
-#: A run that lasts longer warms its caches itself.
-_LONG_SECONDS = 1e-3
 #: Memory mappings at which programs are forgotten: each takes some 20 of them, and Linux, which
 #: grants 65 530 by default, ends a process that asks for more.
 MOST_MAPPINGS = 40_000
@@ -119,7 +118,7 @@ class Worker:
                 _add(record, f"No errors are known. {lacking}")
                 record.stopped = REFERENCE
             self._compare(record, trajectory, scene, errors and not lacking)
-        return CellResult(record, measure.rows_of(trajectory))
+        return CellResult(record, measure.stored_rows(trajectory))
 
     def _compare(
         self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
@@ -215,7 +214,7 @@ class Worker:
             self.run(cell)
             self.notify(RUNNING, "running")
         run = self.prepared[cell.key]
-        if self._seconds.get(cell.key, 0.0) < _LONG_SECONDS:
+        if self._seconds.get(cell.key, 0.0) < SAMPLE_SECONDS:
             run.execute()  # warms caches after whatever ran in between
         repeats, started = 0, time.perf_counter()
         while True:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bench.running.plan import check_end, resolution
+from bench.running.plan import check_end, resolution_of
 from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator, Steps, Tolerances
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
@@ -291,4 +291,4 @@ def unvaried_resolution(
         if owner == "step":
             for h in (varied.low, varied.high):
                 Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
-    return resolution(scene, method, **given)
+    return resolution_of(scene, method, **given)
