@@ -20,7 +20,7 @@ from integrators.contract import Steps
 from problems.spec import SpecError
 
 
-@click.command()
+@click.command("solve")
 @click.argument("problem", shell_complete=completion.scenes)
 @click.argument("integrator", shell_complete=completion.integrators)
 @click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
@@ -32,7 +32,7 @@ from problems.spec import SpecError
 @options.with_budget
 @options.with_plugins
 @options.with_as_json
-def solve(
+def solve_(
     problem: str,
     integrator: str,
     step: float | None,
@@ -168,7 +168,7 @@ def order_cells(
     return [Cell(scene.spec, method.spec, end, resolution) for resolution in resolutions]
 
 
-@click.command()
+@click.command("order")
 @click.argument("problem", shell_complete=completion.scenes)
 @click.argument("integrator", shell_complete=completion.integrators)
 @click.option(
@@ -183,7 +183,7 @@ def order_cells(
 @options.with_budget
 @options.with_plugins
 @options.with_as_json
-def order(
+def order_(
     problem: str,
     integrator: str,
     steps: tuple[float, ...] | None,

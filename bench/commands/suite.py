@@ -105,7 +105,7 @@ def run_suite(
     return Outcome(records, measured, results, suite.lost)
 
 
-@click.command(cls=_WithSuites)
+@click.command("run", cls=_WithSuites)
 @click.argument("suite", default="quick", shell_complete=completion.suites)
 @options.with_scenes
 @options.with_integrators("Only this integrator; repeatable. One that the suite lacks is added.")
@@ -126,7 +126,7 @@ def run_suite(
     "that a smaller budget stopped are run again.",
 )
 @options.with_plugins
-def run(
+def run_(
     suite: str,
     problems: tuple[str, ...],
     integrators: tuple[str, ...],

@@ -29,7 +29,7 @@ from problems.plain_text import visible
 #: Tables are never narrower, in characters, however small COLUMNS is.
 _LEAST_WIDTH = 40
 #: Without a terminal a line is printed this often, in s, instead of a moving bar.
-_QUIET_SECONDS = 5.0
+_LINE_EVERY_SECONDS = 5.0
 
 
 class _PlainConsole(Console):
@@ -149,7 +149,7 @@ class RunProgress(progress.Progress):
         """Count one step as done."""
         for task in self._bar.tasks:
             self._bar.advance(task.id)
-            if task.finished or time.monotonic() - self._spoken > _QUIET_SECONDS:
+            if task.finished or time.monotonic() - self._spoken > _LINE_EVERY_SECONDS:
                 self._say()
         self.after_step()
 
