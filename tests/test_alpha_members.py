@@ -234,7 +234,7 @@ class PositionSensed(AccelerationSensed):
         return -0.5 * z.q
 
 
-@pytest.mark.parametrize("scene", [AccelerationSensed(), *long(PositionSensed())])
+@pytest.mark.parametrize("scene", long(AccelerationSensed(), PositionSensed()))
 def test_the_classical_acceleration_fed_back_by_an_output_alone_spoils_everything(scene):
     method = GeneralizedAlphaClassical()
     found = orders(method, scene, 1.0, steps=STEPS[:2])

@@ -28,6 +28,7 @@ def test_controller_states_follow_the_formulas_of_the_first_and_of_later_steps()
     assert 3 * x2 - 4 * x1 + x0 == pytest.approx(2 * h * f2, rel=1e-12)
 
 
+@pytest.mark.long
 def test_positions_are_corrected_in_the_directions_of_the_constraints_before_the_step():
     """On a scene whose directions Phi_q(q, t) move with time: those at the end are others."""
     scene, h = CarAxis(), 0.05

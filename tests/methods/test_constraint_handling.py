@@ -23,7 +23,7 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
 SCENE, LONG, RTOL = Pendulum(), 10.35, 1e-5
-METHODS = [Radau, *long(Dopri8, Kvaerno3, BDF)]
+METHODS = long(Radau, Dopri8, Kvaerno3, BDF)
 
 
 def run(method: Integrator, rtol: float = RTOL, t_end: float = LONG) -> Trajectory:
@@ -110,10 +110,13 @@ def test_the_projection_takes_the_least_changes_onto_moving_constraints():
     noise = 1e-3 * np.random.default_rng(1).standard_normal(2 * n)
     s = projected_state(scene, t, np.concatenate([z.q, z.v, z.x]) + noise)
     q, v = s[:n], s[n : 2 * n]
-    assert np.abs(scene.constraint(q, t)).max() < 1e-15
-    assert np.abs(constraint_velocity(scene, q, v, t)).max() < 1e-14
+    position, velocity, jacobian, mass = map(np.asarray, jax.jit(lambda q, v: (
+        scene.constraint(q, t), constraint_velocity(scene, q, v, t),
+        jax.jacfwd(scene.constraint)(q, t), scene.mass(q),
+    ))(q, v))  # fmt: skip
+    assert np.abs(position).max() < 1e-15
+    assert np.abs(velocity).max() < 1e-14
     # Of all changes to these velocities it is the least: M-orthogonal to what constraints leave.
-    jacobian = np.asarray(jax.jit(jax.jacfwd(scene.constraint))(q, t))
     free = np.linalg.svd(jacobian)[2][len(jacobian) :]
     change = v - (z.v + noise[n:])
-    assert np.abs(free @ np.asarray(scene.mass(q)) @ change).max() < 1e-13 * np.abs(change).max()
+    assert np.abs(free @ mass @ change).max() < 1e-13 * np.abs(change).max()

@@ -59,6 +59,7 @@ def test_without_constraints_a_step_is_that_of_dormand_and_prince():
     assert run.a[-1, 0] == pytest.approx(rate(h, end)[1], abs=1e-14)
 
 
+@pytest.mark.long
 def test_phem56_has_the_digits_of_an_independent_program():
     scene, t_end = SWING
     run = CONSTANT.prepare(scene, t_end, Steps(1 / 80)).measure()
