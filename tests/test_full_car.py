@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
 from helpers import long, slope
-from scene_mechanics import flipped, options, solved
+from scene_mechanics import beside_radau, flipped, options, solved
 from scipy.integrate import solve_ivp
 
 from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
-from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
 from problems.reference import Reference
 from problems.scenes.full_car import FullCar, FullCarPassive
@@ -313,22 +312,7 @@ def test_generalized_alpha_is_second_order_in_constraints_and_controller():
 
 @pytest.mark.long
 def test_an_implicit_method_finds_the_reference():
-    scene, t_end = FullCar(**EARLY), 0.3
-    start, rate = consistent_start(scene).z, jax.jit(partial(ode_rate, scene))
-    slopes = jax.jit(jax.jacfwd(rate, 1))
-    t = np.linspace(0, t_end, 10)
-    solution = solve_ivp(
-        lambda t, s: np.asarray(rate(t, s)),
-        (0, t_end),
-        np.concatenate([start.q, start.v, start.x]),
-        method="Radau",
-        jac=lambda t, s: np.asarray(slopes(t, s)),
-        rtol=1e-9,
-        atol=1e-11,
-        t_eval=t,
-    )
-    z = Reference(scene, t_end)(t)
-    known = np.hstack([z[g] for g in "qvx"])
+    found, known = beside_radau(FullCar(**EARLY), 0.3, 10, rtol=1e-9, atol=1e-11)
     for part in (slice(0, 12), slice(12, 24), slice(24, 32), slice(32, 35)):
-        difference = np.abs(solution.y.T - known)[:, part].max()
+        difference = np.abs(found - known)[:, part].max()
         assert difference < 1e-9 * np.abs(known[:, part]).max()

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from helpers import slope
-from scene_mechanics import flipped
+from scene_mechanics import beside_radau, flipped
 from scipy.integrate import solve_ivp
 
 from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax
-from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
 from problems.reference import Reference
 from problems.scenes.quarter_car import QuarterCar
@@ -125,24 +122,8 @@ def test_the_compression_chamber_is_low_extending_and_near_the_other_one_compres
 # ---- over time -------------------------------------------------------------------------
 @pytest.mark.long
 def test_an_implicit_method_finds_the_reference():
-    # Radau and DOP853 have nothing in common but the scene; stiffness would show in the latter.
-    scene, t_end = QuarterCar(), 1.2
-    start, rate = consistent_start(scene).z, jax.jit(partial(ode_rate, scene))
-    slopes = jax.jit(jax.jacfwd(rate, 1))
-    t = np.linspace(0, t_end, 40)
-    solution = solve_ivp(
-        lambda t, s: np.asarray(rate(t, s)),
-        (0, t_end),
-        np.concatenate([start.q, start.v, start.x]),
-        method="Radau",
-        jac=lambda t, s: np.asarray(slopes(t, s)),
-        rtol=3e-10,
-        atol=1e-11,
-        t_eval=t,
-    )
-    z = Reference(scene, t_end)(t)
-    known = np.hstack([z[g] for g in "qvx"])
-    assert (np.abs(solution.y.T - known).max(axis=0) < 1e-9 * np.abs(known).max(axis=0)).all()
+    found, known = beside_radau(QuarterCar(), 1.2, 40, rtol=3e-10, atol=1e-11)
+    assert (np.abs(found - known).max(axis=0) < 1e-9 * np.abs(known).max(axis=0)).all()
 
 
 @pytest.mark.long

@@ -201,10 +201,8 @@ def test_a_family_is_named_if_it_is_first_more_often_than_each_member():
         for r in records:
             r.family = "other" if r.integrator == "three" else "pair"
         family = [s for s in said(records) if s.startswith("By family")]
-        assert (
-            family
-            == ["By family: pair methods (one and two) are cheapest on all 4 of them."] * named
-        )
+        told = "By family: pair methods (one and two) are cheapest on all 4 of them."
+        assert family == [told] * named
 
 
 def test_integrators_that_never_reach_the_end_are_told():
@@ -297,10 +295,8 @@ def test_the_counts_are_those_of_the_records(wins, chosen):
         assert int(match[1] or match[2]) == max(s.alone + s.tied for s in found.standings)
         assert int(match[2]) == len(compared)
     elif len(compared) > 1:
-        clauses = (
-            re.sub(r" \([^)]*\)", "", text.rstrip(".")).partition("acceleration, ")[2].split("; ")
-        )
-        for clause in clauses:
+        bare = re.sub(r" \([^)]*\)", "", text.rstrip("."))
+        for clause in bare.partition("acceleration, ")[2].split("; "):
             who, _, where = clause.rpartition(" on ")
             for k in re.findall(r"s(\d)", where):
                 compared.remove(int(k))
