@@ -15,7 +15,7 @@ from bench.stability.systems import Oscillator, Relaxation
 from integrators import Steps
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_theory import recurrence_of
+from integrators.methods.generalized_alpha_parameters import recurrence_of
 from integrators.multistep import Multistep, MultistepForm, stable
 from problems.scenes.spring_mass import SpringMass
 

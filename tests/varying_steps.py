@@ -1,10 +1,10 @@
 """The multistep formulas of generalized-alpha in varying steps, on paper.
 
-Symbols are those of `integrators.methods.generalized_alpha_theory`. The coefficients depend on the
-steps and weights (the paper's eqs 21-27), and A is eliminated as follows. A difference u_n of known
-values is a combination of A over two times for v, three for q. The recurrence
-(1 - alpha_m) A_n+1 + alpha_m A_n = F_n, with F_n = (1 - alpha_f) a_n+1 + alpha_f a_n, reduces it to
-known F and one A with a rest r_n::
+Symbols are those of `integrators.methods.generalized_alpha_parameters`. The coefficients depend on
+the steps and weights (the paper's eqs 21-27), and A is eliminated as follows. A difference u_n of
+known values is a combination of A over two times for v, three for q. The recurrence (1 - alpha_m)
+A_n+1 + alpha_m A_n = F_n, with F_n = (1 - alpha_f) a_n+1 + alpha_f a_n, reduces it to known F and
+one A with a rest r_n::
 
     u_n   = ... F_n + ... F_n-1 + r_n   A_n-1
     u_n-1 = ... F_n-1 + ... F_n-2 + r_n-1 A_n-2

@@ -17,10 +17,10 @@ from integrators.methods.generalized_alpha_parameters import (
     Scheme,
     SecondOrder,
     first_order_parameters,
+    recurrence_of,
     second_order_parameters,
 )
 from integrators.methods.generalized_alpha_step import AlphaStep
-from integrators.methods.generalized_alpha_theory import recurrence_of
 from integrators.multistep import MultistepForm
 from integrators.native.own_values import rho_inf_option
 from integrators.native.step_functions import StepFunctions
