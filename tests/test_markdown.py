@@ -13,7 +13,8 @@ from bench.results.compare import compare_folders
 from bench.results.store import Store
 from reports.pages.catalogue import write_catalogue
 from reports.pages.comparison import write_comparison
-from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.markdown_report import _FIGURES as FIGURES
+from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 
 ROOT = Path(__file__).parents[1]

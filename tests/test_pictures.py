@@ -19,7 +19,8 @@ from planted import Document, plant, planted, whole_markdown, whole_report
 
 from reports.charts import rendering
 from reports.pages.html_report import write_html_report
-from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.markdown_report import _FIGURES as FIGURES
+from reports.pages.markdown_report import write_markdown_report
 
 
 def line(name, text="a,b\n1,2\n"):

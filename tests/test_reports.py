@@ -32,7 +32,8 @@ from reports.formatting import milliseconds, number, symbols
 from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.html_report import write_html_report
-from reports.pages.markdown_report import FIGURES, write_markdown_report
+from reports.pages.markdown_report import _FIGURES as FIGURES
+from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.series import series_of
 from reports.text.ranking_tables import targets_table
