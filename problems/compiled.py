@@ -91,10 +91,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         return exported(function, (name, template))
 
     def over_rows(name: str, function: Callable) -> Callable:
-        def block(p: Mapping, rows: tuple[Array, ...]) -> Any:
-            return jax.vmap(lambda *row: function(p, *row))(*rows)
-
-        return _in_blocks(alone(name, block))
+        return _over_rows(function, (name, template))
 
     return Compiled(
         start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
@@ -110,8 +107,13 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     )
 
 
-def _in_blocks(block: Callable) -> Callable:
-    """A function of any number of rows, which are filled up to whole blocks."""
+def _over_rows(function: Callable, about: tuple) -> Callable:
+    """Vectorise over rows, filled up to whole blocks; ``about`` tells what the function is."""
+
+    def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
+        return jax.vmap(lambda *row: function(p, *row))(*rows)
+
+    block = exported(rows_at_once, about)
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0
