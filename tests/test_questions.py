@@ -164,8 +164,8 @@ def test_a_few_scenes_are_named_with_their_costs():
         "three, 1.29 times)."
     ]
     dark = [*field((1, 2)), run("s0", "dark", None, work={"residuals": None})]
-    scene = answer(scenes_of(dark), COUNTS).scenes["s0"]
-    sentence = scene_sentence(COUNTS, "s0", scene, words_of(scenes_of(dark), {}))
+    found = answer(scenes_of(dark), COUNTS)
+    sentence = scene_sentence(found, "s0", words_of(scenes_of(dark), {}))
     assert plain(sentence).endswith(
         " Not compared, as the residual evaluations are not counted: dark."
     )
@@ -193,6 +193,15 @@ def test_a_kind_of_scenes_is_named_if_it_parts_the_wins():
     assert "smooth" not in said(records, tags=tags)[0]  # all are
 
 
+def test_of_families_that_tie_the_first_of_the_plan_is_named():
+    one, two = (1, 9, 1, 9), (9, 1, 9, 1)
+    records = field(one, one, two, two, rivals=("one", "two", "three", "four"))
+    for r in records:
+        r.family = "pair" if r.integrator in ("one", "two") else "other"
+    (family,) = [s for s in said(records) if s.startswith("By family")]
+    assert family.startswith("By family: pair methods")
+
+
 def test_a_family_is_named_if_it_is_first_more_often_than_each_member():
     rivals = ("one", "two", "three")
     one, two = (1, 9, 5), (9, 1, 5)
@@ -211,9 +220,7 @@ def test_integrators_that_never_reach_the_end_are_told():
     records += [run(f"s{k}", "broken", 10, **ends) for k in (1, 3)] + [run("s0", "weak", 1, **ends)]
     assert said(records)[-1] == "No run reached the end: broken (s1 and s3) and weak (s0)."
     scenes = scenes_of(records)
-    sentence = scene_sentence(
-        COUNTS, "s1", answer(scenes, COUNTS).scenes["s1"], words_of(scenes, {})
-    )
+    sentence = scene_sentence(answer(scenes, COUNTS), "s1", words_of(scenes, {}))
     assert plain(sentence).endswith(" times). No run reached the end: broken.")
 
 
@@ -230,8 +237,8 @@ def test_unknown_costs_are_told():
     records = [*field((1, 2), (1, 2)), dark]
     assert said(records)[-1] == "Reached, but the residual evaluations are not counted: dark (s0)."
     scenes = scenes_of([dark])
-    words, scene = words_of(scenes, {}), answer(scenes, COUNTS).scenes["s0"]
-    assert plain(scene_sentence(COUNTS, "s0", scene, words)) == (
+    words = words_of(scenes, {})
+    assert plain(scene_sentence(answer(scenes, COUNTS), "s0", words)) == (
         "dark reaches 1e-4 in acceleration (largest over time) on s0, but the residual evaluations "
         "are not counted."
     )
@@ -326,7 +333,7 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
         assert answer(scenes, question) == own
         for sentence in [
             *sentences(own, words),
-            *(scene_sentence(question, k, s, words) for k, s in own.scenes.items()),
+            *(scene_sentence(own, k, words) for k in own.scenes),
         ]:
             assert re.fullmatch(r"[A-Za-z][^\n]*\.", plain(sentence))
             assert not re.search(r"None|nan|  | ,|\[\]", plain(sentence)), plain(sentence)

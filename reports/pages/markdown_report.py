@@ -15,7 +15,7 @@ from reports.pages.report import Report, read_report
 from reports.pages.site import FOLDER
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, plain, rendered
-from reports.questions.sentences import scene_sentence, sentences, unjudged
+from reports.questions.sentences import scene_sentence, sentences
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -44,13 +44,7 @@ def write_markdown_report(folder: Path) -> Path:
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
     failed = draw(charts, folder / _FIGURES)
     files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
-    said = {
-        name: scene_sentence(report.answer.question, name, on, report.words)
-        for name, on in report.answer.scenes.items()
-    } | {
-        name: unjudged(report.answer.question, name, error)
-        for name, error in report.answer.unjudged.items()
-    }
+    said = {name: scene_sentence(report.answer, name, report.words) for name in report.series}
     names = {**report.names, **{name: scene_name(name) for name in report.series}}
     own = folder / FOLDER
     own.mkdir(exist_ok=True)
@@ -60,7 +54,7 @@ def write_markdown_report(folder: Path) -> Path:
             names,
             report=report,
             scene=chapter,
-            verdict=escape_markdown(plain(said.get(chapter.name, []))),
+            verdict=escape_markdown(plain(said[chapter.name])),
             index=FILE,
             figures=f"../{_FIGURES}",
             failed=failed,
@@ -77,7 +71,7 @@ def write_markdown_report(folder: Path) -> Path:
         answer=[rendered(s, _escaped, links) for s in sentences(report.answer, report.words)],
         standings=standings_table(report.answer),
         scenes=[
-            (scene_name(s.name), files[s.name], rendered(said.get(s.name, []), _escaped, links))
+            (scene_name(s.name), files[s.name], rendered(said[s.name], _escaped, links))
             for s in report.scenes
         ],
         figures=_FIGURES,

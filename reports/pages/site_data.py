@@ -208,7 +208,7 @@ class SiteData:
             made[question.key] = {
                 "scenes": [own and self._states(name, own) for name, own in on.items()],
                 "verdicts": [
-                    own and plain(scene_sentence(question, name, own, self.report.words))
+                    own and plain(scene_sentence(answer, name, self.report.words))
                     for name, own in (on if verdicts else {}).items()
                 ],
                 "filters": {} if only else {f.key: part(answer.on(f.scenes)) for f in self.filters},

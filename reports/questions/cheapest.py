@@ -146,7 +146,7 @@ def families(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     own: Counter[str] = Counter()
     single: Counter[str] = Counter()
     for scene in voting.values():
-        own.update({s.family for s in scene.first})
+        own.update([*dict.fromkeys(s.family for s in scene.first)])
         single.update(s.label for s in scene.first)
     (family, count), *_ = own.most_common(1)
     entries = [e for s in found.scenes.values() for e in s.entries.values()]

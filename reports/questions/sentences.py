@@ -12,7 +12,6 @@ from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import cheapest, families, on_each
 from reports.questions.phrases import Sentence, listed
-from reports.questions.question import Question
 from reports.questions.words import Words, scene_ref
 from reports.series import label_of
 
@@ -32,7 +31,7 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         Names and tags of the report.
     """
     if not found.scenes:
-        return [*_unjudged(found)] or [["No scene has runs with an error in this quantity."]]
+        return _all_unjudged(found) or [["No scene has runs with an error in this quantity."]]
     voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
     said = []
     if len(voting) <= _EACH and voting:
@@ -46,31 +45,30 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         *_reached(found, words),
         *_nobody(found, words),
         *_failing(found, words),
-        *_unjudged(found),
+        *_all_unjudged(found),
         *_unknown(found, words),
     ]
 
 
-def scene_sentence(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
-    """The answer on one scene."""
-    said = _on_scene(question, scene, answer, words)
+def scene_sentence(found: Answer, scene: str, words: Words) -> Sentence:
+    """The answer on one scene; empty of a scene without the quantity."""
+    if scene in found.unjudged:
+        return _unjudged(found, scene, f"{found.question.accuracy} in {found.question.quantity}")
+    if scene not in found.scenes:
+        return []
+    answer, cost = found.scenes[scene], COSTS[found.question.cost]
+    unknown = words.methods(s.label for s in answer.unknown)
+    goal = [*words.accuracy(found.question), " on ", scene_ref(scene)]
+    if answer.first:
+        said = on_each(found.question, {scene: answer}, words)
+        said += [f" Not compared, as {cost.unknown}: ", *unknown, "."] if unknown else []
+    elif unknown:
+        verb = " reaches " if len(answer.unknown) == 1 else " reach "
+        said = [*unknown, verb, *goal, f", but {cost.unknown}."]
+    else:
+        said = ["No integrator reaches ", *goal, *_near(answer, words), "."]
     failed = words.methods(k for k, entry in answer.entries.items() if entry.state == "failed")
     return [*said, " No run reached the end: ", *failed, "."] if failed else said
-
-
-def _on_scene(question: Question, scene: str, answer: SceneAnswer, words: Words) -> Sentence:
-    unknown = words.methods(s.label for s in answer.unknown)
-    if answer.first:
-        said = on_each(question, {scene: answer}, words)
-        if unknown:
-            said += [f" Not compared, as {COSTS[question.cost].unknown}: ", *unknown, "."]
-        return said
-    if unknown:
-        verb = " reaches " if len(answer.unknown) == 1 else " reach "
-        goal = [*words.accuracy(question), " on ", scene_ref(scene)]
-        return [*unknown, verb, *goal, f", but {COSTS[question.cost].unknown}."]
-    goal = [*words.accuracy(question), " on ", scene_ref(scene)]
-    return ["No integrator reaches ", *goal, *_near(answer, words), "."]
 
 
 def _reached(found: Answer, words: Words) -> list[Sentence]:
@@ -136,26 +134,20 @@ def _where(where: Mapping[str, Sequence[str]], words: Words) -> Sentence:
     return listed([*said[:_EACH], [f"{rest} more"]] if rest else said, _EACH + 1)
 
 
-def _unjudged(found: Answer) -> list[Sentence]:
-    if not found.unjudged:
-        return []
+def _all_unjudged(found: Answer) -> list[Sentence]:
     it = "It" if found.scenes else found.question.accuracy
+    if len(found.unjudged) < 2:
+        return [_unjudged(found, scene, it) for scene in found.unjudged]
     where = listed([scene_ref(k), f" ({number(e)})"] for k, e in found.unjudged.items())
     than = f"is more than a hundredth of {found.question.accuracy}"
-    if len(found.unjudged) > 1:
-        return [[f"{it} cannot be judged on ", *where, f": {_OWN}, in brackets, {than}."]]
-    ((scene, error),) = found.unjudged.items()
-    return [[f"{it} cannot be judged on ", *unjudged(found.question, scene, error)[1:]]]
+    return [[f"{it} cannot be judged on ", *where, f": {_OWN}, in brackets, {than}."]]
 
 
-def unjudged(question: Question, scene: str, error: float) -> Sentence:
-    """The reason for which there is no answer on a scene; ``error`` is the reference's own one."""
-    than = f"more than a hundredth of {question.accuracy}"
-    return [
-        f"{question.accuracy} in {question.quantity} cannot be judged on ",
-        scene_ref(scene),
-        f": {_OWN} is {number(error)}, {than}.",
-    ]
+def _unjudged(found: Answer, scene: str, it: str) -> Sentence:
+    """The reason for which there is no answer on a scene."""
+    error = number(found.unjudged[scene])
+    than = f"more than a hundredth of {found.question.accuracy}"
+    return [f"{it} cannot be judged on ", scene_ref(scene), f": {_OWN} is {error}, {than}."]
 
 
 def _unknown(found: Answer, words: Words) -> list[Sentence]:
