@@ -130,7 +130,7 @@ def drift(
         elif results and form == "csv":
             click.echo(csv_export([csv_row(run) for run in results]), nl=False)
         elif results:
-            show(drift_table(results))
+            show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
         if results:
             click.echo(f"Page: {view('drift')(store.long_runs(), out)}", err=bool(form))
             if store.plan():
