@@ -129,8 +129,7 @@ class Report:
             f"Performance profile {which}: part of the scenes on which an integrator costs at most "
             "so many times the best (Dolan and More 2002). On the left: part on which it is the "
             "cheapest; on the right: part on which it reaches the accuracy. Counted for each are "
-            "the scenes with several contestants on which it was tried; how many, the table of "
-            "integrators says."
+            "the scenes with several contestants on which it was tried."
         )
         pareto = (
             f"Relative error, {NORMS[NORM]} (up), against cost (to the right) {front}. The broad "
