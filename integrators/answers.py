@@ -53,7 +53,7 @@ def facts(integrator: Integrator) -> Facts:
     """
     found = {name: asked(integrator, name, name) for name in Facts._fields}
     one_of(found["controls"], "controls", ("step", "tolerance"))
-    claimed = orders(found.pop("orders"))
+    claimed = checked_orders(found.pop("orders"))
     words = {name: text(value, name) for name, value in found.items()}
     return Facts(**words, orders=claimed)
 
@@ -66,7 +66,7 @@ def stated(integrator: Integrator) -> tuple[Facts, str]:
         return Facts(), str(fault)
 
 
-def orders(value: object, what: str = "orders") -> dict[str, int]:
+def checked_orders(value: object, what: str = "orders") -> dict[str, int]:
     """Return claimed orders by group."""
     if not isinstance(value, Mapping):
         raise refused(what, value, "a dictionary of whole numbers by group")
@@ -91,7 +91,7 @@ def refusal(integrator: Integrator, scene: MechatronicSystem) -> str | None:
     return text(reason, "supports()")
 
 
-def prepared(value: Any) -> PreparedRun:
+def checked_run(value: Any) -> PreparedRun:
     """Return what `prepare` gave, which has ``measure`` and ``execute``."""
     missing = [name for name in ("measure", "execute") if not callable(getattr(value, name, None))]
     if missing:
@@ -99,7 +99,7 @@ def prepared(value: Any) -> PreparedRun:
     return value
 
 
-def bill(value: object, parts: Collection[str]) -> dict[str, float]:
+def checked_bill(value: object, parts: Collection[str]) -> dict[str, float]:
     """Return a bill of operations by part, of which ``parts`` are known."""
     if not isinstance(value, Mapping):
         raise refused("bill()", value, "a dictionary of operations by part")
@@ -112,7 +112,7 @@ def bill(value: object, parts: Collection[str]) -> dict[str, float]:
     return found
 
 
-def trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> Trajectory:
+def checked_trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> Trajectory:
     """Return what `measure` gave, in arrays of its own.
 
     Values of a run may be NaN or infinite; its times may not.

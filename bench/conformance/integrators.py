@@ -45,7 +45,7 @@ def check_facts(registry: Registry, method: Integrator) -> str:
     """Its statements on itself are text and whole numbers, and so are its claims on a scene."""
     facts = answers.facts(method)
     scene = trials(registry, method)[0].scene
-    answers.orders(method.claims(scene), "claims()")
+    answers.checked_orders(method.claims(scene), "claims()")
     return f"It states its formulation, {facts.formulation}, and what it is refined by."
 
 
@@ -168,7 +168,7 @@ def check_work(registry: Registry, method: Integrator) -> str:
     for trial in tried:
         coarse, fine = (trial.measured(factor).work for factor in pair)
         run, name = trial.prepared(), trial.scene.spec
-        answers.bill(run.bill(trial.trajectory(run)), PARTS)
+        answers.checked_bill(run.bill(trial.trajectory(run)), PARTS)
         # A library may tell of Newton's iterations alone.
         told = "residuals" if coarse.residuals is not None or coarse.newton is None else "newton"
         for count in ("steps", told):

@@ -64,7 +64,7 @@ def check_order(trials: list[Trial]) -> str:
     for scene in (trial.scene for trial in trials):
         if refusal(steady, scene):
             continue
-        stated = answers.orders(steady.claims(scene), "claims()")
+        stated = answers.checked_orders(steady.claims(scene), "claims()")
         claims = {g: p for g, p in stated.items() if scene.sizes.of(g)}
         if not claims:
             continue

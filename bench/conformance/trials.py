@@ -145,7 +145,7 @@ class Trial:
 
     def prepared(self) -> PreparedRun:
         """Prepare a run."""
-        return answers.prepared(self.method.prepare(self.scene, self.t_end, self.resolution()))
+        return answers.checked_run(self.method.prepare(self.scene, self.t_end, self.resolution()))
 
     def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
         """Measure a run up to t_end in s.
@@ -157,14 +157,14 @@ class Trial:
         """
         end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
         try:
-            return answers.trajectory(run.measure(), self.scene.sizes, t0, end)
+            return answers.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
         except FalseAnswer as fault:
             raise Failed(f"On {self.scene.spec}: {fault}") from fault
 
     def solved(self, refined: Steps | Tolerances, t_end: float | None = None) -> Trajectory:
         """Prepare and measure a run up to t_end in s; see `trajectory`."""
         end = self.t_end if t_end is None else t_end
-        run = answers.prepared(self.method.prepare(self.scene, end, refined))
+        run = answers.checked_run(self.method.prepare(self.scene, end, refined))
         return self.trajectory(run, end)
 
     def measured(self, finer: float = 1.0) -> Trajectory:

@@ -154,11 +154,11 @@ class Worker:
         run.notes |= noted | drift
 
         def operations() -> dict[str, float]:
-            return answers.bill(self.prepared[record.key].bill(run), PARTS)
+            return answers.checked_bill(self.prepared[record.key].bill(run), PARTS)
 
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)
-            return answers.orders(stated, "claims()")
+            return answers.checked_orders(stated, "claims()")
 
         record.operations = part("Its operations are not known", operations, {})
         record.claims = part("Its claimed orders are not known", claims, None)
@@ -178,13 +178,13 @@ class Worker:
             if reason := answers.refusal(integrator, scene):
                 return Trajectory.failed("unsupported", reason), None
             started = time.perf_counter()
-            run = answers.prepared(integrator.prepare(scene, cell.t_end, cell.resolution))
+            run = answers.checked_run(integrator.prepare(scene, cell.t_end, cell.resolution))
             compile_s = time.perf_counter() - started
             self.notify(RUNNING, "running")
             measuring = time.perf_counter()
             measured = run.measure()
             seconds = time.perf_counter() - measuring
-            trajectory = answers.trajectory(measured, scene.sizes, *span)
+            trajectory = answers.checked_trajectory(measured, scene.sizes, *span)
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", f"{said(error)}."), None
         except BaseException as error:  # of a plugin, which may even raise SystemExit

@@ -254,8 +254,8 @@ def _two_patterns(
     """[q, v, x] of the excited entries after one and after two patterns."""
     scene = system.from_deviation(start)
     steps = Steps(length, pattern)
-    measured = answers.prepared(method.prepare(scene, 2 * length, steps)).measure()
-    run = answers.trajectory(measured, scene.sizes, scene.interval[0], 2 * length)
+    measured = answers.checked_run(method.prepare(scene, 2 * length, steps)).measure()
+    run = answers.checked_trajectory(measured, scene.sizes, scene.interval[0], 2 * length)
     if fault := ignored_pattern(run, steps, scene.interval[0], 2 * length):
         raise SpecError(f"{method.spec} has no matrix of a pattern: {fault}")
     blank = np.nan if run.status == "newton_failed" else np.inf

@@ -122,7 +122,7 @@ def test_rows_are_not_those_of_the_plugin(worker):
     from integrators import answers
 
     theirs = Kept("", scene, 20.0).measure()
-    ours = answers.trajectory(theirs, scene.sizes, 0.0, 20.0)
+    ours = answers.checked_trajectory(theirs, scene.sizes, 0.0, 20.0)
     for name in ("t", "q", "v", "a", "lam", "x", "xdot", "y"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert not np.shares_memory(getattr(ours, name), getattr(theirs, name))
