@@ -141,7 +141,7 @@ def checked_trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> 
         **{group: _rows(part[group], group, len(t), sizes.of(group)) for group in _ROWS},
         status=status,
         message=text(part["message"], "message", empty=status == "ok"),
-        work=work(part["work"]),
+        work=_work(part["work"]),
         notes=_notes(part["notes"], len(t)),
     )
 
@@ -176,7 +176,7 @@ def _rows(value: object, group: str, count: int, size: int) -> np.ndarray:
     return array(value, group, (count, size), finite=False)
 
 
-def work(value: object) -> Work:
+def _work(value: object) -> Work:
     """Return work counts as whole numbers, None where they are not known."""
     if not isinstance(value, Work):
         raise refused("work", value, "a Work")
