@@ -284,12 +284,10 @@ def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(page, folder):
         const place = document.createElement("div"), slow = document.createElement("div");
         place.style.marginTop = "30000px";
         document.body.append(slow, place);
-        const end = () => performance.now() + 120;
+        let now = 0;  // the time of any machine
+        performance.now = () => now;
         stepbench.onChange(() => drawn.push("far"), place);
-        stepbench.onChange(() => {
-          drawn.push("near");
-          for (const t = end(); performance.now() < t;);
-        });
+        stepbench.onChange(() => { drawn.push("near"); now += 120; });
         drawn.length = 0;
         stepbench.ask({ target: "1e-2" });
         const first = [...drawn];
