@@ -34,8 +34,8 @@ from bench.results.stored_values import (
     crashed,
     decoded,
     encoded,
-    fit,
     storable,
+    storable_or,
     undescribed,
 )
 from problems.plain_text import clean
@@ -145,7 +145,7 @@ class Store:
 
     def save_scene(self, scene: SceneRecord) -> None:
         """Keep a scene's description, reference and drawings; the reason if they are unfit."""
-        scene, value = fit(scene, lambda error: undescribed(scene, error))
+        scene, value = storable_or(scene, lambda error: undescribed(scene, error))
         self._put("scenes", scene.problem, scene.t_end, value)
 
     def save_experiment(self, found: ExperimentResult) -> None:
@@ -163,7 +163,7 @@ class Store:
                 db.execute("DELETE FROM damping WHERE integrator = ?", (clean(integrator),))
             return
         why = "It cannot be stored: {}.".format
-        _, value = fit(damping, lambda error: Damping(omega_h=[], message=why(error)))
+        _, value = storable_or(damping, lambda error: Damping(omega_h=[], message=why(error)))
         self._put("damping", integrator, value)
 
     def save(self, record: Record, rows: Rows) -> None:
@@ -178,7 +178,7 @@ class Store:
             sampled = encoded(Rows())
             said = f"{record.message} Its sampled values cannot be stored: {error}."
             record = msgspec.structs.replace(record, message=said.strip())
-        record, value = fit(record, lambda error: crashed(record, error))
+        record, value = storable_or(record, lambda error: crashed(record, error))
         names = map(clean, (record.key, record.problem, record.integrator, record.status))
         with self._transaction() as db:
             db.execute("DELETE FROM samples WHERE key = ?", (clean(record.key),))

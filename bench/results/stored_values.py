@@ -69,7 +69,7 @@ def encoded(value: object) -> bytes:
     return raw
 
 
-def fit(value: T, instead: Callable[[Unreadable], T]) -> tuple[T, bytes]:
+def storable_or(value: T, instead: Callable[[Unreadable], T]) -> tuple[T, bytes]:
     """Return a value, or what is kept ``instead`` of one that could not be read, and its JSON."""
     try:
         return value, encoded(value)
