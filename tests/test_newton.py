@@ -51,7 +51,7 @@ class Solved(NamedTuple):
 
 def solve(
     residual, slope, guess, kept=None, old=None, tol=1e-12, most=20, rounding=0.0, noise=0.0,
-    enough=math.inf, cuts=(),
+    solved_after=math.inf, cuts=(),
 ):  # fmt: skip
     """Newton's method in Python's own time: nothing is compiled."""
     guess, groups, linear = np.atleast_1d(guess).astype(float), len(cuts) + 1, Slopes(slope)
@@ -60,7 +60,7 @@ def solve(
         u, _, report = newton(
             residual, jnp.asarray(guess), jnp.asarray(old),
             Bounds(list(cuts), tol, (rounding,) * groups, (noise,) * groups), most,
-            None if kept is None else jnp.full(guess.shape, kept), linear, enough,
+            None if kept is None else jnp.full(guess.shape, kept), linear, solved_after,
         )  # fmt: skip
     assert report.jacobians == linear.log.count("t") or kept is None
     assert report.newton == report.residuals == report.solves == linear.log.count("u")
@@ -108,10 +108,13 @@ def test_each_group_is_measured_by_its_own_size_now_or_before():
     assert root_of_two(old=0.0).report.newton == 4
 
 
-@pytest.mark.parametrize(("enough", "iterations"), [(0, 0), (1, 1), (math.inf, 2)])
-def test_linear_equations_and_known_solutions_need_no_further_update(enough, iterations):
+@pytest.mark.parametrize(("solved_after", "iterations"), [(0, 0), (1, 1), (math.inf, 2)])
+def test_linear_equations_and_known_solutions_need_no_further_update(solved_after, iterations):
     found = solve(
-        lambda u: 3 * u - 6, lambda u: 3 + 0 * u, 2.0 if enough == 0 else 7.0, enough=enough
+        lambda u: 3 * u - 6,
+        lambda u: 3 + 0 * u,
+        2.0 if solved_after == 0 else 7.0,
+        solved_after=solved_after,
     )
     assert found.report.solved
     assert found.report.newton == iterations
@@ -119,7 +122,7 @@ def test_linear_equations_and_known_solutions_need_no_further_update(enough, ite
 
 
 def test_an_update_by_an_old_tangent_is_never_enough():
-    found = solve(lambda u: 3 * u - 6, lambda u: 3 + 0 * u, 7.0, kept=3.1, enough=1)
+    found = solve(lambda u: 3 * u - 6, lambda u: 3 + 0 * u, 7.0, kept=3.1, solved_after=1)
     assert found.report.newton > 1
     assert abs(found.u[0] - 2) < 7e-12  # its size is that of the guess
 
@@ -217,8 +220,8 @@ def test_modified_newton_then_tries_full_newton_from_the_start_of_the_step():
 
 
 def test_a_value_that_is_no_number_ends_full_newton_at_once():
-    for enough in (1, math.inf):
-        found = solve(lambda u: NEVER * u, lambda u: 1 + 0 * u, 1.0, enough=enough)
+    for solved_after in (1, math.inf):
+        found = solve(lambda u: NEVER * u, lambda u: 1 + 0 * u, 1.0, solved_after=solved_after)
         assert (found.report.solved, found.report.newton) == (False, 1)
 
 

@@ -158,7 +158,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1. With None the
     program has no memory for them: many runs side by side would copy it in every step.
     """
-    control, take = StepControl(program.functions), rewritten_step(program, template)
+    control, step = StepControl(program.functions), rewritten_step(program, template)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None, times: Array
@@ -180,7 +180,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             # step Newton's method ends at once.
             h = jnp.where(goes_on(m), _fitted(m.h, left), jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
-            state, report = take(p, numbers, m.state, t, h)
+            state, report = step(p, numbers, m.state, t, h)
             now = program.read(scene, state)
             return _Tried(t, h, state, now, report, jnp.isfinite(largest(*now[:-1])))
 
@@ -201,9 +201,12 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             reason = jnp.where(solved, _ERROR, jnp.where(finite, _NEWTON, _NOT_FINITE))
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
             ending = jnp.where(accepted & ~is_bounded(tried.now), _DIVERGED, ending)
+            t = jnp.where(accepted, tried.t, m.t)
+            short = (m.counts[0] + m.counts[1] + 1 >= span.max_steps) & (t < span.t_end)
+            ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             return _Verdict(accepted, jnp.maximum(h_next, smallest), error, ending)
 
-        def advance(m: _Progress) -> _Progress:
+        def one_step(m: _Progress) -> _Progress:
             tried = attempt(m)
             now, peaks = tried.now, tuple(map(jnp.maximum, m.peaks, _sizes_of(tried.now)))
             accepted, h_next, error, ending = judge(m, tried, peaks)
@@ -217,8 +220,6 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
                 rows = rows.with_row(row, kept, wanted[0])
             after, before = (tried.t, error, peaks), (m.t, m.error, m.peaks)
             t, error, peaks = jax.tree.map(partial(jnp.where, accepted), after, before)
-            short = (counts[0] + counts[1] >= span.max_steps) & (t < span.t_end)
-            ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             state = program.chosen(accepted, tried.state, m.state)
             return _Progress(t, state, h_next, error, peaks, ending, counts, rows)
 
@@ -228,7 +229,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         m = _Progress(
             span.t0, begun, h0, jnp.asarray(1.0), _sizes_of(first), jnp.asarray(_OK), counts, rows
         )
-        m = jax.lax.while_loop(goes_on, advance, m)
+        m = jax.lax.while_loop(goes_on, one_step, m)
         last = jnp.stack([1.0 * m.counts[0], m.t]), flat_row(program.read(scene, m.state))
         program.finish(m.state)
         return m.rows.table, jnp.concatenate(last), jnp.stack([m.ending, m.t, *m.counts])

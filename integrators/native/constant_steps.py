@@ -157,7 +157,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     and ``[ending, t, counts...]``.
     """
 
-    advance = rewritten_step(program, template)
+    step = rewritten_step(program, template)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
@@ -173,7 +173,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
             # step Newton's method ends at once.
             h = jnp.where(ending == _OK, h, jnp.nan)
-            state, report = advance(p, numbers, state, t, h)
+            state, report = step(p, numbers, state, t, h)
             now = program.read(scene, state)
             failed = jnp.where(report.solved, _REFUSED, _NEWTON_FAILED)
             ending = jnp.where(sane(now), jnp.where(report.converged, _OK, failed), _DIVERGED)

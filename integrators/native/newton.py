@@ -112,19 +112,19 @@ class Revision(NamedTuple):
     renew: Bool[Array, ""] | bool
 
 
-def is_solved(now: Iteration, tol: Scalar, enough: Scalar = math.inf) -> Bool[Array, ""]:
+def is_solved(now: Iteration, tol: Scalar, solved_after: Scalar = math.inf) -> Bool[Array, ""]:
     """Return whether the unknowns are a solution.
 
     Parameters
     ----------
-    enough
+    solved_after
         Number of exact updates after which they are one, whatever the sizes.
     """
     size, before = now.size, now.before
     left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
     small = (size <= 1.0) | ((size < before) & (left <= 1.0))
     stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
-    done = (now.k >= enough) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
+    done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
     return small | stagnant | done
 
 
@@ -157,7 +157,7 @@ def newton(
     most: Scalar,
     kept: Array | None,
     linear: LinearSolver,
-    enough: Scalar = math.inf,
+    solved_after: Scalar = math.inf,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -176,7 +176,7 @@ def newton(
         for full Newton.
     linear
         Linear algebra of the tangents.
-    enough
+    solved_after
         Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
         the guess is one, 1 for linear equations.
 
@@ -192,7 +192,7 @@ def newton(
         failed = now.exact & jnp.isnan(now.size)
         if modified:
             failed = failed & (now.remaining < most)
-        return (now.remaining > 0) & ~is_solved(now, tol, enough) & ~failed
+        return (now.remaining > 0) & ~is_solved(now, tol, solved_after) & ~failed
 
     def prepared(now: Iteration) -> Iteration:
         """Modified Newton before an update: its place, and the tangent."""
@@ -227,5 +227,8 @@ def newton(
     allowed = 2 * most if modified else most
     start = Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
     end = jax.lax.while_loop(go_on, iterate, start)
-    solved, counts = is_solved(end, tol, enough), (end.k, end.k, end.tangents, end.tangents, end.k)
+    solved, counts = (
+        is_solved(end, tol, solved_after),
+        (end.k, end.k, end.tangents, end.tangents, end.k),
+    )
     return end.u, end.kept, StepReport(solved, *counts, solved)

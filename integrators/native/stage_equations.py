@@ -75,7 +75,7 @@ class StageEquations(NamedTuple):
     noise: Sequence[Scalar] | None = None
 
     def solve_from(
-        self, work: StepWork, guess: Guess, h: Scalar, enough: Scalar = math.inf
+        self, work: StepWork, guess: Guess, h: Scalar, solved_after: Scalar = math.inf
     ) -> tuple[Variables, Array, Guess]:
         """Solve from the values ahead of a guess; return variables, xdot and the next guess.
 
@@ -83,14 +83,14 @@ class StageEquations(NamedTuple):
         ----------
         h
             Size of the step in s.
-        enough
+        solved_after
             See `StepWork.solve`.
         """
-        z, xdot = self.solve(work, guess.ahead(h), guess.last, enough)
+        z, xdot = self.solve(work, guess.ahead(h), guess.last, solved_after)
         return z, xdot, guess.after(z, xdot, h)
 
     def solve(
-        self, work: StepWork, guess: Array, old: Array, enough: Scalar = math.inf
+        self, work: StepWork, guess: Array, old: Array, solved_after: Scalar = math.inf
     ) -> tuple[Variables, Array]:
         """Solve for the variables and xdot.
 
@@ -98,14 +98,20 @@ class StageEquations(NamedTuple):
         ----------
         guess, old
             [a, lam, xdot, y] at which the iteration begins, and those at the start of the step.
-        enough
+        solved_after
             See `StepWork.solve`.
         """
         guess, old = self._with_mu(guess), self._with_mu(old)
         a, _, _, *control = self.layout.split(old)
         rounding = (*self.rounding, *inherited(self.rounding[0], a, control))
         u = work.solve(
-            self.residual, guess, old, self.layout.cuts, rounding, enough=enough, noise=self.noise
+            self.residual,
+            guess,
+            old,
+            self.layout.cuts,
+            rounding,
+            solved_after=solved_after,
+            noise=self.noise,
         )
         return self.at(u)
 

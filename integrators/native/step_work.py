@@ -61,7 +61,7 @@ class StepWork:
         *,
         split: StageTangents | None = None,
         evaluations: int = 1,
-        enough: Scalar = math.inf,
+        solved_after: Scalar = math.inf,
         noise: Sequence[Scalar] | None = None,
     ) -> Float[Array, " n"]:
         """Solve residual(u) = 0 by Newton's method with the exact tangent.
@@ -84,7 +84,7 @@ class StepWork:
             Solver of coupled stages; modified Newton takes it instead of full matrices.
         evaluations
             How often a residual, or an exact tangent, evaluates the equations of the scene.
-        enough
+        solved_after
             Number of updates by new tangents that certainly suffice: 0 if the guess is the
             solution, 1 for linear equations.
         noise
@@ -102,7 +102,9 @@ class StepWork:
         solver = self._solvers(k) if kept is None else keeper(self._solvers(k), split)
         noise = (0.0,) * len(rounding) if noise is None else noise
         bounds = Bounds(groups, self._tolerance, rounding, noise)
-        u, kept, report = newton(residual, guess, old, bounds, self._most, kept, solver, enough)
+        u, kept, report = newton(
+            residual, guess, old, bounds, self._most, kept, solver, solved_after
+        )
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
         self._add(
