@@ -258,7 +258,8 @@ class PHEM56(FreeSteps, HalfExplicit):
         errors = state.errors
         if self.steps == "adaptive":
             weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
-            e_q, e_v, e_x = (_change(h, weights, r) for r in (of_q, of_v, of_x))
+            # Beginning at zero: products of their own would be contracted with what follows.
+            e_q, e_v, e_x = (0.0 * r[0] + _change(h, weights, r) for r in (of_q, of_v, of_x))
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)
             errors = e_q, e_v, e_x
