@@ -99,7 +99,7 @@ IMPORTS = {
     "patch_len": ("builtins.len = lambda x: 7", LOST, ""),
     "patch_open": ("builtins.open = None", ANY, ""),
     "patch_msgspec": ("import msgspec; msgspec.msgpack.encode = lambda *a, **k: b''", LOST, ""),
-    "patch_pickle": ("import pickle; pickle.loads = lambda b: (print, (), {})", LOST, ""),
+    "patch_pickle": ("import pickle; pickle.load = lambda file: (print, (), {})", LOST, ""),
     "patch_time": ("time.perf_counter = time.monotonic = lambda: float('nan')", ANY, ""),
     "patch_time_back": (
         "s = [0]\ntime.perf_counter = lambda: s.append(s[-1] - 1) or s[-1]",
