@@ -201,9 +201,6 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             reason = jnp.where(solved, _ERROR, jnp.where(finite, _NEWTON, _NOT_FINITE))
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
             ending = jnp.where(accepted & ~is_bounded(tried.now), _DIVERGED, ending)
-            t = jnp.where(accepted, tried.t, m.t)
-            short = (m.counts[0] + m.counts[1] + 1 >= span.max_steps) & (t < span.t_end)
-            ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             return _Verdict(accepted, jnp.maximum(h_next, smallest), error, ending)
 
         def one_step(m: _Progress) -> _Progress:
@@ -220,6 +217,8 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
                 rows = rows.with_row(row, kept, wanted[0])
             after, before = (tried.t, error, peaks), (m.t, m.error, m.peaks)
             t, error, peaks = jax.tree.map(partial(jnp.where, accepted), after, before)
+            short = (counts[0] + counts[1] >= span.max_steps) & (t < span.t_end)
+            ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             state = program.chosen(accepted, tried.state, m.state)
             return _Progress(t, state, h_next, error, peaks, ending, counts, rows)
 
