@@ -18,7 +18,7 @@ from bench.results.records import (
 )
 from bench.results.store import FILE, Store
 
-NO_ROWS = Rows()
+NO_ROWS = Rows(t=[])
 A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]

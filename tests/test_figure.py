@@ -141,7 +141,7 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
     ]
     with Store(tmp_path, create=True) as store:
         for run in runs:
-            store.save(run, Rows())
+            store.save(run, Rows(t=[]))
     with pytest.raises(SpecError, match=r"to t=1, 5 s; choose one with --t-end"):
         work_precision(tmp_path)
     for scene in (None, "pendulum", "pendulum[l=2]"):

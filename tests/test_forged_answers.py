@@ -76,9 +76,9 @@ def test_an_answer_about_another_cell_is_none():
     inventory = Inventory()
     other = Cell("oscillator", "newmark", 2.0, Steps(0.1))
     record = other.record(*other.facts(inventory), "ok")
-    kept = result_of(other, CellResult(record, Rows()), inventory)
+    kept = result_of(other, CellResult(record, Rows(t=[])), inventory)
     assert kept.record is record
-    refused = result_of(CELL, CellResult(record, Rows()), inventory).record
+    refused = result_of(CELL, CellResult(record, Rows(t=[])), inventory).record
     assert (refused.key, refused.status) == (CELL.key, "crashed")
     assert "about something else" in refused.message
 

@@ -16,7 +16,7 @@ from reports.pages.site import _command
 from reports.pages.site_data import SiteData
 from reports.questions.phrases import plain
 
-NONE = Rows()
+NONE = Rows(t=[])
 
 
 def run(scene, name, cost, error=1e-5, h=0.01, **changes):

@@ -62,9 +62,9 @@ def test_everything_written_is_read_back(tmp_path):
 
 def test_a_record_that_is_measured_anew_loses_its_old_samples(tmp_path):
     with Store(tmp_path, create=True) as store:
-        store.save(a_record(), Rows())
+        store.save(a_record(), Rows(t=[]))
         store.add_sample("k", 0, 1.0)
-        store.save(a_record(status="diverged"), Rows())
+        store.save(a_record(status="diverged"), Rows(t=[]))
         assert store.records()["k"].run_s == []
 
 
@@ -72,7 +72,7 @@ def test_records_come_in_the_order_of_the_plan(tmp_path):
     study = Study(title="", problem="p", t_end=1.0, figures=[], cells=["c", "a", "not yet"])
     with Store(tmp_path, create=True) as store:
         for key in ("a", "old", "c"):
-            store.save(a_record(key), Rows())
+            store.save(a_record(key), Rows(t=[]))
         store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[study]))
         assert list(store.records()) == ["c", "a", "old"]
 
@@ -268,7 +268,7 @@ def test_rows_in_a_log_that_cannot_be_read_are_not_passed_over(shared):
 
 def test_a_full_disk_keeps_what_was_stored(tmp_path):
     with Store(tmp_path, create=True) as store:
-        store.save(a_record("first"), Rows())
+        store.save(a_record("first"), Rows(t=[]))
         pages = store._db.execute("PRAGMA page_count").fetchone()[0]
         store._db.execute(f"PRAGMA max_page_count = {pages + 2}")
         big = Rows(t=[0.1] * 200_000, values={})

@@ -141,7 +141,7 @@ class Rows(msgspec.Struct, kw_only=True):
     """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]`` and
     ``notes[name][k]``, None where there is none."""
 
-    t: list[float] = []
+    t: list[float]
     values: dict[str, list[list[float]]] = {}
     notes: dict[str, list[float | None]] = {}
 
@@ -181,7 +181,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     sizes: dict[str, Count] = {}
     reference_method: str = ""
     reference_error: dict[str, float] = {}
-    reference: Rows = msgspec.field(default_factory=Rows)
+    reference: Rows = msgspec.field(default_factory=lambda: Rows(t=[]))
     drawings: list[Drawing] = []
     fingerprint: str = ""
     stopped: str = ""

@@ -175,7 +175,7 @@ class Store:
         try:
             sampled = encoded(rows)
         except Unreadable as error:
-            sampled = encoded(Rows())
+            sampled = encoded(Rows(t=[]))
             said = f"{record.message} Its sampled values cannot be stored: {error}."
             record = msgspec.structs.replace(record, message=said.strip())
         record, value = storable_or(record, lambda error: crashed(record, error))
@@ -268,7 +268,7 @@ class Store:
         found = self._read("SELECT rows FROM records WHERE key = ?", key)
         if not found:
             raise KeyError(key)
-        return self._decoded("rows", key, found[0][0], Rows) or Rows()
+        return self._decoded("rows", key, found[0][0], Rows) or Rows(t=[])
 
     def keys_with_rows(self) -> set[str]:
         """The keys of the cells whose sampled values can be read."""

@@ -64,7 +64,7 @@ def scene_record(
     known: dict[str, Any] = {"reference_method": lacking or "No reference is known."}
     if not lacking:
         known |= part("reference", lambda: _motion(scene, reference()), {})
-    if known.get("reference", Rows()).t:
+    if known.get("reference", Rows(t=[])).t:
         known |= {
             "drawings": part("picture", lambda: frames(scene, reference()), []),
             "rates": part("spectrum", lambda: rates(scene, reference()), None),

@@ -186,7 +186,7 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
     if isinstance(answer, NoAnswer):
         record = cell.record(*cell.facts(registry), answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
-        return CellResult(record, Rows())
+        return CellResult(record, Rows(t=[]))
     return answer
 
 

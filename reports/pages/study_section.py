@@ -222,7 +222,7 @@ class StudySections:
             for k, r in by_name.items():
                 styles[k] = replace(own[k], name=f"{styles[k].name}, {r.resolution}")
         lines = [(run_name(r), rows) for r, rows in shown]
-        groups = groups_with_values([rows for _, rows in lines] or [reference or Rows()])
+        groups = groups_with_values([rows for _, rows in lines] or [reference or Rows(t=[])])
         names = self.component_names
         chart = trajectory_chart(
             lines, reference, groups, styles, names, self.interactive, components

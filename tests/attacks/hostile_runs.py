@@ -128,7 +128,7 @@ RUNS = {
         "key = 'spring_mass | newmark[beta=0.25,gamma=0.5] | h=0.1 x 1.0 | t_end=1.0'\n"
         "forge('done', [Record(key=key, problem='oscillator', integrator='newmark', family='f',"
         " formulation='ode', controls='step', t0=0.0, t_end=1.0, status='ok'),"
-        " Rows()])\ntime.sleep(9)",
+        " Rows(t=[])])\ntime.sleep(9)",
         "crashed",
         "",
     ),
