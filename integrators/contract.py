@@ -25,16 +25,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.multistep import MultistepForm
 from problems import spec
+from problems.runtime import Float
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Endings of a run; only "ok" has a complete trajectory.
 STATUSES = (

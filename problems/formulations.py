@@ -14,17 +14,13 @@ Arnold (2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
 from problems.named_equations import EQUATIONS, INDEX1, equation, jitted
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float, Int
 
 FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
 

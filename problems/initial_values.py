@@ -5,19 +5,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from problems import answers, sparsity
 from problems.compiled import compiled
 from problems.formulations import Start, constraint_velocity, with_rates
-from problems.runtime import jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.start_equations import least_start, sparse_start
 from problems.system import MechatronicSystem, State
-
-if TYPE_CHECKING:
-    from jax import Array
 
 #: A start is consistent if its residuals, relative to the size of q or v, are below this.
 CONSISTENCY_TOLERANCE = 1e-9

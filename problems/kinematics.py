@@ -6,13 +6,8 @@ coordinates, so that q moves by sums.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from problems.runtime import Array, Float
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
 
 
 def q_rate(

@@ -8,13 +8,8 @@ its gyroscopic forces.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from problems.runtime import jax, jnp
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
+from problems.runtime import Array, Float, jax, jnp
 
 
 def mass(kinetic: Callable[[Array, Array], Array], q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:

@@ -5,18 +5,12 @@ Shapes and units are those of `problems.formulations`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from problems.formulations import constraint_velocity
 from problems.kinematics import advance, q_rate
 from problems.layouts import state_layout
 from problems.named_equations import equation
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Float, jax, jnp
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
 
 #: Newton iterations of a projection: from a distance of a hundredth of the mechanism to round-off.
 _PROJECTIONS = 3

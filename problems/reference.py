@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,11 +23,9 @@ from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
+from problems.runtime import Float
 from problems.system import GROUPS, MechatronicSystem
 from problems.whole_files import keep, kept
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,9 @@ from problems.exported_programs import exported
 from problems.formulations import Start, algebraic_residual
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout
-from problems.runtime import jax, jnp
+from problems.runtime import Array, Float, jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem, State, Variables
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
 
 _TOLERANCE, _MOST_ITERATIONS = 1e-9, 50
 #: Pivots of sparse factors that are smaller, relative to the largest, are rounding.

@@ -18,17 +18,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from problems import answers, spec
-from problems.runtime import jax
+from problems.runtime import Array, Float, jax
 from problems.stray_blocks import fault_of_blocks
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
 
 #: Groups of variables; every error belongs to one group.
 GROUPS = ("q", "v", "a", "lam", "x", "y")

@@ -5,8 +5,6 @@ Memory does not grow with the number of steps: a trajectory has some thousands o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from bench.results.drift import Drift, LongRun
@@ -15,11 +13,9 @@ from bench.running.errors import finite
 from bench.running.plan import Cell, check_end
 from bench.running.worker import Worker
 from integrators.contract import Steps, Trajectory
+from problems.runtime import Float
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Parts of a run of which a chart shows least and largest values.
 _PARTS = 200

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.results.quantities import GROUPS, NORMS, error_note, whole
 from integrators.contract import Trajectory
 from problems.reference import Reference
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from problems.runtime import Float
 
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25

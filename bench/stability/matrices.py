@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,12 +30,9 @@ from integrators.native.step_program import StepProgram
 from problems.exported_programs import exported
 from problems.formulations import Start, with_rates
 from problems.layouts import state_layout
-from problems.runtime import jax, jnp
+from problems.runtime import Float, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Smaller entries of a matrix are rounding, at steps of about one time unit.
 _NOISE = 1e-9

@@ -6,16 +6,14 @@ All of them rest at zero, where a step maps a deviation linearly to the next one
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jnp, parameter
 from problems.layouts import Layout, state_layout
+from problems.runtime import Float
 from problems.system import Sizes
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 @dataclass(frozen=True, kw_only=True)

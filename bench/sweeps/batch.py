@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +29,9 @@ from integrators.native.step_records import Reading
 from problems.formulations import complete
 from problems.initial_values import consistent_starts
 from problems.layouts import row_layout
-from problems.runtime import jax
+from problems.runtime import Float, Int, jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem, Sizes
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 #: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
 #: little time and overflow the caches; a GPU needs thousands.

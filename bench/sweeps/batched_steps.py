@@ -8,7 +8,7 @@ returns. ``places`` are indices of runs among all of them, ``counts`` names of t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,8 @@ from integrators.native.kernel import Form, Kernel
 from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import COUNTS
+from problems.runtime import Float, Int
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 
 class BatchRun(NamedTuple):

@@ -6,18 +6,16 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.running.plan import check_end, resolution_of
 from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator, Steps, Tolerances
+from problems.runtime import Float
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Names of a step and of tolerances, by owner, and the default ranges of tolerances.
 _TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from ctypes import c_void_p
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,7 @@ from integrators.lowering.graph import NotLowered
 from integrators.lowering.native import load_c
 from integrators.lowering.programs import lowered
 from integrators.operations import Operations, operations
-from problems.runtime import jax, runs_at_once, slower
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from problems.runtime import Float, Int, jax, runs_at_once, slower
 
 #: C and JAX may differ by so much of the largest entry, and of that of the equation: both round.
 _ROUNDING, _ROUNDING_OF_A_ROW = 1e-12, 1e-9

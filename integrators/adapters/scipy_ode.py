@@ -6,7 +6,7 @@ import contextlib
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,10 +22,8 @@ from integrators.adapters.library_runs import (
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
 from integrators.operations import NotCounted, bill, dense
+from problems.runtime import Float
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 @dataclass(frozen=True)

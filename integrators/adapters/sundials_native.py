@@ -10,7 +10,7 @@ import contextlib
 import ctypes
 from abc import ABC, abstractmethod
 from ctypes import byref, c_double, c_int64, c_long, c_void_p
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from integrators.adapters.packed_functions import in_c
 from integrators.adapters.sundials import check_step, library
 from integrators.contract import Work
 from integrators.lowering.native import load_c
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from problems.runtime import Float
 
 _NORMAL, _ONE_STEP = 1, 2
 _TOO_MUCH_WORK = -1

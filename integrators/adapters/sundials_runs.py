@@ -9,7 +9,7 @@ import warnings
 from abc import abstractmethod
 from collections.abc import Iterator
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,9 +24,7 @@ from integrators.adapters.sundials import check_step, library
 from integrators.adapters.sundials_native import NativeEquations, NativeSolver
 from integrators.contract import Work
 from integrators.operations import Algebra
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from problems.runtime import Float
 
 #: SUNDIALS' own limit of steps is never reached: calls are limited here.
 _NO_LIMIT = 2**31 - 1

@@ -6,19 +6,15 @@ Some solvers give q, v and x alone. The equations of motion then give the other 
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from integrators.contract import Trajectory
 from problems.compiled import compiled
-from problems.runtime import jax
+from problems.runtime import Float, jax
 from problems.sparsity import NoPattern, prefers_sparse
 from problems.start_equations import sparse_complete
 from problems.system import MechatronicSystem, State
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 def trajectory_from_states(

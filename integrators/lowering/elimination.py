@@ -5,14 +5,12 @@ Either way eliminates with pivots: that of a column is its largest entry, as in 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from integrators.lowering.graph import Graph, NotLowered, Solve
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Int
+from problems.runtime import Bool, Int
 
 #: Unknowns of a system that is written out, those of a system at all, and of all in one operation.
 _WRITTEN_OUT, _MOST_UNKNOWNS, _MOST_IN_ALL = 4, 40, 4000

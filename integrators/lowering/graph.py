@@ -14,14 +14,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from integrators.lowering.operators import OPERATORS, TO_FLOAT
-
-if TYPE_CHECKING:
-    from jaxtyping import Int
+from problems.runtime import Int
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000

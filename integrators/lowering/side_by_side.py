@@ -7,17 +7,13 @@ of many runs it decides anew for each entry which part of a program it comes fro
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from integrators.lowering.graph import LoweredFunction, NotLowered
 from integrators.lowering.operators import OPERATORS
-from problems.runtime import jnp
-
-if TYPE_CHECKING:
-    from jax import Array
-    from jaxtyping import Float
+from problems.runtime import Array, Float, jnp
 
 
 def side_by_side(program: LoweredFunction) -> Callable[..., list]:

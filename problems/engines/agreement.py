@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from problems.runtime import Float
 from problems.scenes.pendulum import Pendulum
 from problems.system import MechatronicSystem, Variables
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: Values of scene and model differ by less, relative to the largest one at the start, in systems of
 #: up to so many coordinates; the rounding of larger ones grows at least with their number.

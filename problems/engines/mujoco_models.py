@@ -7,20 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from problems.runtime import jnp
+from problems.runtime import Float, jnp
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 #: An inertia that MuJoCo accepts for a point; the model then has zero there.
 _POINT = 1e-14
