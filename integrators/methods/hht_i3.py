@@ -41,7 +41,7 @@ class HHTState(NamedTuple):
     xdot: Array
     #: The acceleration at the end, which the controller sees.
     true_a: Array
-    #: Phi_q^T lam - g - L y at the end.
+    #: Phi_q^T lam - g - L y at the end, where forces are mixed.
     force: Array
     guess: Guess
     #: Largest |q| so far, at least 1, by which errors are measured.
@@ -54,15 +54,19 @@ class HHTState(NamedTuple):
 class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     """HHT-I3: the method of Hilber, Hughes & Taylor on index 3, with scaled equations of motion.
 
-    With gamma = 1/2 - alpha, beta = (1 - alpha)^2/4 and r = Phi_q^T lam - g - L y::
+    With gamma = 1/2 - alpha, beta = (1 - alpha)^2/4, r = Phi_q^T lam - g - L y and the true
+    acceleration a', which is that of the equations of motion, M(q) a' + r = 0::
 
-        M(q+) a+ / (1 + alpha) + r+ - alpha/(1 + alpha) r = 0,    Phi(q+) = 0
+        a+ = (1 + alpha) a'+ - alpha a',    Phi(q+) = 0
         q+ = q + h v + h^2 ((1/2 - beta) a + beta a+),   v+ = v + h ((1 - gamma) a + gamma a+)
 
-    As published, the equations at both ends are mixed as forces: all is second order where M is
-    constant, and first order where it depends on q. Its a belongs to the time t + alpha h and is
-    first order; true accelerations come with ``values=equations``. x has the weights of v and a
-    rate with the same shift in time.
+    Its a belongs to the time t + alpha h and is first order; true accelerations come with
+    ``values=equations``. x has the weights of v and a rate with the same shift in time.
+
+    ``mixed=forces`` mixes the equations of both ends as published, which is the same where M is
+    constant, and of first order, with large errors, where M depends on q::
+
+        M(q+) a+ / (1 + alpha) + r+ - alpha/(1 + alpha) r = 0
 
     ``control=negrut`` is the control of the publication: a step is accepted if the error of q, ::
 
@@ -100,6 +104,11 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         high=0.0,
         always=True,
     )
+    mixed: str = option(
+        "accelerations",
+        "values of both ends that a step mixes; forces, as published, costs an order if M varies",
+        choices=("accelerations", "forces"),
+    )
     control: str = option(
         "negrut",
         "steps: negrut, by the error of q and --rtol; chrono, by Newton's iterations, up to --step",
@@ -116,7 +125,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         return self.steps == "adaptive" and self.control == "chrono"
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        order = 1 if mass_varies(scene) else 2
+        order = 1 if self.mixed == "forces" and mass_varies(scene) else 2
         claimed = dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
         return claimed | ({"a": 1} if self.values == "own" else {})
 
@@ -158,12 +167,14 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         )
         slopes = Slopes(h**2 * beta, h * gamma, h * gamma * (1 + alpha))
 
-        def dynamics(z: Variables) -> Array:
-            of_a = inertia(scene, z.q, z.a)
-            return dynamics_residual(scene, z) - part * (of_a + state.force)
-
         def for_controller(z: Variables) -> Variables:
             return z._replace(a=(z.a + alpha * state.true_a) / (1 + alpha))
+
+        def dynamics(z: Variables) -> Array:
+            if self.mixed == "accelerations":
+                return dynamics_residual(scene, for_controller(z))
+            of_a = inertia(scene, z.q, z.a)
+            return dynamics_residual(scene, z) - part * (of_a + state.force)
 
         e = stage_equations(
             scene, "index3", base, slopes, t, (now.q, t - h),
