@@ -15,6 +15,7 @@ from operator import itemgetter
 from bench.results.quantities import COSTS, NORM, RANKED_COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
+from reports.formatting import times
 from reports.questions.question import Question, questions
 from reports.series import (
     Series,
@@ -40,7 +41,8 @@ class RankEntry:
 
     ``contestant`` is the first integrator that does the same on the scene (itself, as a rule).
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
-    is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's.
+    is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's:
+    infinite where only that one is 0.
     ``ended`` says whether any run reached the end.
     """
 
@@ -61,6 +63,11 @@ class RankEntry:
         if self.reached:
             return "unknown"
         return "far" if self.ended else "failed"
+
+    @property
+    def multiple(self) -> str:
+        """The multiple in words; the count itself where the cheapest one is 0."""
+        return f"{self.value:g}" if self.ratio == math.inf else times(self.ratio)
 
 
 def reaches(record: Record, group: str, target: float) -> bool:
@@ -183,15 +190,20 @@ def _entries(
         for label, ladder in ladders.items()
         if able[label] and (found := ladder.cheapest[question.cost][able[label] - 1])
     }
-    # A count of 0 has no multiples; for them it is taken as 1.
-    best = min((value for value, _ in cheapest.values()), default=0) or 1.0
+    best = min((value for value, _ in cheapest.values()), default=0.0)
     entries = {}
     for s in series:
         first = firsts[s.label]
         value, run = cheapest.get(first, (None, None))
-        ratio = None if value is None else (value or 1.0) / best
+        ratio = None if value is None else _ratio(value, best)
         reached = bool(able[first])
         entries[s.label] = RankEntry(
             s.label, first, s.family, reached, run, value, ratio, bool(s.ok)
         )
     return entries
+
+
+def _ratio(value: float, best: float) -> float:
+    if value == best:
+        return 1.0
+    return value / best if best else math.inf

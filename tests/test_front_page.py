@@ -216,6 +216,38 @@ def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(page, folde
     assert page.get_log("browser") == []
 
 
+@in_chromium
+def test_a_run_of_cost_zero_is_drawn_and_told(page, tmp_path):
+    records = [r for r in everything() if r.problem == "spring_mass"]
+    for record in records:
+        record.work["residuals"] *= record.integrator == "poor"
+    write_html_report(plant(tmp_path, records))
+    visit(page, tmp_path, "#group=q&target=1e-2&cost=residuals")
+    cells = {label: text for (label, _), (_, text) in heat_cells(page).items()}
+    told = page.execute_script(
+        """
+        const chart = document.querySelector(".panel svg.plot"), told = [];
+        for (const key of [..."123456"]) {
+          chart.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
+          told.push([...document.querySelector(".tip").children].map((n) => n.textContent.trim()));
+        }
+        return told;
+        """
+    )
+    assert cells == {"good[rho_inf=0.8]": "1.0", "poor": "∞"}
+    assert {lines[3] for lines in told} == {"0 evaluations"}
+    axis = page.find_elements("css selector", ".panel:not([hidden]) svg.plot .axis text")
+    assert "0" not in [text.get_attribute("textContent") for text in axis]  # it holds the others
+    scene = (tmp_path / "report" / "scene-spring_mass.html").as_uri()
+    page.get(f"{scene}#group=q&target=1e-2&cost=residuals")
+    rows = page.execute_script(
+        "return [...document.querySelectorAll('[data-methods] tbody tr')].map("
+        "(row) => [...row.querySelectorAll('td')].slice(0, 2).map((cell) => cell.textContent))"
+    )
+    assert rows == [["0", "1.0 ×"], ["480", "∞ ×"]]  # noqa: RUF001
+    assert page.get_log("browser") == []
+
+
 @pytest.mark.long
 @in_chromium
 def test_a_chosen_set_of_scenes_is_shown_alone(page, folder):

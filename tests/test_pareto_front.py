@@ -49,6 +49,12 @@ def test_costs_decide_which_front_it_is():
     assert on_front([quick, lean, uncounted], cost="seconds") == [("quick", 100)]
 
 
+def test_a_cost_of_zero_is_on_the_front():
+    explicit = run("explicit", 1e-3, 100, work={"residuals": 100, "jacobians": 0})
+    implicit = run("implicit", 1e-2, 10, work={"residuals": 10, "jacobians": 5})
+    assert on_front([explicit, implicit], cost="jacobians") == [("explicit", 100)]
+
+
 def test_the_front_is_that_of_the_largest_error_over_all_times():
     early, late = run("early", 1e-2, 10), run("late", 1e-3, 100)
     late.errors["a"]["end"] = 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given
@@ -14,9 +15,13 @@ from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
 from reports.formatting import NO_VALUE
 from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.questions.cheapest import on_each
+from reports.questions.phrases import plain
 from reports.questions.question import FIRST, TABLE_TARGETS
+from reports.questions.words import words_of
 from reports.ranking import RankEntry, contestants, rank, told_apart
 from reports.series import series_of
+from reports.text.choosing_tables import multiples_table
 from reports.text.ranking_tables import integrators_table, targets_table, winners_table
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
@@ -212,11 +217,28 @@ def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     assert judged(*many)["residuals"].worded() == "m0, m1, m2 and 3 more tie (5)"
 
 
-def test_a_count_of_zero_is_the_least_and_multiples_take_it_as_one():
+def test_a_count_of_zero_is_the_least_and_has_no_multiples():
+    """An explicit method needs no Jacobian at all."""
     none, some, many = (run("one", n, 0.01, None, k) for n, k in (("a", 0), ("b", 1), ("c", 40)))
-    by = judged(none, some, many)
-    assert by["residuals"].worded() == "a (0 at h=0.01; next: b, 1 times)"
-    assert [s.state for s in by["residuals"].entries.values()] == [1, 1, 40]
+    by, series = judged(none, some, many), series_of([none, some, many])
+    assert by["residuals"].worded() == "a (0 at h=0.01; next: b, 1)"
+    assert [s.state for s in by["residuals"].entries.values()] == [1, math.inf, math.inf]
+    said = on_each(
+        replace(FIRST, cost="residuals"), {"one": by["residuals"]}, words_of({"one": series}, {})
+    )
+    assert "0 at h=0.01 s; next: b, 1)." in plain(said)
+    table = multiples_table(
+        [Answer(replace(FIRST, cost="jacobians"), {"one": by["residuals"]}, {})],
+        {"one": series},
+        words_of({"one": series}, {}),
+    )
+    assert table.caption.startswith("Fewest Jacobian evaluations to 1e-4")
+    assert [row[1] for row in table.rows] == ["0", "1", "∞", "∞"]
+
+
+def test_two_counts_of_zero_tie():
+    none, other = (run("one", n, 0.01, None, 0, {"a": (k, 2)}) for n, k in (("a", 1), ("b", 0.9)))
+    assert judged(none, other)["residuals"].worded() == "a and b tie (0)"
 
 
 def test_of_runs_at_the_same_cost_the_coarser_one_is_named():

@@ -110,7 +110,7 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     points = [
         (value, max(error, least), r)
         for r in runs
-        if (value := r.cost(cost)) and (error := r.error(group, NORM)) is not None
+        if (value := r.cost(cost)) is not None and (error := r.error(group, NORM)) is not None
     ]
     points.sort(key=lambda point: point[:2])
     front: list[tuple[float, float, Record]] = []

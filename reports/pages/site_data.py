@@ -22,6 +22,8 @@ from reports.series import Series, groups_of, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
+#: Stands for an infinite multiple, which JSON cannot hold; its reciprocal for a zero in a column.
+_MOST = 10.0**_LARGEST
 _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _LETTERS = 4
@@ -225,10 +227,11 @@ class SiteData:
             else:
                 # Methods that do the same have the same run at the same place.
                 keys = [r.key for r in own[entry.contestant].records]
-                states[self.places[label]] = [float(f"{state:.4g}"), keys.index(entry.run.key)]
+                multiple = float(f"{min(state, _MOST):.4g}")
+                states[self.places[label]] = [multiple, keys.index(entry.run.key)]
         return {
             "first": [self.places[label] for label in answer.winners],
-            "second": [self.places[second.label], second.ratio] if second else None,
+            "second": second and [self.places[second.label], min(second.ratio or 0.0, _MOST)],
             "states": states,
         }
 
@@ -312,7 +315,8 @@ def _four_characters(value: float | None) -> str:
 
 def _value(record: Record, name: str) -> float | None:
     if name in RANKED_COSTS:
-        return record.cost(name)
-    # An error of zero is drawn at the bottom of the chart.
-    error = record.error(name, NORM) if record.status == "ok" else None
-    return 1e-40 if error == 0 else error
+        value = record.cost(name)
+    else:
+        value = record.error(name, NORM) if record.status == "ok" else None
+    # A zero has no logarithm; it is drawn at the edge of the chart.
+    return 1 / _MOST if value == 0 else value

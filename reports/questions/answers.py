@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from bench.results.quantities import GROUPS, NORM
 from bench.results.records import Record
-from reports.formatting import cost_text, named, times
+from reports.formatting import cost_text, named
 from reports.questions.question import TARGETS, Question, questions
 from reports.ranking import RankEntry, rank, told_apart
 from reports.series import Series, groups_of, ok_runs, reference_error
@@ -108,7 +108,7 @@ class SceneAnswer:
             run = self.first[0].run
             shown += f" at {run.resolution}" if run else ""
             if self.second:
-                said += f" ({shown}; next: {name_of(self.second)}, {times(self.second.ratio)})"
+                said += f" ({shown}; next: {name_of(self.second)}, {self.second.multiple})"
             else:
                 said += f" ({shown})" if self.unknown else f" alone reaches it ({shown})"
         if self.unknown:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import COSTS
 from bench.results.records import Record
-from reports.formatting import cost_text, number, number_range, times
+from reports.formatting import cost_text, number, number_range
 from reports.names import family_name
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Piece, Sentence, listed
@@ -37,7 +38,7 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
         near += [_resolution(best.run)] if best.run else []
         if second and second.run:
             near += ["; next: ", words.method(second.label), ", "]
-            near.append(words.run(second.run, times(second.ratio)))
+            near.append(words.run(second.run, second.multiple))
         elif not scene.votes:
             near.append("; none to compare")
         elif len(first) == 1 and not scene.unknown:
@@ -123,7 +124,7 @@ def _alone(alone: str, wins: int, count: int) -> str:
 def _times_next(lead: Sequence[str], voting: Mapping[str, SceneAnswer]) -> list[Piece]:
     """Cost of the next one where integrators are first with none but each other."""
     seconds = [s.second for s in voting.values() if {e.label for e in s.first} <= set(lead)]
-    ratios = [s.ratio for s in seconds if s and s.ratio]
+    ratios = [s.ratio for s in seconds if s and s.ratio and s.ratio < math.inf]
     return [f" (the next costs {number_range(ratios)} times as much)"] if ratios else []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -50,9 +51,9 @@ def multiples_table(
         cells = [_cell(found, scene, own[label].get(scene)) for scene in scenes]
         rows.append([words.names[label], *cells, _failed([*own[label].values()])])
     targets = _BETWEEN.join(a.question.accuracy for a in found)
+    least = COSTS[question.cost].least
     return Table(
-        f"{COSTS[question.cost].least.capitalize()} to {targets} in {question.quantity}, and "
-        "multiples of them",
+        f"{least[0].upper()}{least[1:]} to {targets} in {question.quantity}, and multiples of them",
         ["integrator", *map(scene_name, scenes), "runs that failed"],
         rows,
         best={(0, j) for j in range(len(scenes) + 1)},
@@ -97,6 +98,8 @@ def _short(cells: Sequence[str]) -> str:
 
 
 def _multiple(ratio: float) -> str:
+    if ratio == math.inf:
+        return "∞"
     return "1" if ratio == 1 else f"{ratio:.3g}" if ratio < 10 else number(round(ratio))
 
 

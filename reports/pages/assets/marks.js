@@ -44,6 +44,7 @@
   const digits = (value) => value >= 100 ? Math.round(value).toString() : String(Number(value.toPrecision(3)));
   // A cost in few characters with its unit.
   const costText = (value, cost) => {
+    if (value < 1e-35) return "0";
     if (cost === "seconds") {
       const [scale, unit] = value >= 1 ? [1, "s"] : value >= 1e-3 ? [1e3, "ms"] : [1e6, "µs"];
       return `${digits(value * scale)} ${unit}`;
@@ -54,7 +55,7 @@
   const costWithUnit = (value, cost) =>
     cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${stepbench.data.units[cost]}`;
   const errorText = (value) => value < 1e-35 ? "0" : value.toExponential(1).replace("e+", "e");
-  const times = (value) => value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
+  const times = (value) => value > 1e35 ? "∞" : value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
 
   // Names in a margin: cut if they are long, and the room that they take.
   const LONGEST = 30;

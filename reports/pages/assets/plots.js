@@ -57,7 +57,7 @@
     const ok = curves.flatMap((curve) => curve.points.filter((p) => p.error > 0 && p.cost > 0));
     const errors = ok.filter((p) => p.error > 1e-35).map((p) => Math.max(Math.min(p.error, MOST), (floor || 0) / BELOW));
     const y = range([...errors, Number(question.target)], .05);
-    const x = range(ok.map((p) => p.cost), .04);
+    const x = range(ok.map((p) => p.cost).filter((cost) => cost > 1e-35), .04);
     const inside = { x0: size.left, x1: wide - size.right, y0: size.top, y1: size.high - size.bottom };
     const onX = (cost) => inside.x0 + (Math.log10(cost) - x[0]) / (x[1] - x[0]) * (inside.x1 - inside.x0);
     const onY = (error) => inside.y1 - (Math.log10(error) - y[0]) / (y[1] - y[0]) * (inside.y1 - inside.y0);
