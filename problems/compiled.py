@@ -19,7 +19,7 @@ from problems.formulations import (
     with_rates,
 )
 from problems.runtime import Array, Float, Int, jax
-from problems.system import MechatronicSystem, Variables
+from problems.system import INVARIANTS, MechatronicSystem, Variables
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096
@@ -42,10 +42,8 @@ class Compiled(NamedTuple):
     ``levels(p, q, v, a, t)``
         residuals of the constraints and of their first two derivatives by time, at k times;
         each ``(k, nl)``
-    ``energy(p, q, v)``
-        energy in J at k times, ``(k,)``
-    ``momentum(p, q, v)``
-        momenta that are conserved at k times, ``(k, n)``
+    ``invariants[block](p, q, v)``
+        one of `INVARIANTS` at k times, ``(k,)`` or ``(k, n)``
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
@@ -55,8 +53,7 @@ class Compiled(NamedTuple):
     rates: Callable[..., Float[Array, "k n"]]
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
-    energy: Callable[..., Float[np.ndarray, " k"]]
-    momentum: Callable[..., Float[np.ndarray, "k n"]]
+    invariants: Mapping[str, Callable[..., Float[np.ndarray, "k ..."]]]
     iterations: Callable[..., Int[np.ndarray, " k"]]
 
 
@@ -95,8 +92,10 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
         complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
         levels=over_rows("levels", levels),
-        energy=over_rows("energy", lambda p, q, v: at(p).energy(q, v)),
-        momentum=over_rows("momentum", lambda p, q, v: at(p).momentum(q, v)),
+        invariants={
+            block: over_rows(block, lambda p, q, v, block=block: getattr(at(p), block)(q, v))
+            for block in INVARIANTS
+        },
         iterations=over_rows(
             "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
         ),

@@ -101,6 +101,24 @@ class Component(NamedTuple):
         return Component(self.name, unit if self.unit else "", self.scales[1:])
 
 
+class Invariant(NamedTuple):
+    """A function of q and v that motions conserve, as the block of its name states it.
+
+    ``rate_unit``
+        unit of its rate
+    ``kinetic``
+        whether it is one number whose size is that of its kinetic part; else it has any number of
+        entries, and the size of each is its largest value
+    """
+
+    rate_unit: str
+    kinetic: bool = False
+
+
+#: Invariants by name of their block; what checks, measures and shows them goes by this table.
+INVARIANTS = {"energy": Invariant("W", kinetic=True), "momentum": Invariant("N (or N m)")}
+
+
 class Sizes(NamedTuple):
     """Numbers of coordinates, multipliers, controller states and outputs; ``nv`` of velocities."""
 

@@ -13,7 +13,7 @@ from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record
 from bench.results.store import Store
 from bench.running.errors import norms, relative_errors
-from bench.running.measure import energy_change, stored_rows, violations
+from bench.running.measure import invariant_changes, stored_rows, violations
 from bench.running.scene_records import rates
 from integrators import Steps, Tolerances
 from integrators.adapters.diffrax_methods import Kvaerno3
@@ -34,7 +34,7 @@ TIMES = np.linspace(0.0, 0.4, 5)
 
 def histories(scene: MechatronicSystem, run: Trajectory) -> dict[str, np.ndarray]:
     """All that a run violates."""
-    change = energy_change(scene, run)
+    change = invariant_changes(scene, run)
     return violations(scene, run) | {name: abs(values) for name, values in change.items()}
 
 

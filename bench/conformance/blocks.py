@@ -11,7 +11,7 @@ import numpy as np
 from bench.conformance.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
 from problems import jax, jnp, spec
-from problems.system import MechatronicSystem, Variables
+from problems.system import INVARIANTS, MechatronicSystem, Variables
 
 #: Derivatives agree with difference quotients to this, relative to the block's largest entry.
 _DERIVATIVE_ERROR = 1e-6
@@ -24,8 +24,7 @@ _ARGUMENTS = {
     "mass": "q",
     "force": "qvt",
     "constraint": "qt",
-    "energy": "qv",
-    "momentum": "qv",
+    **dict.fromkeys(INVARIANTS, "qv"),
     "state_rate": "z",
     "output": "z",
 }

@@ -9,12 +9,11 @@ import msgspec
 
 from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import Table, number
+from problems.system import INVARIANTS
 
 #: Quantities that drift by name, with the words of a column and the unit of their numbers; Φ is
 #: that of the constraints, 1 that of relative numbers.
-DRIFTS = {
-    "energy": ("energy", "1"),
-    "momentum": ("momentum", "1"),
+DRIFTS = {block: (block, "1") for block in INVARIANTS} | {
     "position": ("position residual", "Φ"),
     "velocity": ("velocity residual", "Φ/s"),
     "phase": ("phase", "s"),

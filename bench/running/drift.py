@@ -102,14 +102,13 @@ def drifts_of(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.n
     Returns
     -------
     dict
-        "energy", its change relative to the largest kinetic one; "momentum", that of the one that
-        changes most, relative to its largest value; "position" and "velocity", the largest
-        residuals of the constraints and of their rates; "phase", the time in s by which the run is
-        ahead of the closed form of a motion that conserves energy.
+        `measure.invariant_changes`; "position" and "velocity", the largest residuals of the
+        constraints and of their rates; "phase", the time in s by which the run is ahead of the
+        closed form of a motion that conserves energy.
     """
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
-    drifts = measure.energy_change(scene, run) | measure.momentum_change(scene, run) | violations
+    drifts = measure.invariant_changes(scene, run) | violations
     if scene.has("energy") and scene.has("exact"):
         drifts["phase"] = phase(scene, run)
     return drifts

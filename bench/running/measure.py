@@ -1,9 +1,9 @@
-"""Constraint residuals and energy of a trajectory, and its rows as they are stored."""
+"""Constraint residuals and invariants of a trajectory, and its rows as they are stored."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from integrators.kept_rows import spread_rows
 from problems.answers import array
 from problems.compiled import compiled
 from problems.runtime import Float
-from problems.system import MechatronicSystem
+from problems.system import INVARIANTS, MechatronicSystem
 
 
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -36,44 +36,34 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
     }
 
 
-def energy_change(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
-    """Measure the change of "energy" in each of the k rows, relative to the largest kinetic one.
-
-    Raises
-    ------
-    FalseAnswer
-        If the energy is not a finite number.
-    """
-    if not scene.has("energy"):
-        return {}
-    energy, p = compiled(scene).energy, scene.parameters()
-    total = array(energy(p, run.q, run.v), "energy() of the rows", run.t.shape)
-    rest = array(energy(p, run.q, 0 * run.v), "energy() at rest", run.t.shape)
-    return {"energy": (total - total[0]) / (np.abs(total - rest).max() or 1.0)}
-
-
-def momentum_change(
-    scene: MechatronicSystem, run: Trajectory
+def invariant_changes(
+    scene: MechatronicSystem, run: Trajectory, blocks: Iterable[str] = tuple(INVARIANTS)
 ) -> dict[str, Float[np.ndarray, " k"]]:
-    """Measure the change of "momentum" in each of the k rows, relative to its largest value.
+    """Measure the change of each stated invariant in each of the k rows, relative to its size.
 
-    Of several momenta it is the one that changes most.
+    Of several entries of an invariant it is the one that changes most.
 
     Raises
     ------
     FalseAnswer
-        If a momentum is not a finite number.
+        If a value is not a finite number.
     """
-    if not scene.has("momentum"):
-        return {}
-    found = compiled(scene).momentum(scene.parameters(), run.q, run.v)
-    shape = (len(run.t), *np.shape(found)[1:2])
-    momenta = array(found, "momentum() of the rows", shape).reshape(len(run.t), -1)
-    if not momenta.shape[1]:
-        return {}
-    sizes = np.abs(momenta).max(axis=0)
-    changes = (momenta - momenta[0]) / np.where(sizes > 0, sizes, 1.0)
-    return {"momentum": changes[:, np.abs(changes).max(axis=0).argmax()]}
+    changes, p = {}, scene.parameters()
+    for block in filter(scene.has, blocks):
+        function, kinetic = compiled(scene).invariants[block], INVARIANTS[block].kinetic
+        found = function(p, run.q, run.v)
+        shape = run.t.shape if kinetic else (len(run.t), *np.shape(found)[1:2])
+        values = array(found, f"{block}() of the rows", shape).reshape(len(run.t), -1)
+        if not values.shape[1]:
+            continue
+        parts = values
+        if kinetic:
+            rest = function(p, run.q, 0 * run.v)
+            parts = values - array(rest, f"{block}() at rest", shape)[:, None]
+        sizes = np.abs(parts).max(axis=0)
+        relative = (values - values[0]) / np.where(sizes > 0, sizes, 1.0)
+        changes[block] = relative[:, np.abs(relative).max(axis=0).argmax()]
+    return changes
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

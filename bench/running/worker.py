@@ -146,7 +146,8 @@ class Worker:
         noted = part(fault, histories, {}) if errors else {}
         fault = "No residual of the constraints is known"
         drift = part(fault, lambda: measure.violations(scene, run), {})
-        change = part("No energy drift is known", lambda: measure.energy_change(scene, run), {})
+        fault = "No energy drift is known"
+        change = part(fault, lambda: measure.invariant_changes(scene, run, ["energy"]), {})
         drift |= {name: abs(values) for name, values in change.items()}
         largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)

@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.results.quantities import GROUP_NAMES, GROUPS, error_note
 from bench.results.records import Rows
+from problems.system import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import component_title
@@ -23,8 +24,7 @@ HISTORIES = ERRORS | {
     "gamma": ("weight gamma", False),
     "position": ("constraint residual, position", True),
     "velocity": ("constraint residual, velocity", True),
-    "energy": ("relative change of the energy", True),
-    "momentum": ("relative change of the momentum", True),
+    **{block: (f"relative change of the {block}", True) for block in INVARIANTS},
     "phase": ("phase in s", True),
 }
 

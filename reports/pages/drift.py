@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.results.drift import DRIFTS, Drift, LongRun, comparable_runs, drift_table
+from problems.system import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
@@ -14,15 +15,18 @@ from reports.names import scene_name, short_names
 from reports.pages.captioned_charts import captioned
 from reports.pages.chapter import Chapter, Section, write_chapter
 
+#: Words on the change of an invariant, by `Invariant.kinetic`.
+_CHANGES = {
+    True: "its change, relative to the largest kinetic one",
+    False: "the change of the one that changes most, relative to its largest value",
+}
 _CAPTION = (
     "Absolute values over time, from the least (or the end of the axis) to the largest in each of "
-    "up to 200 parts of the run. Energy: its change, relative to the largest kinetic one. "
-    "Momentum: the change of the one that changes most, relative to its largest value. "
-    "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
+    "up to 200 parts of the run. "
+    + "".join(f"{name.capitalize()}: {_CHANGES[i.kinetic]}. " for name, i in INVARIANTS.items())
+    + "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
     "run is ahead of the closed form or behind it."
 )
-
-
 #: Verdicts in the order in which a sentence tells them, with its words.
 _VERDICTS = {
     "none": "does not drift with",
@@ -50,7 +54,7 @@ def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> Chapter:
     return Chapter(
         "drift.html",
         "Long runs",
-        "What drifts off over many steps: energy, momentum, constraints and phase.",
+        f"What drifts off over many steps: {', '.join(INVARIANTS)}, constraints and phase.",
         "What drifts off over many steps: symplectic methods let the energy swing and bring it "
         "back, conserving ones hold it, damped ones lose it. Each line is one method.",
         sections,

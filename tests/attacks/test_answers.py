@@ -16,7 +16,7 @@ from bench.plugins.registry import Registry
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import scene_records
 from bench.running.inventory import Inventory
-from bench.running.measure import energy_change
+from bench.running.measure import invariant_changes
 from bench.running.plan import Cell, make_suite
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.worker import Worker
@@ -226,7 +226,7 @@ def test_an_energy_that_is_lost_in_motion_is_false():
     lost = {"energy": lambda self, q, v: jnp.where(v[0] == 0.0, q[0], jnp.nan)}
     scene = scenes.scene_class("EnergyLost", lost)()
     run = methods.honest(scene, 20.0)
-    assert set(energy_change(scene, run)) == {"energy"}
+    assert set(invariant_changes(scene, run)) == {"energy"}
     run.v = run.v + 1.0
     with pytest.raises(FalseAnswer, match=r"energy\(\) of the rows\[0\] is nan"):
-        energy_change(scene, run)
+        invariant_changes(scene, run)
