@@ -131,7 +131,7 @@ def test_a_counted_solve_comes_out_of_the_cache_in_the_next_process_and_counts(t
             [sys.executable, "-c", MEASURE], env=os.environ | places, capture_output=True, text=True
         )
         assert run.returncode == 0, run.stderr
-        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_solve-*-cache")}
+        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_*_solve-*-cache")}
 
     linearisations, missed, solves = measure()
     assert linearisations > 0

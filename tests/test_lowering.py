@@ -85,8 +85,9 @@ def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch)
     spoiled = operators.OPERATORS[name]._replace(c=operators.OPERATORS[other].c)
     monkeypatch.setitem(operators.OPERATORS, name, spoiled)
     compiled_in_c.cache_clear()
+    scene = Registry([]).problem("slider_crank" if name == "sine" else "pendulum")
     try:
-        assert max(differences(Registry([]).problem("pendulum"), "index1")) > 1e-6
+        assert max(differences(scene, "index1")) > 1e-6
     finally:
         compiled_in_c.cache_clear()
 

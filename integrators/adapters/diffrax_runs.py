@@ -210,14 +210,19 @@ def adaptive_programs(
 
         return solve
 
-    about = "adaptive steps of diffrax", scheme, template, max_steps
+    def timed_solve(*at: Any) -> tuple:
+        return program(counts=False)(*at)
+
+    def counted_solve(*at: Any) -> tuple:
+        return program(counts=True)(*at)
+
+    about, calls = (
+        ("adaptive steps of diffrax", scheme, template, max_steps),
+        (EVALUATION, LINEARISATION),
+    )
     return AdaptivePrograms(
-        timed=exported(lambda *at: program(counts=False)(*at), (*about, "timed")),
-        counted=exported(
-            lambda *at: program(counts=True)(*at),
-            (*about, "counted"),
-            calls=(EVALUATION, LINEARISATION),
-        ),
+        timed=exported(timed_solve, (*about, "timed")),
+        counted=exported(counted_solve, (*about, "counted"), calls=calls),
     )
 
 

@@ -169,11 +169,11 @@ def _sparse_tangents(
     generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
     method = functions.with_numbers(jax.tree.unflatten(tree, generic))
     residuals: list[ClosedJaxpr] = []
+    start = _at_rest(template)  # a scene computes its start with numbers
 
     def constants() -> list[list[Array]]:
         """What the residuals close over; compiled, as each operation of a step takes as long."""
         finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
-        start = _at_rest(template)
         method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
         residuals[:] = (jax.make_jaxpr(f)(jnp.zeros(size)) for f, size, _ in finder.found)
         return [residual.consts for residual in residuals]
