@@ -13,7 +13,7 @@ from bench.results.records import UNSUPPORTED
 from problems.spec import SpecError
 from reports.questions.answers import answer, answers
 from reports.questions.method_card import method_card
-from reports.questions.phrases import Ref, listed, plain, rendered
+from reports.questions.phrases import plain
 from reports.questions.profile import profiles
 from reports.questions.question import ALL, FIRST, Question, filters
 from reports.questions.sentences import scene_sentence, sentences
@@ -339,14 +339,7 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
             assert not re.search(r"None|nan|  | ,|\[\]", plain(sentence)), plain(sentence)
 
 
-# ---- phrases, profiles, cards ------------------------------------------------------------
-def test_parts_become_text_or_links():
-    sentence = ["On ", *listed([[Ref("scene", k, k.upper())] for k in "abcd"]), "."]
-    assert plain(sentence) == "On A, B, C and 1 more."
-    linked = rendered(sentence, str.upper, lambda ref: f"<{ref.kind} {ref.key}>")
-    assert linked == "ON <scene a>, <scene b>, <scene c> AND 1 MORE."
-
-
+# ---- profiles, cards ---------------------------------------------------------------------
 def test_a_profile_counts_scenes_and_accuracies():
     records = [run("s", "one", 10, 1e-2), run("s", "one", 40, 1e-4, h=0.005)]
     records += [run("s", "two", 20, 1e-3), run("s", "two", 200, 1e-9, h=0.005)]

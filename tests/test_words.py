@@ -1,4 +1,4 @@
-"""Words of the command line: suites, titles, counts of runs, and runs that are not supported."""
+"""Words: phrases, suites, titles, counts of runs, and runs that are not supported."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from reports.pages.report import read_report
+from reports.questions.phrases import Ref, listed, plain, rendered
 
 GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
 
@@ -190,3 +191,10 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
         wrong = stepbench("run", "--mine", name)
         assert wrong.exit_code == 1
         assert wrong.stderr.startswith("Error: ")
+
+
+def test_parts_become_text_or_links():
+    sentence = ["On ", *listed([[Ref("scene", k, k.upper())] for k in "abcd"]), "."]
+    assert plain(sentence) == "On A, B, C and 1 more."
+    linked = rendered(sentence, str.upper, lambda ref: f"<{ref.kind} {ref.key}>")
+    assert linked == "ON <scene a>, <scene b>, <scene c> AND 1 MORE."

@@ -74,7 +74,7 @@ class Plugin:
 
     @property
     def sources(self) -> frozenset[str]:
-        """What a process has to load for it."""
+        """The names that a process has to load for it."""
         return frozenset({self.source} if self.source else ())
 
     @property

@@ -147,7 +147,7 @@ def _require_certificates(address: str) -> None:
 
 
 class _Printed(Progress):
-    """What tasks printed, kept by their labels."""
+    """Output of tasks, kept by their labels."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -44,7 +44,7 @@ class Numbers(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What a step passes to the next one: the method's state, and tangents of modified Newton."""
+    """The link from a step to the next one: the method's state, and tangents of modified Newton."""
 
     state: MethodState
     kept: tuple[Any, ...] = ()
@@ -172,7 +172,7 @@ def _sparse_tangents(
     start = _at_rest(template)  # a scene computes its start with numbers
 
     def constants() -> list[list[Array]]:
-        """What the residuals close over; compiled, as each operation of a step takes as long."""
+        """Values that residuals close over; compiled, as each operation of a step takes as long."""
         finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
         method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
         residuals[:] = (jax.make_jaxpr(f)(jnp.zeros(size)) for f, size, _ in finder.found)
