@@ -47,7 +47,7 @@ WITH_METHOD = {
     "stability": "stability {}",
     "map": "map oscillator {} --over h,q0 --range h:0.01..0.1 --grid 3x3",
     "ensemble": "solve oscillator {} --step 0.1 --ensemble 3 --vary q0:1..2",
-    "atlas": "atlas -i {}",
+    "atlas": "atlas undamped_index3 -i {}",
     "run": "run quick -p oscillator -i {} --out out",
 }
 #: Commands that run a method of this project on a scene.
