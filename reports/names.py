@@ -67,7 +67,7 @@ BUILT_IN = {
     "noh_bathe": BuiltIn("Noh-Bathe", 214, 11, 7),
     "park": BuiltIn("Park", 311, 14, 6),
     "phem56": BuiltIn("PHEM56", 285, 13, 1),
-    "radau_iia": BuiltIn("Radau IIA", 46, 2, 4),
+    "radau_iia": BuiltIn("Radau IIA", 46, 11, 4),
     "rattle": BuiltIn("RATTLE", 95, 4, 3),
     "rho_inf_bathe": BuiltIn("ρ∞-Bathe", 180, 0, 6),
     "rodas5p": BuiltIn("Rodas5P", 62, 12, 2),

@@ -35,7 +35,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.own_values import Formulated, FreeSteps, Needs, OwnValues
+from integrators.native.own_values import (
+    Formulated,
+    FreeSteps,
+    Needs,
+    OwnValues,
+    formulation_option,
+)
 from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import ImplicitStepMethod
@@ -112,7 +118,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
 
     Index 3 keeps this order in q alone; v has the order of the stages, a and lam one less, and x
     that of v if the controller sees a or lam. Index 2
-    and the stabilised form keep it in q and v, and give a and lam the order of the stages.
+    and the stabilised form, the default, keep it in q and v, and give a and lam the order of the
+    stages.
     """
 
     name: ClassVar[str] = "radau_iia"
@@ -125,6 +132,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     needs: ClassVar[Needs] = {"error_test": ("steps", "adaptive")}
 
     stages: int = option(3, "number of stages", choices=(2, 3), always=True)
+    # On index 3 errors of a and lam are some thousand times the tolerance and more.
+    formulation: str = formulation_option("stabilised_index2", always=True)
     error_test: str = option(
         "states",
         "states: q, v and x are tested, v of index 3 times h in s, as in RADAU5; all: a and lam, "

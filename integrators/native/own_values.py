@@ -85,13 +85,17 @@ class StageMethod(OwnValues):
         return StageState(self.reported(scene, start.z, start.xdot), guess)
 
 
+def formulation_option(default: str, *, always: bool = False) -> Any:
+    """The option that chooses the formulation of constrained equations."""
+    choices = ("index3", "index2", "stabilised_index2")
+    return option(default, FORMULATION_TEXT, choices=choices, always=always)
+
+
 @dataclass(frozen=True)
 class Formulated(NativeMethod):
     """Base of methods that solve the constrained equations in one of three formulations."""
 
-    formulation: str = option(
-        "index3", FORMULATION_TEXT, choices=("index3", "index2", "stabilised_index2")
-    )
+    formulation: str = formulation_option("index3")
 
 
 @dataclass(frozen=True)

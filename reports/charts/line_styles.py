@@ -43,6 +43,7 @@ _STEPS = {
     ("newton", "modified"): (0, 14),
     ("pattern", "0.3/0.7"): (7, 5),
     ("root_finder", "library_default"): (7, 5),
+    ("stages", "2"): (6, 0),
     ("start", "corrected"): (3, 15),
 }
 DASHES = ((1, 0), (6, 3), (2, 2), (9, 3, 2, 3), (4, 1), (12, 4), (1, 4), (7, 2, 2, 2, 2, 2))

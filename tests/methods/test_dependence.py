@@ -132,7 +132,7 @@ def test_defaults_may_be_given_and_options_with_an_effect_keep_their_names():
     for spec in (
         "rodas5p[constraints=baumgarte,alpha=5.0]",
         "hht_i3[alpha=-0.2,control=chrono]",
-        "radau_iia[stages=3,error_test=all]",
+        "radau_iia[formulation=index3,stages=3,error_test=all]",
         "variational_midpoint[multiplier=one_sided]",
     ):
         assert REGISTRY.integrator(spec).spec.count(",") == spec.count(",")
