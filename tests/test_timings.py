@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import subprocess
+import sys
+import time
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -11,6 +16,7 @@ from small_stores import NO_ROWS, a_record
 
 from bench.guard.limits import Limits
 from bench.plugins.facts import Sources
+from bench.plugins.registry import Registry
 from bench.results.compare import compare_folders, regressions
 from bench.results.environment import environment
 from bench.results.store import Store
@@ -20,6 +26,7 @@ from bench.running.plan import Cell, make_suite
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.runner import Runner, time_task
 from bench.running.session import time_suite
+from bench.running.worker import Worker
 from integrators.contract import Steps
 from reports.questions.answers import answers
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS
@@ -68,6 +75,42 @@ def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     assert counts == dict.fromkeys(counts, 7) | {long: 2, known: 4}
     assert [n for _, n, _ in taken] == sorted(n for _, n, _ in taken)
     assert [n for task, n, _ in taken if task.label == known] == [2, 4, 5, 6]
+
+
+def sleep():
+    time.sleep(0.05)
+
+
+def compute():
+    begun = time.process_time()
+    while time.process_time() < begun + 0.005:
+        pass
+
+
+def compute_elsewhere():
+    thread = Thread(target=compute)
+    thread.start()
+    thread.join()
+
+
+def start_a_program():
+    subprocess.run([sys.executable, "-S", "-c", "sum(range(10**6))"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("execute", "low", "high"),
+    [
+        (sleep, 0.0, 0.04),
+        (compute_elsewhere, 0.005, math.inf),
+        (start_a_program, 0.005, math.inf),
+    ],
+)
+def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch, execute, low, high):
+    """A starved process waits, too; threads and programs of the run compute for it."""
+    monkeypatch.setattr("bench.running.worker.TIMING_SECONDS", 0.1)
+    worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+    worker.prepared[cell.key] = SimpleNamespace(execute=execute)
+    assert low <= worker.time(cell) < high
 
 
 def two_records(tmp_path, one, two):

@@ -191,7 +191,8 @@ def _differences(old: Environment | None, new: Environment | None) -> list[str]:
     if old is None or new is None:
         return ["a machine is not known"]
     one, two = (
-        {"cpu": e.cpu, "cores": e.cores, "platform": e.platform, **e.versions} for e in (old, new)
+        {"cpu": e.cpu, "cores": e.cores, "platform": e.platform, "clock": e.clock, **e.versions}
+        for e in (old, new)
     )
     names = dict.fromkeys([*one, *two])
     lost = "none"

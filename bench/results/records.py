@@ -37,7 +37,10 @@ Norm = Annotated[str, Meta(pattern=f"^({'|'.join(NORMS)})$")]
 
 
 class Environment(msgspec.Struct, kw_only=True):
-    """The machine, the versions and the command of one invocation that measured something."""
+    """The machine, the versions and the command of one invocation that measured something.
+
+    ``clock`` names the time of which its timing samples are seconds.
+    """
 
     date: str
     command: str
@@ -46,6 +49,7 @@ class Environment(msgspec.Struct, kw_only=True):
     memory_gib: float
     platform: str
     versions: dict[str, str]
+    clock: str = "wall clock"
 
     @property
     def name(self) -> str:

@@ -41,7 +41,7 @@ def missing_data(
     short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
     not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
     used = {r.environment: environments.get(r.environment) for r in ok if r.run_s}
-    machines = {(e.cpu, e.cores, tuple(e.versions.items())) for e in used.values() if e}
+    machines = {(e.cpu, e.cores, e.clock, *e.versions.items()) for e in used.values() if e}
     sentences = {
         "The store holds no plan: all runs of a scene are shown together.": plan is None,
         f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in work, "
@@ -57,7 +57,7 @@ def missing_data(
         f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
         f"{short} runs have fewer than the {samples} timing samples planned.": short,
         "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
-        "The times come from different machines or versions (environments "
+        "The times come from different machines, clocks or versions (environments "
         f"{', '.join(map(str, sorted(used)))}): do not compare them.": len(machines) > 1,
     }
     return [sentence for sentence, holds in sentences.items() if holds]
@@ -93,8 +93,9 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
     """Sentences about times, costs, errors and orders."""
     samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
     return [
-        "Timed is the bare solve from start to end, on one thread and warmed up. Tracing, "
-        "compiling and consistent initial values are done before and listed apart.",
+        "Timed is the bare solve from start to end, warmed up, in processor seconds: a wait for a "
+        "processor that is busy with others does not count, the work of further threads does. "
+        "Tracing, compiling and consistent initial values are done before and listed apart.",
         f"{samples}, fewer of runs that last long; they are taken in rounds over all runs, those "
         "of a scene one after the other: a slow minute of the machine hits all alike, noise that "
         "is shorter than a round does not. "
