@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
-from bench.results.quantities import COSTS, NORM, RANKED_COSTS
+from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.formatting import times
@@ -140,7 +140,7 @@ def rank(
     """
     series = [s for s in all_series if any(r.status not in NOT_TRIED for r in s.records)]
     runs, firsts = ok_runs(series), contestants(series)
-    present = groups_of(runs)
+    present = groups_of(runs, ASKED)
     costs = {
         s.label: [(r, {cost: r.cost(cost) for cost in RANKED_COSTS}) for r in s.ok]
         for s in series

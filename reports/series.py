@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -139,10 +139,13 @@ def with_values(
     return [(value, r) for r in records if (value := value_of(r)) is not None]
 
 
-def groups_of(records: Iterable[Record]) -> list[str]:
-    """The groups of variables in which any of the records has an error."""
+def groups_of(records: Iterable[Record], known: Sequence[str] = GROUPS) -> list[str]:
+    """The groups of variables in which any of the records has an error.
+
+    With ``known=ASKED`` also the violations of constraints that any of them has.
+    """
     present = {group for record in records for group in record.errors}
-    return [group for group in GROUPS if group in present]
+    return [group for group in known if group in present]
 
 
 def whole_order(fit: Fit) -> int | None:

@@ -17,7 +17,7 @@ from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.history import History, history
 from bench.results.merge import merge
-from bench.results.quantities import RANKED_COSTS
+from bench.results.quantities import ASKED, RANKED_COSTS
 from bench.results.records import flatten
 from bench.results.store import Store
 from bench.results.table import Table
@@ -257,7 +257,7 @@ def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
 @click.command("card")
 @options.with_results
 @click.option(
-    "--group", metavar="q|v|a|lam|x|y", help="Quantity whose error counts; a if not given."
+    "--group", metavar="|".join(ASKED), help="Quantity whose error counts; a if not given."
 )
 @click.option(
     "--target", type=float, help="Largest error allowed, 1e-9 to 1e-1; 1e-4 if not given."

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
-from bench.results.quantities import GROUPS, LEVELS, NORMS, PARTS, whole
+from bench.results.quantities import ASKED, LEVELS, NORMS, PARTS, VIOLATIONS, whole
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
@@ -63,7 +63,8 @@ class Record(msgspec.Struct, kw_only=True):
     ``errors[group][norm]`` are relative errors of the worst component of each group, of "|q|" in
     the 2-norm of the group, and ``components[group][norm]`` those of all components; a group that
     the scene lacks is absent, a value that is not finite is None. They are measured at ``rows`` of
-    the steps of the run. ``constraint[level]`` is the largest residual over the rows.
+    the steps of the run. ``constraint[level]`` is the largest residual over the rows, in its unit;
+    ``errors`` has it relative to the scene's size, by the names of ``VIOLATIONS``.
     ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
     conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
     relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
@@ -297,11 +298,13 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     machine = environments.get(record.environment)
     row["environment"] = machine.name if machine else None
     row["pattern"] = list(record.pattern)
-    for group in GROUPS:
+    for group in ASKED:
         for norm in NORMS:
             row[f"error_{group}_{norm}"] = record.error(group, norm)
             floor = record.reference_error.get(group, {}).get(norm)
             row[f"reference_error_{group}_{norm}"] = floor
+            if group in VIOLATIONS:
+                continue
             row[f"error_{group}_2norm_{norm}"] = record.error(whole(group), norm)
             each = record.components.get(group, {}).get(norm, [])
             row[f"error_{group}_components_{norm}"] = each

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, NORMS, error_note, whole
+from bench.results.quantities import GROUPS, NORMS, VIOLATIONS, error_note, whole
 from integrators.contract import Trajectory
+from problems.compiled import compiled
 from problems.reference import Reference
 from problems.runtime import Float
 
@@ -17,6 +19,10 @@ from problems.runtime import Float
 SETTLED_PART = 0.25
 #: A component that stays below this part of its group's size is measured by the group's size.
 _SMALL_PART = 1e-6
+#: Relative rounding of Phi: violations below a hundred times that say nothing.
+ROUNDING = 1e-15
+#: Times at which the sizes of constraints are taken.
+_SIZED_AT = 65
 
 
 class ErrorTable(NamedTuple):
@@ -139,6 +145,49 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
         for name, error in zip((group, whole(group)), own, strict=True):
             table.reference_errors[name] = dict.fromkeys(NORMS, float(error))
     return table
+
+
+def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
+    """Measure the relative violations of the constraints and of their rates, as `VIOLATIONS`.
+
+    A row of Phi is divided by `constraint_sizes`: to first order no violation of positions is
+    larger than the error in q, unless an angle turns by more than 1 rad. None is smaller than
+    `ROUNDING`: a method that holds a constraint exactly has its place there on a logarithmic axis.
+    """
+    scene, run, table = reference.scene, trajectory, ErrorTable({}, {}, {}, {})
+    if not scene.has("constraint"):
+        return table
+    rows = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
+    for name, residuals, sizes in zip(VIOLATIONS, rows, constraint_sizes(reference), strict=False):
+        each = {n: component_errors(residuals, run.t, Scales(sizes, 1.0), n) for n in NORMS}
+        table.errors[name] = {n: finite(e.max(initial=ROUNDING)) for n, e in each.items()}
+        table.reference_errors[name] = dict.fromkeys(NORMS, ROUNDING)
+    return table
+
+
+@lru_cache(maxsize=32)
+def constraint_sizes(reference: Reference) -> tuple[Float[np.ndarray, " nl"], ...]:
+    """Return the changes of each row of Phi and of its rate that relative errors of 1 can make.
+
+    They are max over t of sum_j |dPhi_i/dq_j| s_j with the sizes s_j of q, and the same with those
+    of v, at some times of the reference. Of an angle s_j is at most 1 rad, however often it turns:
+    lengths then count as they are. A row without any such change has size 1.
+    """
+    scene = reference.scene
+    t = np.linspace(scene.interval[0], reference.t_end, _SIZED_AT)
+    q, nv = reference(t)["q"], scene.sizes.nv
+    # d/dt Phi is linear in v: the columns of Phi_q are its changes by unit velocities.
+    v = np.vstack([np.zeros(nv), np.eye(nv)])
+    at = np.repeat(np.arange(len(t)), len(v))
+    every = np.tile(v, (len(t), 1))
+    rates = compiled(scene).levels(scene.parameters(), q[at], every, 0 * every, t[at])[1]
+    rates = np.asarray(rates).reshape(len(t), len(v), -1)
+    columns = np.abs(rates[:, 1:] - rates[:, :1])
+    of_q, of_v = (scales(reference, group).components for group in "qv")
+    turns = [component.unit == "rad" for component in scene.components("q")]
+    of_q = np.where(turns, np.minimum(of_q, 1.0), of_q)
+    largest = (np.einsum("kji,j->ki", columns, s).max(axis=0) for s in (of_q, of_v))
+    return tuple(np.where(sizes > 0, sizes, 1.0) for sizes in largest)
 
 
 def relative_reference_error(reference: Reference) -> dict[str, float]:

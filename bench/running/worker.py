@@ -22,7 +22,7 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
-from bench.running.errors import finite, relative_errors
+from bench.running.errors import constraint_errors, finite, relative_errors
 from bench.running.inventory import load_registry
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
@@ -141,12 +141,16 @@ class Worker:
             found = relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
+            held = part(residuals, lambda: constraint_errors(run, reference), None)
+            if held:
+                record.errors |= held.errors
+                record.reference_error |= held.reference_errors
             return found.histories
 
+        residuals = "No residual of the constraints is known"
         fault = "No errors are known, the reference failed"
         noted = part(fault, histories, {}) if errors else {}
-        fault = "No residual of the constraints is known"
-        drift = part(fault, lambda: measure.violations(scene, run), {})
+        drift = part(residuals, lambda: measure.violations(scene, run), {})
         fault = "No energy drift is known"
         change = part(fault, lambda: measure.invariant_changes(scene, run, ["energy"]), {})
         drift |= {name: abs(values) for name, values in change.items()}

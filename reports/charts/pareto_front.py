@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST, COSTS, GROUP_NAMES, NORM, RANKED_COSTS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, RANKED_COSTS, VIOLATIONS
 from bench.results.records import Record
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import RunRows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
 from reports.questions.question import FIRST, TABLE_GROUPS
 from reports.series import Series, label_of, ok_runs, trusted_error
+
+#: Errors of the menu.
+_GROUPS = (*TABLE_GROUPS, *VIOLATIONS)
 
 
 def pareto_chart(
@@ -23,7 +26,7 @@ def pareto_chart(
     }
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series if s.ok))
     rows = [row for scene, series in scenes.items() for row in _rows(scene, series)]
-    groups = {g: GROUP_NAMES[g] for g in TABLE_GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
+    groups = {g: ERROR_NAMES[g] for g in _GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
     if not groups:
         return None
     data = vl.Dataset("pareto_front", rows)
@@ -122,14 +125,14 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
 
 def _rows(scene: str, series: Sequence[Series]) -> RunRows:
     """The rows of the runs, with the pairs of group and cost in which they are on the front."""
-    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in TABLE_GROUPS}
+    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in _GROUPS}
     fronts = {
         f"{group}_{cost}": {(label_of(r), r.resolution) for r in pareto_front(series, group, cost)}
-        for group in TABLE_GROUPS
+        for group in _GROUPS
         for cost in RANKED_COSTS
     }
     return [
         {"scene": scene, **row, **least}
         | {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
-        for row in run_rows(series, TABLE_GROUPS, [NORM], RANKED_COSTS)
+        for row in run_rows(series, _GROUPS, [NORM], RANKED_COSTS)
     ]

@@ -6,7 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
+from bench.results.quantities import (
+    ASKED,
+    COSTS,
+    ERROR_NAMES,
+    NORM,
+    NORMS,
+    RANKED_COSTS,
+    TRUST,
+    VIOLATION_MEANING,
+)
 from bench.results.records import Record, SceneRecord
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
@@ -42,7 +51,8 @@ class SiteData:
         self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
         self.families = {s.label: s.family for own in report.series.values() for s in own}
         self.places = {label: k for k, label in enumerate(self.families)}
-        self.groups = groups_of(r for own in report.series.values() for s in own for r in s.ok)
+        runs = (r for own in report.series.values() for s in own for r in s.ok)
+        self.groups = groups_of(runs, ASKED)
         self.resolutions: dict[str, int] = {}
         self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
         self.pages = {
@@ -113,7 +123,8 @@ class SiteData:
             "failed": report.failed,
             "norm": NORMS[NORM],
             "trust": TRUST,
-            "group_names": {g: GROUP_NAMES[g] for g in self.groups},
+            "violation": VIOLATION_MEANING,
+            "group_names": {g: ERROR_NAMES[g] for g in self.groups},
             "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
             "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
             "units": {c: COSTS[c].unit for c in RANKED_COSTS},
@@ -285,7 +296,7 @@ class SiteData:
 
 def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> dict[str, Any]:
     ok = [r for s in series for r in s.ok]
-    groups = groups_of(ok)
+    groups = groups_of(ok, ASKED)
     floors = {g: trusted_error(ok, g, NORM) for g in groups}
     return {
         "id": name,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 
-from bench.results.quantities import GROUPS, NORM
+from bench.results.quantities import ASKED, NORM
 from bench.results.records import Record
 from reports.formatting import cost_text, named
 from reports.questions.question import TARGETS, Question, questions
@@ -168,14 +168,14 @@ class Answer:
 
 def answers(
     scenes: Mapping[str, Sequence[Series]],
-    groups: Sequence[str] = GROUPS,
+    groups: Sequence[str] = ASKED,
     targets: Sequence[float] = TARGETS,
 ) -> dict[Question, Answer]:
     """The answers to all questions about groups that a scene has, scenes in their order."""
     ranked = {name: rank(series, groups, targets) for name, series in scenes.items()}
     found = {}
     for group in groups:
-        having = {k: s for k, s in scenes.items() if group in groups_of(ok_runs(s))}
+        having = {k: s for k, s in scenes.items() if group in groups_of(ok_runs(s), ASKED)}
         nearest = {name: _nearest(series, group) for name, series in having.items()}
         floors = {k: reference_error(ok_runs(s), group, NORM) for k, s in having.items()}
         for question in questions([group], targets) if having else ():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import COST, GROUP_NAMES, GROUPS, NORM, NORMS, RANKED_COSTS
+from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS, RANKED_COSTS
 
 #: Accuracies that can be asked for: relative errors in the norm `NORM`.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
@@ -40,12 +40,12 @@ class Question:
     @property
     def quantity(self) -> str:
         """The group in words, without its letter."""
-        return GROUP_NAMES[self.group].rpartition(" ")[0]
+        return ERROR_NAMES[self.group].rpartition(" ")[0]
 
     @property
     def text(self) -> str:
         """The accuracy in words, with quantity and norm."""
-        group = GROUP_NAMES[self.group]
+        group = ERROR_NAMES[self.group]
         return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[NORM]})"
 
 
@@ -53,7 +53,7 @@ class Question:
 FIRST = Question("a", 1e-4, COST)
 
 
-def questions(groups: Iterable[str] = GROUPS, targets: Sequence[float] = TARGETS) -> list[Question]:
+def questions(groups: Iterable[str] = ASKED, targets: Sequence[float] = TARGETS) -> list[Question]:
     """All questions about these groups and accuracies."""
     return [Question(g, t, c) for g in groups for t in targets for c in RANKED_COSTS]
 

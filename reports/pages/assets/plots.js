@@ -240,7 +240,7 @@
     });
     if (at.floor !== null && at.floor < at.inside.y1) {
       chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));
-      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, `below: within ${data.trust} times the reference's own error, ${stepbench.ownError(index, question.group)}`));
+      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, `below: within ${data.trust} times ${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`));
     }
     chart.append(...grid(at, fits, question));
     const y = at.onY(Number(question.target));

@@ -98,6 +98,8 @@
     chosen: () => data.filters.find((filter) => filter.id === stepbench.question.scenes).scenes,
     // The address of a page; one file that holds all pages has anchors instead.
     page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : data.root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    // Whether the question is about constraints; methods hold them up to the rounding of Φ.
+    violation: ({ group }) => group.startsWith("constraint"),
     costName: (question = stepbench.question) => data.cost_names[question.cost],
   };
   window.stepbench = stepbench;
