@@ -11,7 +11,8 @@ import pytest
 from helpers import long
 from planted import Document
 
-from bench.running.scene_records import drawings, equations, rates, scene_record
+from bench.running.linearisation import rates
+from bench.running.scene_records import drawings, equations, scene_record
 from problems.reference import Reference
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum

@@ -172,6 +172,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
 
     ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s`` and
     ``memory_gib``.
+    ``growth`` is how often larger a small change of the start may become.
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
 
@@ -197,6 +198,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     equations: list[str] = []
     nominal_step: float | None = None
     rates: dict[str, float] | None = None
+    growth: float | None = None
     faults: list[str] = []
 
     @property

@@ -1,9 +1,8 @@
-"""Records of scenes: descriptions, pictures, and rates that tell how stiff they are."""
+"""Records of scenes: descriptions, pictures, and numbers that tell how stiff and how sensitive."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,10 @@ from bench.plugins.reasons import why
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
+from bench.running.linearisation import growth, rates
 from problems import answers
-from problems.exported_programs import exported
-from problems.formulations import ode_rate
-from problems.layouts import state_layout
 from problems.reference import Reference
-from problems.runtime import jax, jnp
+from problems.runtime import jnp
 from problems.start_equations import missing_rank
 from problems.system import GROUPS, MechatronicSystem
 
@@ -26,10 +23,6 @@ from problems.system import GROUPS, MechatronicSystem
 GHOSTS, FRAMES = 7, 61
 #: Most points of all drawings that are played; a scene with more is drawn at the still times only.
 MOST_POINTS = 20_000
-#: Times at which eigenvalues are taken.
-_SPECTRA = 61
-#: With more states than this no eigenvalues are computed: they would cost more than the runs.
-_MOST_STATES = 400
 
 _BLOCKS = {
     "constraint": "0 = Phi(q, t)",
@@ -68,6 +61,7 @@ def scene_record(
         known |= {
             "drawings": part("picture", lambda: frames(scene, reference()), []),
             "rates": part("spectrum", lambda: rates(scene, reference()), None),
+            "growth": part("sensitivity", lambda: growth(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
     known |= part("description", lambda: answers.description(scene), nameless)
@@ -171,48 +165,3 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
         {"t": float(now), "lines": answers.drawing(scene.draw(q))}
         for now, q in zip(t, reference(t)["q"], strict=True)
     ]
-
-
-@cache
-def _jacobians(template: MechatronicSystem) -> Any:
-    """Jacobians of the ODE form over rows of times and states."""
-
-    def one(p: dict, t: Any, s: Any) -> Any:
-        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
-
-    many = jax.vmap(one, in_axes=(None, 0, 0))
-    return exported(many, ("jacobians", template))
-
-
-def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
-    """Compute rates in 1/s from the eigenvalues of the ODE form along the motion.
-
-    A large ratio of the fastest and the slowest rate, or of the fastest and one over the
-    interval, is stiffness.
-
-    Returns
-    -------
-    dict or None
-        ``fastest`` and ``slowest``, the largest modulus and the smallest one that is not
-        rounding; ``decay`` and ``oscillation``, the fastest of both. None if the scene is too
-        large or the Jacobian is not finite.
-    """
-    sizes = scene.sizes
-    if state_layout(sizes).size > _MOST_STATES:
-        return None
-    t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
-    at = reference(t)
-    states = np.concatenate([at["q"], at["v"], at["x"]], axis=1)
-    jacobians = np.asarray(_jacobians(scene.template())(scene.parameters(), t, states))
-    if not np.isfinite(jacobians).all():
-        return None
-    values = np.linalg.eigvals(jacobians).ravel()
-    size = np.abs(values)
-    # A constrained ODE form has zeros of multiplicity two; rounding makes roots of them.
-    real = size[size > 1e-5 * max(1.0, size.max())]
-    return {
-        "fastest": float(size.max()),
-        "slowest": float(real.min(initial=size.max())),
-        "decay": float(max(0.0, -values.real.min())),
-        "oscillation": float(np.abs(values.imag).max()),
-    }

@@ -9,15 +9,19 @@ from reports.formatting import component_title, number
 
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
-    """Pairs (name, text): interval, size, reference and its error, source, faults."""
+    """Pairs (name, text): interval, size, reference, sensitivity, source, faults."""
     names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
     sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
     errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
+    growth = (
+        scene.growth and f"a small change of the start grows up to {number(scene.growth)} times"
+    )
     found = [
         ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
         ("Size", ", ".join(sizes)),
         ("Reference", scene.reference_method),
         ("Its own relative error", ", ".join(errors)),
+        ("Sensitivity", f"{growth} (2-norm, relative to sizes)" if growth else ""),
         ("Source", scene.source),
         ("Faults", " ".join(scene.faults)),
     ]

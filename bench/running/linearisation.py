@@ -1,0 +1,155 @@
+"""Equations linearised along the motion: rates that tell stiffness, and the scene's condition."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.running.errors import scales
+from problems.exported_programs import exported
+from problems.formulations import constraint_velocity, ode_rate
+from problems.layouts import state_layout
+from problems.reference import Reference
+from problems.runtime import Float, jax, jnp
+from problems.system import MechatronicSystem
+
+#: Times at which eigenvalues are taken; linearised steps come in blocks with as many nodes, so that
+#: one compiled program serves both.
+_SPECTRA = 60
+#: With more states than this there are no eigenvalues: they would cost more than the runs.
+_MOST_STATES = 400
+#: The fewest linearised steps, a multiple of a block's, and the most times the cube of the states.
+_FEWEST, _MOST_WORK = 480, 4e8
+#: Two numbers of steps tell the growth if they agree up to this part.
+_AGREE = 0.1
+#: Gauss' method of order four: nodes, and weights up to them.
+_NODES = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
+_UP_TO = np.array([[0.25, _NODES[0] - 0.25], [_NODES[1] - 0.25, 0.25]])
+
+
+@cache
+def _jacobians(template: MechatronicSystem) -> Any:
+    """Jacobians of the ODE form over rows of times and states."""
+
+    def one(p: dict, t: Any, s: Any) -> Any:
+        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
+
+    many = jax.vmap(one, in_axes=(None, 0, 0))
+    return exported(many, ("jacobians", template))
+
+
+def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
+    """Compute rates in 1/s from the eigenvalues of the ODE form along the motion.
+
+    A large ratio of the fastest and the slowest rate, or of the fastest and one over the
+    interval, is stiffness.
+
+    Returns
+    -------
+    dict or None
+        ``fastest`` and ``slowest``, the largest modulus and the smallest one that is not
+        rounding; ``decay`` and ``oscillation``, the fastest of both. None if the scene is too
+        large or the Jacobian is not finite.
+    """
+    sizes = scene.sizes
+    if state_layout(sizes).size > _MOST_STATES:
+        return None
+    t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
+    jacobians = _jacobians_at(scene, reference, t)
+    if not np.isfinite(jacobians).all():
+        return None
+    values = np.linalg.eigvals(jacobians).ravel()
+    size = np.abs(values)
+    # A constrained ODE form has zeros of multiplicity two; rounding makes roots of them.
+    real = size[size > 1e-5 * max(1.0, size.max())]
+    return {
+        "fastest": float(size.max()),
+        "slowest": float(real.min(initial=size.max())),
+        "decay": float(max(0.0, -values.real.min())),
+        "oscillation": float(np.abs(values.imag).max()),
+    }
+
+
+def growth(scene: MechatronicSystem, reference: Reference) -> float | None:
+    """Compute by how much a small change of the start can grow: the condition of the scene.
+
+    The change of s = (q, v, x) that the constraints admit is followed by the equations linearised
+    along the motion, each component relative to the size that divides its errors (`errors.scales`).
+
+    Returns
+    -------
+    float or None
+        The largest Euclidean norm of the change over the interval, of all changes whose norm at the
+        start is 1. None if the scene is too large, its motion too fast for linearised steps, or its
+        Jacobian not finite.
+    """
+    at = state_layout(scene.sizes)
+    if at.size > _MOST_STATES:
+        return None
+    size = np.concatenate([scales(reference, group).components for group in ("q", "v", "x")])
+    start = _admitted(scene, _states(reference, np.array([scene.interval[0]]))[0], size)
+    steps, last = _FEWEST, np.inf
+    while steps * at.size**3 <= _MOST_WORK:
+        found = _largest(scene, reference, start, size, steps)
+        if not np.isfinite(found):
+            break
+        if abs(found - last) <= _AGREE * found:
+            return found
+        steps, last = 2 * steps, found
+    return None
+
+
+def _jacobians_at(
+    scene: MechatronicSystem, reference: Reference, t: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k n n"]:
+    states = _states(reference, t)
+    return np.asarray(_jacobians(scene.template())(scene.parameters(), t, states))
+
+
+def _states(reference: Reference, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n"]:
+    at = reference(t)
+    return np.concatenate([at["q"], at["v"], at["x"]], axis=1)
+
+
+def _admitted(
+    scene: MechatronicSystem, s: Float[np.ndarray, " n"], size: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n m"]:
+    """An orthonormal basis of the relative changes that the constraints admit at the start."""
+    if not scene.sizes.nl:
+        return np.eye(len(s))
+
+    def levels(s: Any) -> Any:
+        q, v, _ = state_layout(scene.sizes).split(s)
+        t = scene.interval[0]
+        return jnp.concatenate([scene.constraint(q, t), constraint_velocity(scene, q, v, t)])
+
+    rows = np.asarray(jax.jacfwd(levels)(jnp.asarray(s))) * size
+    _, parts, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+    return basis[np.count_nonzero(parts > 1e-9) :].T
+
+
+def _largest(
+    scene: MechatronicSystem,
+    reference: Reference,
+    change: Float[np.ndarray, "n m"],
+    size: Float[np.ndarray, " n"],
+    steps: int,
+) -> float:
+    """The largest norm of changes that equal steps of Gauss' method follow."""
+    t, h = np.linspace(scene.interval[0], reference.t_end, steps, endpoint=False, retstep=True)
+    unit, largest = np.eye(len(size)), 1.0
+    for block in np.split(t, steps // (_SPECTRA // 2)):
+        nodes = (block[:, None] + h * _NODES).ravel()
+        jacobians = _jacobians_at(scene, reference, nodes) * size / size[:, None]
+        if not np.isfinite(jacobians).all():
+            return np.nan
+        first, second = jacobians[::2], jacobians[1::2]
+        (aa, ab), (ba, bb) = h * _UP_TO
+        stages = np.block([[unit - aa * first, -ab * first], [-ba * second, unit - bb * second]])
+        slopes = np.linalg.solve(stages, np.concatenate([first, second], axis=1))
+        for slope in h / 2 * slopes.reshape(-1, 2, *unit.shape).sum(axis=1):
+            change = change + slope @ change
+            largest = max(largest, float(np.linalg.norm(change, 2)))
+    return largest
