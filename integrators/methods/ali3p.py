@@ -10,11 +10,12 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.own_values import StageMethod, StageState
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Slopes, inherited, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem, Variables
@@ -38,9 +39,11 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
     v+ and a+ violate the derivatives of the constraints. Projections move them there by the least
     changes in the norm of P = M - h/2 g_v - h^2/4 g_q; the next step begins with these. The force
-    that projects a+ is added to the multipliers that are reported: they are of order 2 by that,
-    and of order 1 without. Multipliers of redundant constraints are not unique: they share the
-    force as they did at the start. With ``values=equations`` constraints have to be independent.
+    that projects a+ is added to the multipliers that are reported, and x+, xdot+ and y+ are solved
+    for again with both: these groups are of order 2 by that, and of order 1 without. Where outputs
+    see a or lam, v+ is projected again with the force of the new ones. Multipliers of redundant
+    constraints are not unique: they share the force as they did at the start. With
+    ``values=equations`` constraints have to be independent.
     """
 
     name: ClassVar[str] = "ali3p"
@@ -64,11 +67,6 @@ class ALI3P(StageMethod, ImplicitStepMethod):
     def takes_redundant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.values == "own"
 
-    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        # A controller sees a before its projection, where it is of first order.
-        controlled = scene.has("state_rate") or scene.has("output")
-        return dict.fromkeys(self.orders, 1 if scene.sizes.nl and controlled else 2)
-
     def step(
         self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
     ) -> StageState:
@@ -81,7 +79,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
         e = e._replace(residual=self._softened(e.residual, e.layout.lam, softness))
         z, xdot, guess = e.solve_from(work, state.guess, h)
         if scene.sizes.nl:
-            z = self._projected(scene, z, h, softness, work)
+            z, xdot = self._projected(scene, z, xdot, base.x, h, softness, work)
         return StageState(self.reported(scene, z, xdot, work), guess)
 
     def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
@@ -109,26 +107,50 @@ class ALI3P(StageMethod, ImplicitStepMethod):
         return softened
 
     def _projected(
-        self, scene: MechatronicSystem, z: Variables, h: Time, softness: Scalar, work: StepWork
-    ) -> Variables:
-        """Move v and then a to where d/dt Phi and d2/dt2 Phi are zero."""
-        q, t, nv = z.q, z.t, scene.sizes.nv
+        self, scene: MechatronicSystem, z: Variables, xdot: Array, x: Array, h: Time,
+        softness: Scalar, work: StepWork,
+    ) -> tuple[Variables, Array]:  # fmt: skip
+        """Move v and then a to where d/dt Phi and d2/dt2 Phi are zero, and x and y with a.
+
+        ``x`` are the states of the controller for xdot of zero.
+        """
+        q, t, nv, nl = z.q, z.t, scene.sizes.nv, scene.sizes.nl
         _, force_along = jax.linearize(lambda q, v: scene.force(q, v, t), q, z.v)
         work.count(jacobians=1)
 
-        def moved(w: Array, violation: Callable[[Array], Array]) -> list[Array]:
+        def moved(w: Array, rows: Callable[..., list[Array]], *control: Array) -> list[Array]:
+            """Solve for the moved w, its multiplier, and control; the first row is a force."""
+            cuts = np.cumsum([nv, nl, *map(len, control)])[:-1]
+
             def residual(u: Array) -> Array:
-                d, mu = u[:nv] - w, u[nv:]
+                new, mu, *others = jnp.split(u, cuts)
+                (force, *rest), d = rows(new, mu, *others), new - w
                 inner = formulations.inertia(scene, q, d) - force_along(h**2 / 4 * d, h / 2 * d)
                 outer = formulations.constraint_force(scene, q, t, mu)
-                return jnp.concatenate([inner + outer, violation(u[:nv])])
+                return jnp.concatenate([inner + outer - force, *rest])
 
-            guess = jnp.concatenate([w, jnp.zeros(scene.sizes.nl)])
-            soft = self._softened(residual, slice(nv, len(guess)), softness)
+            guess = jnp.concatenate([w, jnp.zeros(nl), *control])
+            soft = self._softened(residual, slice(nv, nv + nl), softness)
             of_w = 4 * _EPS * largest(w)
             of_mu = of_w * formulations.largest_inertia(scene, q)
-            return jnp.split(work.solve(soft, guess, groups=(nv,), rounding=(of_w, of_mu)), [nv])
+            rounding = of_w, of_mu, *inherited(of_w, w, control)
+            return jnp.split(work.solve(soft, guess, groups=cuts, rounding=rounding), cuts)
 
-        v, _ = moved(z.v, lambda v: formulations.constraint_velocity(scene, q, v, t))
-        a, mu = moved(z.a, lambda a: formulations.constraint_acceleration(scene, q, v, a, t))
-        return z._replace(v=v, a=a, lam=z.lam + mu)
+        def by_outputs(y: Array) -> Array:
+            """Force of the change of outputs from those of the step."""
+            return scene.actuation() @ (y - z.y) if scene.has("output") else jnp.zeros(nv)
+
+        def of_v(v: Array, mu: Array) -> list[Array]:
+            return [h / 2 * by_outputs(y), formulations.constraint_velocity(scene, q, v, t)]
+
+        def of_a(a: Array, mu: Array, xdot: Array, y: Array) -> list[Array]:
+            new = Variables(q, v, a, z.lam + mu, x + h / 2 * xdot, y, t)
+            rows = [by_outputs(y), formulations.constraint_acceleration(scene, q, v, a, t)]
+            return rows + formulations.control_residuals(scene, new, xdot)
+
+        y = z.y
+        v, _ = moved(z.v, of_v)
+        a, mu, xdot, y = moved(z.a, of_a, xdot, z.y)
+        if output_takes(scene, "a", "lam"):  # v and q of the step are those of other outputs
+            v, _ = moved(z.v, of_v)
+        return Variables(q, v, a, z.lam + mu, x + h / 2 * xdot, y, t), xdot

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from helpers import errors_at
@@ -12,7 +13,7 @@ from helpers import errors_at
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator
-from problems import MechatronicSystem, jax
+from problems import MechatronicSystem, State, jax, jnp
 from problems.initial_values import consistent_start
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
@@ -22,6 +23,43 @@ SWING = Pendulum(), 1.35
 TWO_RODS = DoublePendulum(), 1.0
 #: Tested values of omega h; spectral radii in the tests are at these.
 OMEGA_H = (0.1, 1.0, 10.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Coupled(MechatronicSystem):
+    """Two masses on springs, one ahead of the other by sin(t), and a controller; all is linear."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.1
+
+    def mass(self, q: Any) -> Any:
+        return jnp.diag(jnp.array([1.0, 2.0]))
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return -jnp.array([3.0, 5.0]) * q - jnp.array([0.3, 0.1]) * v
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        return jnp.stack([q[0] - 2 * q[1] - jnp.sin(t)])
+
+    def state_rate(self, z: Any) -> Any:
+        return jnp.stack([z.q[1] - 0.3 * z.v[0] + 0.1 * z.a[1] + 0.2 * z.lam[0] - 2 * z.x[0]])
+
+    def output(self, z: Any) -> Any:
+        return jnp.stack([z.x[0] - z.v[1] + 0.2 * z.a[0]])
+
+    def actuation(self) -> Any:
+        return jnp.array([[0.0], [1.0]])
+
+    def initial_state(self) -> State:
+        return State(q=np.zeros(2), v=np.array([1.0, 0.0]), x=np.array([0.4]))
+
+
+@dataclass(frozen=True)
+class Bent(Coupled):
+    """The same on a bent constraint."""
+
+    def constraint(self, q: Any, t: Any) -> Any:
+        return jnp.stack([jnp.sin(q[0]) - 2 * q[1] + q[1] ** 2 - jnp.sin(t)])
 
 
 class Orders(NamedTuple):

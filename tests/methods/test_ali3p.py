@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import long
+from proofs import Bent, orders
 
 from integrators import Integrator, Steps, Trajectory
 from integrators.adapters.diffrax_methods import Dopri8
@@ -15,6 +16,7 @@ from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import MechatronicSystem, jnp
 from problems.initial_values import NoConsistentStart, consistent_start
+from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.pendulum import Pendulum
 
 
@@ -52,6 +54,18 @@ def test_redundant_constraints_leave_the_motion_as_it_is(scene, newton):
     levels = 0.5 * ((q**2).sum(1) - 1), (q * v).sum(1), (q * a + v**2).sum(1)
     bounds = (1e-14, 1e-13, 1e-11) if newton == "full" else (1e-13, 1e-9, 1e-8)
     assert all(abs(level).max() < bound for level, bound in zip(levels, bounds, strict=True))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scene", "steps"), [(DoublePendulumControlled(), 400), (Bent(), 100)], ids=["filter", "direct"]
+)
+def test_controllers_see_projected_accelerations_so_that_no_group_loses_an_order(scene, steps):
+    """The force of "filter" follows a by a state, that of "direct" follows a and lam at once."""
+    found = orders(ALI3P(), steps, (scene, 1.0))
+    assert sorted(found) == sorted(ALI3P().claims(scene))
+    for group, order in found.items():
+        assert order.order_of_largest == pytest.approx(2, abs=0.03), group
 
 
 @pytest.mark.long

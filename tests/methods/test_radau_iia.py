@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import errors_at, local_slopes, long, reference
-from proofs import TWO_RODS, orders
+from proofs import TWO_RODS, Bent, Coupled, orders
 
 from integrators import Steps, Tolerances
 from integrators.methods.radau_iia import RadauIIA, collocation
 from integrators.native.step_work import EquationsFinder
-from problems import MechatronicSystem, State, jax, jnp
+from problems import jax, jnp
 from problems.initial_values import consistent_start
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.driven_springs import DrivenSprings
@@ -67,43 +67,6 @@ def test_steps_may_vary(formulation):
 
 
 # ---- split tangents ----------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Coupled(MechatronicSystem):
-    """Two masses on springs, one ahead of the other by sin(t), and a controller; all is linear."""
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.1
-
-    def mass(self, q: Any) -> Any:
-        return jnp.diag(jnp.array([1.0, 2.0]))
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return -jnp.array([3.0, 5.0]) * q - jnp.array([0.3, 0.1]) * v
-
-    def constraint(self, q: Any, t: Any) -> Any:
-        return jnp.stack([q[0] - 2 * q[1] - jnp.sin(t)])
-
-    def state_rate(self, z: Any) -> Any:
-        return jnp.stack([z.q[1] - 0.3 * z.v[0] + 0.1 * z.a[1] + 0.2 * z.lam[0] - 2 * z.x[0]])
-
-    def output(self, z: Any) -> Any:
-        return jnp.stack([z.x[0] - z.v[1] + 0.2 * z.a[0]])
-
-    def actuation(self) -> Any:
-        return jnp.array([[0.0], [1.0]])
-
-    def initial_state(self) -> State:
-        return State(q=np.zeros(2), v=np.array([1.0, 0.0]), x=np.array([0.4]))
-
-
-@dataclass(frozen=True)
-class Bent(Coupled):
-    """The same on a bent constraint."""
-
-    def constraint(self, q: Any, t: Any) -> Any:
-        return jnp.stack([jnp.sin(q[0]) - 2 * q[1] + q[1] ** 2 - jnp.sin(t)])
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(("stages", "formulation"), ERRORS)
 def test_a_controller_that_sees_multipliers_has_the_claimed_order(stages, formulation):
