@@ -35,6 +35,7 @@ class Facts(NamedTuple):
     """An integrator's statements on itself, as in `integrators.contract.Integrator`."""
 
     formulation: str = ""
+    drift: str = ""
     controls: str = "step"
     family: str = ""
     affinity: str = ""

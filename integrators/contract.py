@@ -314,6 +314,9 @@ class Integrator(ABC):
         Publication of the method, with its DOI if there is one.
     formulation
         Equations that the method solves on a constrained scene (see problems.formulations).
+    drift
+        Treatment of constraints that these equations do not hold: "unprojected", "projected" or
+        "baumgarte"; empty if there are none, or it is not stated.
     calls
         How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
         say it where seconds and operations disagree. Empty if not stated.
@@ -326,6 +329,7 @@ class Integrator(ABC):
     # Without annotations: a subclass may replace these by a constant, an option or a property.
     calls = ""
     controls = "step"
+    drift = ""
     formulation = _stated_by_subclass()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from bench.results.records import Record
 from problems.spec import SpecError, split_spec
 
 
@@ -107,11 +108,21 @@ _USUAL = {
     ("implicit_fast", "erp", "0.2"),
     ("linearly_implicit_euler", "erp", "1.0"),
 }
-_VALUES = {
-    ("formulation", "stabilised_index2"): "GGL",
-    ("formulation", "index1"): "index 1",
-    ("formulation", "index2"): "index 2",
-    ("formulation", "index3"): "index 3",
+#: Forms of a constrained system, and what becomes of the drift off its constraints.
+_FORMS = {
+    "index3": "index 3",
+    "stabilised_index2": "GGL",
+    "index2": "index 2",
+    "index1": "index 1",
+    "ode": "index 1",
+    "joint_coordinates": "minimal coordinates",
+    "unprojected": "unprojected",
+    "projected": "projected",
+    "baumgarte": "Baumgarte",
+    "soft": "soft loops",
+}
+_VALUES = {(option, k): v for option in ("formulation", "constraints") for k, v in _FORMS.items()}
+_VALUES |= {
     ("newton", "modified"): "modified",
     ("start", "corrected"): "corrected start",
     ("gamma", "updated"): "γ updated",
@@ -121,8 +132,6 @@ _VALUES = {
     ("steps", "constant"): "constant steps",
     ("values", "equations"): "a, λ of the equations",
     ("multiplier", "one_sided"): "one-sided λ",
-    ("constraints", "baumgarte"): "Baumgarte",
-    ("constraints", "projected"): "projected",
     ("method", "trapezoidal_index2"): "trapezoidal",
     ("integrator", "euler"): "Euler",
     ("integrator", "rk4"): "RK4",
@@ -168,6 +177,15 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
         counts = Counter(found.values())
         found = {k: name_of(k) if counts[v] > 1 else v for k, v in found.items()}
     return {label: found[label] for label in parts}
+
+
+def form_name(record: Record) -> str:
+    """The form in which a run solves its constraints: 'index 2, projected'.
+
+    None of a scene without constraints, or of a method that does not state it.
+    """
+    parts = record.formulation.split(", ") if record.constraint else []
+    return ", ".join(_FORMS[part] for part in parts if part in _FORMS)
 
 
 def scene_name(scene: str) -> str:

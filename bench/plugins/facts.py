@@ -54,6 +54,7 @@ class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     title: str
     family: str
     formulation: str
+    drift: str
     controls: str
     affinity: str
     orders: dict[str, int]
@@ -116,6 +117,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
         title=tidy(plugin.summary),
         family=stated.family or method.name,
         formulation=stated.formulation,
+        drift=stated.drift,
         controls=stated.controls,
         affinity=stated.affinity,
         orders=dict(stated.orders),

@@ -58,6 +58,10 @@ class Cell:
         if method.fault:
             status, message = "crashed", method.fault
         form, t0, r = method.formulation, scene.interval[0], self.resolution
+        if scene.constrained:
+            form = ", ".join(filter(None, (form, method.drift)))
+        elif form != "ode":
+            form = "unconstrained"
         known: dict[str, Any] = {}
         if isinstance(r, Steps):
             h = (self.t_end - t0) / r.count(t0, self.t_end)
@@ -69,7 +73,7 @@ class Cell:
             problem=self.problem,
             integrator=self.integrator,
             family=method.family,
-            formulation=form if scene.constrained or form == "ode" else "unconstrained",
+            formulation=form,
             controls="step" if isinstance(r, Steps) else "tolerance",
             calls=method.calls,
             t0=t0,

@@ -41,7 +41,8 @@ class Mujoco(Engine):
     family: ClassVar[str] = "engine"
     package: ClassVar[str] = "mujoco"
     calls: ClassVar[str] = "it computes trees of bodies of general kind, in C"
-    formulation = "ode"
+    formulation = "joint_coordinates"
+    drift = "soft"
     source: ClassVar[str] = "Todorov, Erez & Tassa (2012), MuJoCo, doi:10.1109/IROS.2012.6386109"
 
     integrator: str = option(

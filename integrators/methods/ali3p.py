@@ -49,6 +49,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
     name: ClassVar[str] = "ali3p"
     family: ClassVar[str] = "augmented Lagrangian"
     formulation: ClassVar[str] = "index3"  # pyright: ignore[reportIncompatibleVariableOverride]
+    drift = "projected"
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source: ClassVar[str] = (
         "Bayo & Ledesma (1996), doi:10.1007/BF01833296; multipliers after projections: Dopico, "

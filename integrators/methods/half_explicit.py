@@ -91,6 +91,7 @@ class HalfExplicit(OwnValues, StepMethod):
 
     family: ClassVar[str] = "half-explicit"
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
+    drift = "unprojected"
 
     linear_solver: str = linear_solver_option()
 
@@ -212,6 +213,10 @@ class PHEM56(FreeSteps, HalfExplicit):
     )
 
     order = 5
+
+    @property
+    def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "projected" if self.projection == "positions" else super().drift
 
     @property
     def newton_settings(self) -> NewtonSettings:

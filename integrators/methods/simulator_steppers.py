@@ -58,6 +58,10 @@ class SimulatorStepper(OwnValues, StepMethod):
     linear_solver: str = linear_solver_option()
 
     @property
+    def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "baumgarte" if self.erp else "unprojected"
+
+    @property
     def newton_settings(self) -> NewtonSettings:
         return NewtonSettings(most=1, linear_solver=self.linear_solver)
 

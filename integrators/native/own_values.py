@@ -148,6 +148,10 @@ class DriftHandling(Conditional):
     )
     beta: float = option(20.0, "frequency of the drift under Baumgarte's term, per s", low=0.0)
 
+    @property
+    def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "unprojected" if self.constraints == "index1" else self.constraints
+
     def baumgarte(self, scene: MechatronicSystem) -> Baumgarte | None:
         """The rates of Baumgarte's term on a scene; None if it takes no part."""
         taken = self.constraints == "baumgarte" and scene.has("constraint")

@@ -94,7 +94,8 @@ class SceneAnswer:
         """The answer with these names by label; integrators that do the same: 'a = b'."""
 
         def name_of(entry: RankEntry) -> str:
-            return " = ".join(names.get(label, label) for label in self.names[entry.label])
+            alike = " = ".join(names.get(label, label) for label in self.names[entry.label])
+            return f"{alike} ({entry.form})" if entry.form else alike
 
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"

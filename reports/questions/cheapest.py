@@ -14,6 +14,7 @@ from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Piece, Sentence, listed
 from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, scene_ref
+from reports.ranking import RankEntry
 from reports.series import step_or_tolerance
 
 #: Scenes are named instead of counted up to this many.
@@ -28,6 +29,7 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
     The answers are those on scenes on which somebody reaches the accuracy.
     """
     where: dict[tuple[str, ...], list[Sentence]] = {}
+    members: dict[tuple[str, ...], list[RankEntry]] = {}
     for name, scene in answers.items():
         first, second = scene.first, scene.second
         best = min(first, key=lambda s: s.value or 0.0)
@@ -37,19 +39,21 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
             near += [words.run(best.run, least) if best.run else least, " at "]
         near += [_resolution(best.run)] if best.run else []
         if second and second.run:
-            near += ["; next: ", words.method(second.label), ", "]
+            near += ["; next: ", *words.solvers([second]), ", "]
             near.append(words.run(second.run, second.multiple))
         elif not scene.votes:
             near.append("; none to compare")
         elif len(first) == 1 and not scene.unknown:
             near.append("; no other reaches it")
-        where.setdefault(tuple(s.label for s in first), []).append([*near, ")"])
+        labels = tuple(s.label for s in first)
+        where.setdefault(labels, []).append([*near, ")"])
+        members.setdefault(labels, []).extend(first)
     said: Sentence = [*words.aim(question), ", "]
     for k, labels in enumerate(
         sorted(where, key=lambda labels: (len(labels) > 1, -len(where[labels])))
     ):
         tie, cost = len(labels) > 1, COSTS[question.cost]
-        said += [*(["; "] if k else []), *words.methods(labels)]
+        said += [*(["; "] if k else []), *words.solvers(members[labels])]
         verb = "tie for" if tie else f"{cost.verb}s"
         said.append(f" {verb} the {cost.least}" if not k else " tie" if tie else "")
         said += [" on ", *listed(where[labels])]
@@ -65,6 +69,7 @@ def _resolution(run: Record) -> str:
 def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
     """'To 1e-4 in ..., A takes the fewest operations on 7 of 12 scenes, alone on 5; B on 3.'."""
     where: dict[str, list[str]] = {}
+    first = [s for scene in voting.values() for s in scene.first]
     alone: Counter[str] = Counter()
     for name, scene in voting.items():
         for s in scene.first:
@@ -76,7 +81,11 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     ]
     cost = COSTS[found.question.cost]
     count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
-    said = [*words.aim(found.question), ", ", *words.methods(lead)]
+
+    def solvers(labels: Sequence[str]) -> Sentence:
+        return words.solvers(s for label in labels for s in first if s.label == label)
+
+    said = [*words.aim(found.question), ", ", *solvers(lead)]
     does = f"{cost.verb}s" if len(lead) == 1 else f"each {cost.verb}"
     said.append(f" {does} the {cost.least} on ")
     where_said = _compared(found, most)
@@ -94,7 +103,7 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
         others.setdefault(tuple(where[label]), []).append(label)
     shown = _OTHERS if len(others) > _OTHERS + 1 else len(others)
     for own, labels in list(others.items())[:shown]:
-        said += ["; ", *words.methods(labels), " on "]
+        said += ["; ", *solvers(labels), " on "]
         named = listed([scene_ref(k)] for k in own)
         said += named if len(own) <= _NAMED else [str(len(own)), *_kind(own, voting, words)]
         said += [] if any(alone[label] for label in labels) else [", tied"]

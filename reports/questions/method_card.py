@@ -42,7 +42,8 @@ def card_sentences(
     entries = [s.entries[label] for s in own.values()]
     reached = [e for e in entries if e.reached]
     count = f" on {len(reached)} of {len(own)} scene{'s' * (len(own) > 1)} tried."
-    said: list[Sentence] = [[me, " reaches ", *words.accuracy(question), count]]
+    who, goal = words.solvers(entries), words.accuracy(question)
+    said: list[Sentence] = [[*who, " reaches ", *goal, count]]
     if any(s.votes for s in own.values()) and not {"alone", "tied"} & {*states.values()}:
         said.append(["Cheapest on no scene."])
     for state, head in _STATES.items():
@@ -73,9 +74,9 @@ def _detail(
 ) -> Sentence:
     """What stands in brackets behind a scene."""
     if state == "alone" and (second := answer.second):
-        return [" (next: ", words.method(second.label), f", {times(second.ratio)})"]
+        return [" (next: ", *words.solvers([second]), f", {times(second.ratio)})"]
     if state == "dearer":
-        first = words.methods((s.label for s in answer.first), most=1)
+        first = words.solvers(answer.first, most=1)
         return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]
     if state == "far":
         errors = [e for r in own.ok if (e := r.error(question.group, NORM)) is not None]

@@ -10,6 +10,7 @@ from bench.results.records import Record
 from reports.names import scene_name, short_names
 from reports.questions.phrases import Ref, Sentence, listed
 from reports.questions.question import Question
+from reports.ranking import RankEntry
 from reports.series import Series
 
 
@@ -36,6 +37,18 @@ class Words:
     def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
         """References to integrators as a list."""
         return listed(([self.method(label)] for label in labels), most)
+
+    def solvers(self, entries: Iterable[RankEntry], most: int = 3) -> Sentence:
+        """References to integrators as a list, each with the form in which it solves constraints.
+
+        One that stands there for several scenes stands once.
+        """
+        forms: dict[str, str] = {}
+        for entry in entries:
+            forms[entry.label] = forms.get(entry.label) or entry.form
+        return listed(
+            ([self.method(k), *([f" ({form})"] if form else [])] for k, form in forms.items()), most
+        )
 
     def accuracy(self, question: Question) -> Sentence:
         """'1e-4 in acceleration (largest over time)', unless the page says the norm elsewhere."""
