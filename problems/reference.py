@@ -119,6 +119,13 @@ class Reference:
         return self._evaluate(self._known.motion, t)
 
     @property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """500 to 4000 equally spaced times in s."""
+        t0 = self.scene.interval[0]
+        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
+        return np.linspace(t0, self.t_end, int(count))
+
+    @property
     def error(self) -> dict[str, Float[np.ndarray, " n"]]:
         """Estimated absolute error of each component by group: the largest over time, in its unit.
 
@@ -139,7 +146,7 @@ class Reference:
     @cached_property
     def _known(self) -> _Known:
         if self.scene.has("exact"):
-            t = self._even_times()
+            t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
         path = _file_of(self.scene, self.t_end) if _file_of else None
         return self._integrated() if path is None else _read(path) or self._made_by_one(path)
@@ -171,14 +178,9 @@ class Reference:
         """The integration, compared with the other one."""
         _told("making", self.scene)
         ours = self._integrate(0)
-        t = np.union1d(self._even_times(), ours.ends)
+        t = np.union1d(self.times, ours.ends)
         other = self._evaluate(self._integrate(1), t)
         return _known(self._evaluate(ours, t), other)._replace(motion=ours)
-
-    def _even_times(self) -> Float[np.ndarray, " k"]:
-        t0 = self.scene.interval[0]
-        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
-        return np.linspace(t0, self.t_end, int(count))
 
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
         sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}

@@ -18,8 +18,10 @@ from bench.results.drift import LongRun, comparable_runs, drift_table
 from bench.results.store import Store
 from bench.running import measure
 from bench.running.drift import course, drift_job
+from bench.running.plan import Cell
 from bench.running.worker import Worker
-from integrators.contract import Trajectory
+from integrators.contract import Steps, Trajectory
+from problems.reference import Reference
 from problems.spec import SpecError
 from reports.charts.line_styles import style_of
 from reports.pages.drift import drift_sentences
@@ -53,6 +55,35 @@ def test_phase_and_energy_of_the_oscillator_follow_the_spectrum(worker, method, 
         assert (drifts["energy"].verdict, drifts["phase"].verdict) == ("none", "linear")
         assert drifts["phase"].per_s == pytest.approx(wanted, rel=1e-6)
         assert drifts["phase"].largest == pytest.approx(-wanted * 2000 * H, rel=1e-3)
+
+
+def test_a_run_that_blows_up_says_so_and_is_not_measured_by_its_own_energy(worker):
+    found = drift_job(worker, "pendulum", "half_explicit_euler", None, 2000)
+    assert (found.status, found.asked) == ("diverged", 2000)
+    said = f"It blew up: at t={found.t_end + found.h:.6g} s its energy had changed by more than "
+    assert found.message.startswith(said)
+    assert 10 < found.drifts["energy"].largest <= measure.BLOWN_UP
+    assert {row[-1] for row in drift_table([found]).rows} == {"blew up"}
+    assert "blew up with" in next(drift_sentences([found]))
+    # In other commands, too; shorter runs end as ok, whatever energy they have gained so far.
+    for t_end, status, gain in ((20.0, "diverged", 0.0), (10.0, "ok", 5.0)):
+        run, _ = worker.measure(Cell("pendulum", "half_explicit_euler", t_end, Steps(found.h)))
+        assert (run.status, not run.errors) == (status, status == "diverged")
+        assert (run.energy_drift or 0.0) >= gain
+        assert run.message.startswith("It blew up: at t=18.") == (status == "diverged")
+
+
+def test_a_speed_tells_of_a_blow_up_where_no_energy_is_stated(worker):
+    scene = worker.problem("duffing")
+    reference = Reference(scene, scene.interval[1])
+    # A run that lasts longer may have sped up in proportion.
+    for longer, status, rows in ((1.02, "ok", 50), (1.0, "diverged", 30)):
+        t = np.linspace(*scene.interval, 50)
+        run = Trajectory(t=longer * t, **reference(t))
+        run.v[30:] = 1.01 * measure.BLOWN_UP * reference.largest["v"][1]
+        measure.end_at_blow_up(run, reference, {})
+        assert (run.status, len(run.t), len(run.a)) == (status, rows, rows)
+    assert f"at t={t[30]:.6g} s its speed was more than 100 times the largest of" in run.message
 
 
 @pytest.mark.long
@@ -163,7 +194,7 @@ def test_the_momentum_is_that_which_changes_most(worker):
         **still,
     )
     assert measure.invariant_changes(scene, run)["momentum"] == pytest.approx([0.0, -0.25])
-    assert measure.invariant_changes(worker.problem("pendulum"), run, ["momentum"]) == {}
+    assert measure.invariant_changes(worker.problem("pendulum"), run, blocks=["momentum"]) == {}
 
 
 def a_run(integrator: str, **drifts: np.ndarray) -> LongRun:

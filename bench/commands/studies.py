@@ -93,11 +93,12 @@ def drift(
 ) -> None:
     """Measure what drifts over many constant steps.
 
-    It measures: the energy, relative to the largest kinetic energy; conserved momenta; residuals of
-    the constraints and of their rates; and the phase (the time by which a run is ahead), where a
-    conservative motion has a closed form. The table gives the largest absolute value of each, the
-    slope of a straight line through all rows, and whether the drift is none, linear, bounded or
-    neither. The folder keeps long runs beside other results, whose report has a chapter on them.
+    It measures: the energy, relative to the motion's largest kinetic energy; conserved momenta;
+    residuals of the constraints and of their rates; and the phase (the time by which a run is
+    ahead), where a conservative motion has a closed form. The table gives the largest absolute
+    value of each, the slope of a straight line through all rows, and whether the drift is none,
+    linear, bounded or neither. A run that blows up ends there, and says when. The folder keeps long
+    runs beside other results, whose report has a chapter on them.
 
     \b
     Examples:

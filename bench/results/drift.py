@@ -25,10 +25,10 @@ STRAIGHT = 0.9
 #: The bands of both halves of a bounded quantity end within this part of the whole band.
 APART = 0.2
 RULE = (
-    f"None: no value above {NO_DRIFT:g}. Linear: a straight line through all rows explains at "
-    f"least {STRAIGHT:.0%} of the variance. Bounded: the bands of the first and second half, which "
-    f"hold 90% of the rows each, end within {APART:.0%} of the whole band of each other. Else "
-    f"neither."
+    f"Blew up: the run diverged. None: no value above {NO_DRIFT:g}. Linear: a straight line "
+    f"through all rows explains at least {STRAIGHT:.0%} of the variance. Bounded: the bands of the "
+    f"first and second half, which hold 90% of the rows each, end within {APART:.0%} of the whole "
+    f"band of each other. Else neither."
 )
 _NOTE = (
     "Largest: absolute value, over the rows. Per s: slope of a straight line through all rows. "
@@ -55,7 +55,7 @@ class Drift(msgspec.Struct, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Return "none", "linear", "bounded" or "neither", by `RULE`."""
+        """Return "none", "linear", "bounded" or "neither", by `RULE`, of a run that goes on."""
         if self.largest is None:
             return "neither"
         if self.largest <= NO_DRIFT:
@@ -89,6 +89,10 @@ class LongRun(msgspec.Struct, kw_only=True):
         """Return the key in the store: scene, integrator and steps."""
         return f"{self.problem} | {self.integrator} | {self.asked} x h={self.h!r}"
 
+    def verdict(self, drift: Drift) -> str:
+        """Return the verdict on the course of a quantity: "blew up" if the run diverged."""
+        return "blew up" if self.status == "diverged" else drift.verdict
+
     @property
     def measured(self) -> list[tuple[str, Drift]]:
         """Return the quantities that were measured, in the order of `DRIFTS`."""
@@ -101,7 +105,7 @@ def csv_row(run: LongRun) -> dict[str, Any]:
     for name, drift in run.measured:
         words = DRIFTS[name][0]
         row |= {f"{words}: largest": drift.largest, f"{words}: per s": drift.per_s}
-        row |= {f"{words}: drift": drift.verdict}
+        row |= {f"{words}: drift": run.verdict(drift)}
     return row
 
 
@@ -122,7 +126,7 @@ def drift_table(runs: Sequence[LongRun]) -> Table:
         for quantity, drift in run.measured:
             name, unit = DRIFTS[quantity]
             found = (drift.largest, drift.per_s, drift.straight, drift.apart)
-            cells = [f"{name} [{unit}]", steps, *map(number, found), drift.verdict]
+            cells = [f"{name} [{unit}]", steps, *map(number, found), run.verdict(drift)]
             rows.append([run.integrator, *cells])
         if not run.measured:
             rows.append([run.integrator, "-", steps, *map(number, [None] * 4), "-"])

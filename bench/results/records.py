@@ -65,10 +65,11 @@ class Record(msgspec.Struct, kw_only=True):
     the scene lacks is absent, a value that is not finite is None. They are measured at ``rows`` of
     the steps of the run. ``constraint[level]`` is the largest residual over the rows, in its unit;
     ``errors`` has it relative to the scene's size, by the names of ``VIOLATIONS``.
-    ``energy_drift`` is the largest change relative to the energy's scale, for scenes that
-    conserve it. ``reference_error[group][norm]`` is the reference's own estimated error,
-    relative like ``errors``: below a hundred times that, an error says nothing. ``operations`` is
-    the bill of the run: floating-point operations by part, empty where a part is not known.
+    ``energy_drift`` is the largest change relative to the motion's largest kinetic energy, for
+    scenes that conserve it. ``reference_error[group][norm]`` is the reference's own estimated
+    error, relative like ``errors``: below a hundred times that, an error says nothing.
+    ``operations`` is the bill of the run: floating-point operations by part, empty where a part is
+    not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
     where they are not known.
     ``calls`` is the integrator's statement of how its steps call the equations.

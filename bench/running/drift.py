@@ -5,6 +5,8 @@ Memory does not grow with the number of steps: a trajectory has some thousands o
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from bench.results.drift import Drift, LongRun
@@ -13,6 +15,7 @@ from bench.running.errors import finite
 from bench.running.plan import Cell, check_end
 from bench.running.worker import Worker
 from integrators.contract import Steps, Trajectory
+from problems.reference import Reference
 from problems.runtime import Float
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -53,7 +56,11 @@ def drift_job(
     resolution = Steps(scene.nominal_step if h is None else h)
     t_end = check_end(scene.interval[0], scene.interval[0] + steps * resolution.h)
     run, _ = worker.run(Cell(scene.spec, constant.spec, t_end, resolution))
-    drifts = drifts_of(scene, run) if len(run.t) > 2 else {}
+    reference = _motion(worker, scene)
+    if reference and run.status == "ok":
+        changes = measure.invariant_changes(scene, run, reference)
+        measure.end_at_blow_up(run, reference, changes)
+    drifts = drifts_of(scene, run, reference) if len(run.t) > 2 else {}
     return LongRun(
         problem=scene.spec,
         integrator=constant.spec,
@@ -67,6 +74,14 @@ def drift_job(
         t=[float(part[-1]) for part in _parts(run.t)] if drifts else [],
         drifts={name: course(run.t, values) for name, values in drifts.items()},
     )
+
+
+def _motion(worker: Worker, scene: MechatronicSystem) -> Reference | None:
+    """The reference over the interval of a scene, whose size the drift is measured by."""
+    with suppress(Exception):  # its integration failed, or the closed form is false
+        reference = worker.reference(scene, scene.interval[1])
+        return None if reference.missing else reference
+    return None
 
 
 def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift:
@@ -96,7 +111,9 @@ def _parts(rows: Float[np.ndarray, " k"]) -> list[Float[np.ndarray, " part"]]:
     return np.array_split(rows, min(_PARTS, len(rows)))
 
 
-def drifts_of(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
+def drifts_of(
+    scene: MechatronicSystem, run: Trajectory, reference: Reference | None = None
+) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure in each of the k rows of a run what a scene can tell of.
 
     Returns
@@ -108,7 +125,7 @@ def drifts_of(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.n
     """
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
-    drifts = measure.invariant_changes(scene, run) | violations
+    drifts = measure.invariant_changes(scene, run, reference) | violations
     if scene.has("energy") and scene.has("exact"):
         drifts["phase"] = phase(scene, run)
     return drifts

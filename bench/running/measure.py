@@ -15,8 +15,12 @@ from integrators.contract import Steps, Trajectory
 from integrators.kept_rows import spread_rows
 from problems.answers import array
 from problems.compiled import compiled
+from problems.reference import Reference
 from problems.runtime import Float
 from problems.system import INVARIANTS, MechatronicSystem
+
+#: A run whose speed or change of energy is so many times the motion's largest has blown up.
+BLOWN_UP = 100.0
 
 
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -37,11 +41,17 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
 
 
 def invariant_changes(
-    scene: MechatronicSystem, run: Trajectory, blocks: Iterable[str] = tuple(INVARIANTS)
+    scene: MechatronicSystem,
+    run: Trajectory,
+    reference: Reference | None = None,
+    blocks: Iterable[str] = tuple(INVARIANTS),
 ) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure the change of each stated invariant in each of the k rows, relative to its size.
 
-    Of several entries of an invariant it is the one that changes most.
+    The size of a kinetic one is the largest kinetic energy that its value at the start leaves at
+    the positions of the reference (without one: of the run); that of an entry of another one is
+    its value at the start, or the largest one if it starts from zero. So a run that blows up is not
+    measured by its own energy. Of several entries of an invariant it is the one that changes most.
 
     Raises
     ------
@@ -56,14 +66,45 @@ def invariant_changes(
         values = array(found, f"{block}() of the rows", shape).reshape(len(run.t), -1)
         if not values.shape[1]:
             continue
-        parts = values
+        sizes = np.abs(values[0])
         if kinetic:
-            rest = function(p, run.q, 0 * run.v)
-            parts = values - array(rest, f"{block}() at rest", shape)[:, None]
-        sizes = np.abs(parts).max(axis=0)
-        relative = (values - values[0]) / np.where(sizes > 0, sizes, 1.0)
+            way = run.q if reference is None else reference(reference.times)["q"]
+            rest = function(p, way, np.zeros((len(way), scene.sizes.nv)))
+            sizes = values[0] - array(rest, f"{block}() at rest", (len(way),)).min()
+        sizes = np.where(sizes > 0, sizes, max(0.0, sizes.max()) or 1.0)
+        relative = (values - values[0]) / sizes
         changes[block] = relative[:, np.abs(relative).max(axis=0).argmax()]
     return changes
+
+
+def end_at_blow_up(
+    run: Trajectory, reference: Reference, changes: Mapping[str, Float[np.ndarray, " k"]]
+) -> None:
+    """End a run as diverged before the first row that is beyond the size of the motion.
+
+    So a row is whose change of energy, of `invariant_changes`, is more than `BLOWN_UP` times the
+    motion's largest kinetic energy. Without an energy it is one whose speed (2-norm of v) is more
+    than that times the largest of the reference; it may grow in proportion to the time if the run
+    lasts longer.
+    """
+    size, words = changes.get("energy"), "its energy had changed by"
+    if size is None:
+        longer = max(1.0, np.ptp(run.t) / (reference.t_end - reference.scene.interval[0]))
+        fastest, words = reference.largest["v"][1], "its speed was"
+        size = np.linalg.norm(run.v, axis=1) / (longer * fastest or math.inf)
+    beyond = np.abs(size) > BLOWN_UP
+    if beyond.any():
+        first = int(beyond.argmax())
+        run.status, run.message = (
+            "diverged",
+            (
+                f"It blew up: at t={run.t[first]:.6g} s {words} more than {BLOWN_UP:g} times the "
+                f"largest of the motion; take a smaller step or a method that damps more."
+            ),
+        )
+        for name in ("t", *GROUPS, "xdot"):
+            setattr(run, name, getattr(run, name)[:first])
+        run.notes = {name: noted[:first] for name, noted in run.notes.items()}
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

@@ -87,7 +87,8 @@ class Worker:
             self._scenes[text] = self.registry.problem(text)
         return self._scenes[text]
 
-    def _reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
+    def reference(self, scene: MechatronicSystem, t_end: float) -> Reference:
+        """Return the reference of a scene up to t_end in s, with its error; it is made once."""
         key = (scene.spec, t_end)
         if key not in self._references:
             self.notify(REFERENCE, f"making the reference of {scene.spec}")
@@ -133,11 +134,14 @@ class Worker:
                 _add(record, f"{fault}: {why(error)}")
                 return otherwise
 
-        def histories() -> dict[str, Any]:
-            reference = self._reference(scene, record.t_end)
+        def motion() -> Reference | None:
+            reference = self.reference(scene, record.t_end)
             if reference.missing:
                 _add(record, f"No errors are known. {reference.missing}")
-                return {}
+                return None
+            return reference
+
+        def histories(reference: Reference) -> dict[str, Any]:
             found = relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
@@ -148,11 +152,17 @@ class Worker:
             return found.histories
 
         residuals = "No residual of the constraints is known"
-        fault = "No errors are known, the reference failed"
-        noted = part(fault, histories, {}) if errors else {}
-        drift = part(residuals, lambda: measure.violations(scene, run), {})
+        no_errors, blocks = "No errors are known, the reference failed", ["energy"]
+        reference = part(no_errors, motion, None) if errors else None
         fault = "No energy drift is known"
-        change = part(fault, lambda: measure.invariant_changes(scene, run, ["energy"]), {})
+        change = part(fault, lambda: measure.invariant_changes(scene, run, reference, blocks), {})
+        if reference:
+            measure.end_at_blow_up(run, reference, change)
+        if run.status != "ok":
+            record.status, record.message, record.rows = run.status, run.message, len(run.t) - 1
+            return
+        noted = part(no_errors, lambda: histories(reference), {}) if reference else {}
+        drift = part(residuals, lambda: measure.violations(scene, run), {})
         drift |= {name: abs(values) for name, values in change.items()}
         largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)
@@ -238,7 +248,7 @@ class Worker:
         """Make the record of a scene; without a reference if ``lacking`` says why."""
         self.notify(MEASURING, "describing the scene")
         scene = self.problem(problem)
-        record = scene_record(scene, t_end, lambda: self._reference(scene, t_end), lacking)
+        record = scene_record(scene, t_end, lambda: self.reference(scene, t_end), lacking)
         record.stopped = REFERENCE if lacking else ""
         return record
 
@@ -246,7 +256,7 @@ class Worker:
         """Draw a scene at ``count`` times of its reference up to t_end in s."""
         self.notify(MEASURING, "drawing the scene")
         scene = self.problem(problem)
-        return drawings(scene, self._reference(scene, t_end), count)
+        return drawings(scene, self.reference(scene, t_end), count)
 
     def components(self, problem: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene."""

@@ -17,8 +17,8 @@ from reports.pages.chapter import Chapter, Section, write_chapter
 
 #: Words on the change of an invariant, by `Invariant.kinetic`.
 _CHANGES = {
-    True: "its change, relative to the largest kinetic one",
-    False: "the change of the one that changes most, relative to its largest value",
+    True: "its change, relative to the largest kinetic one of the scene's motion",
+    False: "the change of the one that changes most, relative to its value at the start",
 }
 _CAPTION = (
     "Absolute values over time, from the least (or the end of the axis) to the largest in each of "
@@ -33,6 +33,7 @@ _VERDICTS = {
     "bounded": "stays bounded with",
     "linear": "drifts linearly with",
     "neither": "drifts otherwise with",
+    "blew up": "blew up with",
 }
 
 
@@ -71,11 +72,11 @@ def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
     """A sentence for each quantity: which methods hold it, and how others drift."""
     names = short_names(run.integrator for run in runs)
     for quantity, (name, unit) in DRIFTS.items():
-        found = [(names[r.integrator], r.drifts[quantity]) for r in runs if quantity in r.drifts]
+        found = [(run, run.drifts[quantity]) for run in runs if quantity in run.drifts]
         parts = [
-            f"{said} {words(f'{one} ({_size(drift, unit)})' for one, drift in own)}"
+            f"{said} {words(f'{names[r.integrator]} ({_size(r, d, unit)})' for r, d in own)}"
             for verdict, said in _VERDICTS.items()
-            if (own := [(one, drift) for one, drift in found if drift.verdict == verdict])
+            if (own := [(run, drift) for run, drift in found if run.verdict(drift) == verdict])
         ]
         if parts:
             yield f"The {name} {'; it '.join(parts)}."
@@ -84,8 +85,10 @@ def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
             yield f"{names[run.integrator]} ended as {run.status}: {run.message}"
 
 
-def _size(drift: Drift, unit: str) -> str:
+def _size(run: LongRun, drift: Drift, unit: str) -> str:
     unit = "" if unit == "1" else f" {unit}"
+    if run.verdict(drift) == "blew up":
+        return f"at t = {number(run.t_end)} s"
     if drift.verdict == "linear":
         return f"{number(drift.per_s)}{unit} per s"
     return f"at most {number(drift.largest)}{unit}"

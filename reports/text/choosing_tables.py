@@ -126,7 +126,7 @@ def energy_table(
         ["integrator", *map(scene_name, drifts)],
         rows,
         code=(),
-        note="The largest change over time, relative to the largest kinetic energy. "
+        note="The largest change over time, relative to the motion's largest kinetic energy. "
         f"{NO_VALUE}: no run reaches the accuracy, or the integrator was not tried on the scene.",
     )
 

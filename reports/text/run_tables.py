@@ -140,7 +140,7 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
             [s.label, run.formulation, run.resolution, *map(number, cells)]
             for (s, run), *cells in zip(runs, *known.values(), strict=True)
         ],
-        note="Largest over time; the energy relative to the largest kinetic energy.",
+        note="Largest over time; the energy relative to the motion's largest kinetic energy.",
     )
 
 
