@@ -49,9 +49,9 @@ def invariant_changes(
     """Measure the change of each stated invariant in each of the k rows, relative to its size.
 
     The size of a kinetic one is the largest kinetic energy that its value at the start leaves at
-    the positions of the reference (without one: of the run); that of an entry of another one is
-    its value at the start, or the largest one if it starts from zero. So a run that blows up is not
-    measured by its own energy. Of several entries of an invariant it is the one that changes most.
+    the positions of the reference (without one: of the run), as a run that blows up must not be
+    measured by its own energy; that of an entry of another one is its value at the start. A size of
+    zero counts as 1. Of several entries of an invariant it is the one that changes most.
 
     Raises
     ------
@@ -71,8 +71,7 @@ def invariant_changes(
             way = run.q if reference is None else reference(reference.times)["q"]
             rest = function(p, way, np.zeros((len(way), scene.sizes.nv)))
             sizes = values[0] - array(rest, f"{block}() at rest", (len(way),)).min()
-        sizes = np.where(sizes > 0, sizes, max(0.0, sizes.max()) or 1.0)
-        relative = (values - values[0]) / sizes
+        relative = (values - values[0]) / np.where(sizes > 0, sizes, 1.0)
         changes[block] = relative[:, np.abs(relative).max(axis=0).argmax()]
     return changes
 
