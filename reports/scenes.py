@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from bench.results.records import Environment, Plan, Record, SceneRecord, scene_titles
 from bench.results.store import Store
+from bench.results.timings import Repeatability, repeatability
+from reports.questions.question import FIRST, Question
 from reports.series import Series, series_of
 from reports.text.measurement import state_sentence
 
@@ -41,6 +44,16 @@ class StoredRuns:
     def tags(self) -> dict[str, list[str]]:
         """The tags of the scenes that the store describes."""
         return {title: scene.tags for title, scene in self.scenes.items()}
+
+    @cached_property
+    def times(self) -> Repeatability:
+        """How far the times can be trusted."""
+        return repeatability(self.records.values(), self.environments)
+
+    @property
+    def first(self) -> Question:
+        """The question of pages and cards before a reader asks another."""
+        return replace(FIRST, cost=self.times.cost)
 
     @classmethod
     def of(cls, store: Store) -> StoredRuns:

@@ -124,14 +124,6 @@ def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
     return TRUST * reference_error(records, group, norm)
 
 
-def timing_spread(record: Record) -> float | None:
-    """(max - min) / median of the timing samples; None for fewer than two."""
-    middle = record.seconds
-    if len(record.run_s) < 2 or not middle:
-        return None
-    return (max(record.run_s) - min(record.run_s)) / middle
-
-
 def with_values(
     records: Iterable[Record], value_of: Callable[[Record], float | None]
 ) -> list[tuple[float, Record]]:

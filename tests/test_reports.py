@@ -334,20 +334,3 @@ def test_the_size_of_the_motion_is_that_of_the_reference(folder: Path, paper: st
     values = [row[1] for row in rows.values["q"]]
     rms = math.sqrt(sum(v * v for v in values) / len(values))
     assert f"| `q[Y] in m` | {number(max(map(abs, values)))} | {number(rms)} |" in paper
-
-
-def test_noise_is_judged_by_the_samples(tmp_path: Path, page: Document) -> None:
-    assert "quiet enough" in page.words
-    assert "The machine was noisy" not in page.words
-    assert "0 of 36 timed runs spread by more than 50%" in page.words
-    records = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
-    plant(tmp_path, records, samples=1)
-    with Store(tmp_path, create=True) as store:
-        for record in records[:4]:
-            store.add_sample(record.key, 1, 1.0)
-        store.add_sample(records[5].key, 1, 1e-6 * records[5].work["residuals"])
-    text = whole_markdown(write_markdown_report(tmp_path).parent)
-    head, _, rest = text.partition("## Answer")
-    assert "The machine was noisy" in head  # before the first verdict
-    assert "The machine was noisy" in rest
-    assert "4 of 5 timed runs spread by more than 50%" in text

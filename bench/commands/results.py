@@ -262,7 +262,9 @@ def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
 @click.option(
     "--target", type=float, help="Largest error allowed, 1e-9 to 1e-1; 1e-4 if not given."
 )
-@click.option("--cost", metavar="|".join(RANKED_COSTS), help="operations if not given.")
+@click.option(
+    "--cost", metavar="|".join(RANKED_COSTS), help="That of the page's first question if not given."
+)
 @click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
 @options.with_file("File that ends in .svg or .png; card.svg if not given.")
 def card_(folder: Path, out: Path | None, **question: Any) -> None:

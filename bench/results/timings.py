@@ -1,4 +1,4 @@
-"""Whether two runs differ in time: by the median quotient of their samples and its interval.
+"""Times of runs: whether two differ, by the quotient of their samples, and whether all repeat.
 
 Samples of one round are neighbours in time, so that a slow minute of the machine is in both and
 leaves their quotient as it is. The interval of a median is that of order statistics (sign test).
@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from bench.results.quantities import COSTS
-from bench.results.records import TIMING_SECONDS, Record
+from bench.results.quantities import COST, COSTS
+from bench.results.records import TIMING_SECONDS, Environment, Record, median
 
 #: Probability with which an interval holds the median, and the fewest samples that give one.
 LEVEL = 0.95
@@ -20,6 +20,26 @@ FEWEST = 6
 #: Times are told apart from this quotient on. With fewer samples than `FEWEST` there is no
 #: interval, and only a large quotient counts.
 LEAST_QUOTIENT, LEAST_OF_FEW = COSTS["seconds"].tie, 2.0
+#: Integrators are ranked by seconds if the median `interval_width` of their runs is at most this.
+REPEATABLE = 0.2
+
+
+class Repeatability(NamedTuple):
+    """How far the times of a store can be trusted.
+
+    ``width`` is the median `interval_width` of the ``runs`` that have `FEWEST` samples or more;
+    ``machines`` counts those that took times, with their clocks and versions.
+    """
+
+    width: float | None
+    runs: int
+    machines: int
+
+    @property
+    def cost(self) -> str:
+        """The cost by which integrators are ranked unless another is asked for."""
+        repeat = self.width is not None and self.width <= REPEATABLE and self.machines < 2
+        return "seconds" if repeat else COST
 
 
 class Quotient(NamedTuple):
@@ -48,6 +68,25 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
         cut += 1
         outside += math.comb(n, cut + 1)
     return ordered[cut], ordered[-1 - cut]
+
+
+def interval_width(record: Record) -> float | None:
+    """Width of the interval of a run's median time, relative to it; None of a single sample."""
+    if len(record.run_s) < 2:
+        return None
+    low, high = median_interval(record.run_s)
+    return (high - low) / statistics.median(record.run_s)
+
+
+def repeatability(
+    records: Iterable[Record], environments: Mapping[int, Environment]
+) -> Repeatability:
+    """Judge the times of the runs that reached the end; long runs have too few samples to tell."""
+    timed = [r for r in records if r.status == "ok" and r.run_s]
+    widths = [w for r in timed if len(r.run_s) >= FEWEST and (w := interval_width(r)) is not None]
+    used = (environments.get(r.environment) for r in timed)
+    machines = {(e.cpu, e.cores, e.clock, *e.versions.items()) for e in used if e}
+    return Repeatability(median(widths), len(widths), len(machines))
 
 
 def quotient(one: Record, two: Record) -> Quotient | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, RANKED_COSTS, VIOLATIONS
+from bench.results.quantities import COSTS, ERROR_NAMES, NORM, RANKED_COSTS, VIOLATIONS
 from bench.results.records import Record
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import RunRows, cost_tooltip, run_rows
 from reports.charts.line_styles import LineStyle
-from reports.questions.question import FIRST, TABLE_GROUPS
+from reports.questions.question import FIRST, TABLE_GROUPS, Question
 from reports.series import Series, label_of, ok_runs, trusted_error
 
 #: Errors of the menu.
@@ -17,9 +17,15 @@ _GROUPS = (*TABLE_GROUPS, *VIOLATIONS)
 
 
 def pareto_chart(
-    scenes: Mapping[str, Sequence[Series]], styles: Mapping[str, LineStyle], interactive: bool
+    scenes: Mapping[str, Sequence[Series]],
+    styles: Mapping[str, LineStyle],
+    interactive: bool,
+    first: Question = FIRST,
 ) -> vl.Spec | None:
-    """Error over cost of all runs, a panel per scene, with the Pareto front as a step line."""
+    """Error over cost of all runs, a panel per scene, with the Pareto front as a step line.
+
+    Group and cost are those of the ``first`` question, unless a reader chooses others.
+    """
     # Those on which more than one integrator reached the end.
     scenes = {
         name: series for name, series in scenes.items() if sum(bool(s.ok) for s in series) > 1
@@ -31,11 +37,11 @@ def pareto_chart(
         return None
     data = vl.Dataset("pareto_front", rows)
     options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
-    group, cost = ("group", "cost") if interactive else (f"'{FIRST.group}'", f"'{COST}'")
+    group, cost = ("group", "cost") if interactive else (f"'{first.group}'", f"'{first.cost}'")
     titles = {name: COSTS[name].title for name in RANKED_COSTS}
     # Every panel has its own range: the digits 1, 2, 5 have labels where they fit.
     x_axis, y_axis = (vl.log_axis((1, 50), text) for text in ("~g" if interactive else "~s", ".0e"))
-    x = vl.log_quantity("across", title=None if interactive else titles[COST], axis=x_axis)
+    x = vl.log_quantity("across", title=None if interactive else titles[first.cost], axis=x_axis)
     y = vl.log_quantity("error", title="relative error", axis=y_axis)
     steps: vl.Spec = {
         "transform": [{"filter": "datum.on_front"}],
@@ -61,11 +67,11 @@ def pareto_chart(
     menus = [
         vl.menu(
             "group",
-            FIRST.group if FIRST.group in groups else next(iter(groups)),
+            first.group if first.group in groups else next(iter(groups)),
             groups,
             "error in ",
         ),
-        vl.menu("cost", COST, titles, " at the cost of "),
+        vl.menu("cost", first.cost, titles, " at the cost of "),
     ]
     return {
         "datasets": vl.datasets([data]),

@@ -42,7 +42,7 @@ def write_card(
     *,
     group: str = FIRST.group,
     target: float = FIRST.target,
-    cost: str = FIRST.cost,
+    cost: str | None = None,
     scenes: str = ALL,
 ) -> Path:
     """Write the card of a run folder; the suffix of ``path`` says SVG or PNG.
@@ -54,7 +54,7 @@ def write_card(
     path
         The file.
     group, target, cost
-        The question.
+        The question; its cost is that by which the results are ranked first if not given.
     scenes
         A tag, for the scenes that have it; or "all".
 
@@ -67,8 +67,8 @@ def write_card(
     """
     if path.suffix not in _FORMATS:
         raise SpecError(f"{path.name} is no card; give a name that ends in {listed(_FORMATS)}.")
-    question = _question(group, target, cost)
     stored = stored_runs(folder)
+    question = _question(group, target, cost or stored.first.cost)
     chosen = {f.key: f for f in filters({k: stored.tags.get(k, ()) for k in stored.series})}
     if scenes not in chosen:
         raise SpecError(f"There is no set of scenes {scenes!r}; {suggest(scenes, chosen)}.")

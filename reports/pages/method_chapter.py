@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from bench.results.experiments import ExperimentResult, spared
-from bench.results.quantities import COST, COSTS, NORM, NORMS
+from bench.results.quantities import COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number, order_text
+from reports.formatting import NO_VALUE, milliseconds, number, order_text
 from reports.names import BUILT_IN
 from reports.questions.answers import Answer
 from reports.questions.method_card import card_sentences
-from reports.questions.question import FIRST
 from reports.questions.words import Words
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
@@ -111,6 +110,8 @@ def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tup
 def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> Table:
     """A row per scene: best errors, cost to the accuracy, its multiple of the best, endings."""
     groups = groups_of(r for s in series.values() for r in s.ok)
+    question, cost = answer.question, COSTS[answer.question.cost]
+    head = "time in ms" if cost.is_time else cost.words
     rows = []
     for scene, s in series.items():
         errors = {
@@ -128,7 +129,7 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
             {
                 "scene": scene,
                 "accuracy": state,
-                COST: number(entry.value if entry else None),
+                head: (milliseconds if cost.is_time else number)(entry.value if entry else None),
                 "multiple of the best": number(entry.ratio if entry else None),
                 **errors,
                 "runs": s.statuses,
@@ -136,7 +137,7 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
             }
         )
     note = (
-        f"Accuracy: {FIRST.text}; {COST}: {COSTS[COST].title} of its "
+        f"Accuracy: {question.text}; {cost.words}: {cost.title} of its "
         f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
     )
     return Table.from_dicts("Its runs, scene by scene", rows, note=note)

@@ -21,7 +21,6 @@ from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
 from reports.questions.answers import Answer, answers
-from reports.questions.question import FIRST
 from reports.questions.words import words_of
 from reports.scenes import StoredRuns
 from reports.series import label_of, series_of
@@ -30,7 +29,7 @@ from reports.text.measured_orders import lost_orders_table
 from reports.text.measurement import (
     method_of_measurement,
     missing_data,
-    noise_sentence,
+    times_sentence,
 )
 from reports.text.order_table import order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
@@ -69,8 +68,10 @@ class Report:
                 plan, stored.scenes_by_key, stored.records, [*stored.titles], stored.environments
             ),
         ]
-        answered = answers(series, [FIRST.group], [FIRST.target])
-        self.answer = answered.get(FIRST, Answer(FIRST, {}, {}))
+        first = stored.first
+        answered = answers(series, [first.group], [first.target])
+        answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
+        self.answer = answered.get(first, Answer(first, {}, {}))
         self.winners = winners_table(answered, self.run_ids, self.names)
         self.overview = [*self._overview(interactive), *self._cost_by_size()]
         self.scenes = list(self._scenes(store, interactive))
@@ -83,7 +84,7 @@ class Report:
         self.orders = order_tables(plan, stored.records)
         found = drift_chapter(store.long_runs(), interactive), atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
-        self.timing, self.noise = timing_table(series_of(runs)), noise_sentence(runs)
+        self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
         self.method = method_of_measurement(plan)
         self.methods = [
             MethodChapter(label, stored, damping, self.answer, self.words, experiments)
@@ -118,9 +119,10 @@ class Report:
         Of the first question the front page draws heat table and profile itself; a still report has
         pictures of them.
         """
-        group, cost = GROUP_NAMES[FIRST.group], COSTS[FIRST.cost].title
+        first = self.stored.first
+        group, cost = GROUP_NAMES[first.group], COSTS[first.cost].title
         front = "(choose above)" if interactive else f"({group}; {cost})"
-        which = f"({FIRST.text}; {cost})"
+        which = f"({first.text}; {cost})"
         heat = (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
             f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried."
@@ -140,7 +142,7 @@ class Report:
             captioned(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
             captioned(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),
         ]
-        front_chart = pareto_chart(self.series, self.styles, interactive)
+        front_chart = pareto_chart(self.series, self.styles, interactive, first)
         made = [
             *([] if interactive else still),
             captioned(pareto, {"overview-front": front_chart}),

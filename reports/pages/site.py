@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from bench.results.quantities import COST
 from bench.results.records import Record
 from reports.charts.mechanism import motion
 from reports.formatting import file_name
 from reports.names import scene_name
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
-from reports.questions.question import FIRST
+from reports.questions.question import FIRST, Question
 from reports.ranking import reaches
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
@@ -156,7 +155,9 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
-        "command": _command(runs, {m.label: m.plugins for m in report.methods}),
+        "command": _command(
+            runs, {m.label: m.plugins for m in report.methods}, report.stored.first
+        ),
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
@@ -166,13 +167,13 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     )
 
 
-def _command(runs: list[Record], plugins: Mapping[str, str]) -> str:
-    """A command that repeats the cheapest run that reaches the accuracy, or the first one."""
+def _command(runs: list[Record], plugins: Mapping[str, str], first: Question = FIRST) -> str:
+    """A command that repeats the cheapest run that answers the question, or the first one."""
     good = [r for r in runs if r.status == "ok" and len(r.pattern) == 1]
     if not good:
         return ""
-    able = [r for r in good if reaches(r, FIRST.group, FIRST.target)] or good[:1]
-    best = min(able, key=lambda r: r.cost(COST) or float("inf"))
+    able = [r for r in good if reaches(r, first.group, first.target)] or good[:1]
+    best = min(able, key=lambda r: r.cost(first.cost) or float("inf"))
     control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
     if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
         control += f" --atol {best.atol:g}"

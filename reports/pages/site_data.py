@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from bench.results.quantities import (
@@ -25,7 +26,7 @@ from reports.pages.site import method_page, scene_page
 from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.phrases import Piece, Ref, Sentence
 from reports.questions.profile import Profile, profiles
-from reports.questions.question import FIRST, TARGETS, Filter, Question, filters, tag_name
+from reports.questions.question import TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
 from reports.series import Series, groups_of, step_or_tolerance, trusted_error
 
@@ -45,7 +46,7 @@ class SiteData:
     """Data of the pages of a report: its methods, scenes and runs, and answers to questions."""
 
     def __init__(self, report: Report) -> None:
-        self.report = report
+        self.report, self.first = report, report.stored.first
         self.found = answers(report.series)
         names = list(report.series)
         self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
@@ -71,8 +72,9 @@ class SiteData:
 
         Columns have the first three characters of a number: log10 to 2e-4, until the others come.
         """
-        columns = [k for k, c in enumerate(self.columns) if c in (FIRST.group, FIRST.cost)]
-        first = {FIRST: self.found[FIRST]} if FIRST in self.found else {}
+        first = self.first
+        columns = [k for k, c in enumerate(self.columns) if c in (first.group, first.cost)]
+        found = {first: self.found[first]} if first in self.found else {}
 
         def shortened(text: str) -> str:
             return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
@@ -90,8 +92,8 @@ class SiteData:
             **self._runs_of(),
             **cut,
             "runs_of": runs,
-            **self._answers(first, verdicts=False),
-            **self._profiles(first, self.filters[:1]),
+            **self._answers(found, verdicts=False),
+            **self._profiles(found, self.filters[:1]),
         }
 
     def further_questions(self) -> dict[str, Any]:
@@ -129,11 +131,11 @@ class SiteData:
             "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
             "units": {c: COSTS[c].unit for c in RANKED_COSTS},
             "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
-            "targets": [Question(FIRST.group, t, FIRST.cost).accuracy for t in TARGETS],
+            "targets": [replace(self.first, target=t).accuracy for t in TARGETS],
             "first": {
-                "group": FIRST.group,
-                "target": FIRST.accuracy,
-                "cost": FIRST.cost,
+                "group": self.first.group,
+                "target": self.first.accuracy,
+                "cost": self.first.cost,
                 "highlight": report.mine if report.mine in self.families else "",
             },
             "filters": [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -136,12 +136,13 @@ class Answer:
     """The answer to one question on all scenes that have the group.
 
     ``unjudged`` are scenes with the reference's own error there: the target is below a hundred
-    times that.
+    times that. ``beside`` is the answer by the cost beside it, if there is one.
     """
 
     question: Question
     scenes: dict[str, SceneAnswer]
     unjudged: dict[str, float]
+    beside: Answer | None = None
 
     @cached_property
     def standings(self) -> list[Standing]:
@@ -164,6 +165,7 @@ class Answer:
             self.question,
             {k: v for k, v in self.scenes.items() if k in chosen},
             {k: v for k, v in self.unjudged.items() if k in chosen},
+            self.beside and self.beside.on(chosen),
         )
 
 
@@ -186,7 +188,7 @@ def answers(
                 {k: SceneAnswer(question.cost, e, nearest[k]) for k, e in own.items() if e},
                 {name: floors[name] for name, entries in own.items() if not entries},
             )
-    return found
+    return {q: replace(own, beside=q.beside and found.get(q.beside)) for q, own in found.items()}
 
 
 def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer:

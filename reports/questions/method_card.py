@@ -11,7 +11,7 @@ from problems.spec import SpecError, suggest
 from reports.formatting import cost_text, number, times
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Sentence, listed, plain
-from reports.questions.question import FIRST, Question
+from reports.questions.question import Question
 from reports.questions.words import Words, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
@@ -94,13 +94,14 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     SpecError
         If the store has no such integrator.
     """
-    scenes = stored_runs(folder).series
+    stored = stored_runs(folder)
+    scenes = stored.series
     words = words_of(scenes, {})
     labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series))
     chosen = [k for k in labels if integrator in (k, k.partition("[")[0])]
     if not chosen:
         raise SpecError(f"There is no integrator {integrator!r}; {suggest(integrator, labels)}.")
-    found = answer(scenes, FIRST)
+    found = answer(scenes, stored.first)
     return [plain(sentence) for k in chosen for sentence in card_sentences(k, found, scenes, words)]
 
 

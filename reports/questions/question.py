@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS, RANKED_COSTS
 
@@ -17,6 +17,8 @@ ALL = "all"
 OF_THE_BENCH = {"conformance", "orders", "benchmark", "closed form", "scalable"}
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
+#: The cost whose answer stands beside that for another: one is of a machine, one of a model.
+_BESIDE = {"seconds": "operations", "operations": "seconds"}
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,11 @@ class Question:
     def key(self) -> str:
         """The question in a line, such as "a|1e-4|operations"."""
         return f"{self.group}|{self.accuracy}|{self.cost}"
+
+    @property
+    def beside(self) -> Question | None:
+        """The question by the cost whose answer is told, too; None for other costs."""
+        return replace(self, cost=_BESIDE[self.cost]) if self.cost in _BESIDE else None
 
     @property
     def accuracy(self) -> str:
@@ -49,7 +56,7 @@ class Question:
         return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[NORM]})"
 
 
-#: The question of a page before a reader asks another.
+#: The first question, where times cannot be trusted (see `reports.scenes.StoredRuns.first`).
 FIRST = Question("a", 1e-4, COST)
 
 

@@ -23,6 +23,8 @@ _OWN = "the reference's own error there"
 def sentences(found: Answer, words: Words) -> list[Sentence]:
     """The answer: who is cheapest on how many scenes, who reaches it on most, and nobody where.
 
+    The first sentence by the cost beside it is told, too.
+
     Parameters
     ----------
     found
@@ -32,14 +34,10 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
     """
     if not found.scenes:
         return _all_unjudged(found) or [["No scene has runs with an error in this quantity."]]
-    voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
-    said = []
-    if len(voting) <= _EACH and voting:
-        said.append(on_each(found.question, voting, words))
-    elif voting:
-        said += [cheapest(found, voting, words), *families(found, voting, words)]
-    elif any(s.first for s in found.scenes.values()):
-        said.append([*words.aim(found.question), ", no scene has two methods to compare."])
+    said = _cheapest(found, words)
+    if said and found.beside and (other := _cheapest(found.beside, words)):
+        aim = len(words.aim(found.question))
+        said.insert(1, ["To the same accuracy", *other[0][aim:]])
     return [
         *said,
         *_reached(found, words),
@@ -48,6 +46,18 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
         *_all_unjudged(found),
         *_unknown(found, words),
     ]
+
+
+def _cheapest(found: Answer, words: Words) -> list[Sentence]:
+    """Who is cheapest, and the best family."""
+    voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
+    if not voting:
+        alone = any(s.first for s in found.scenes.values())
+        no = [*words.aim(found.question), ", no scene has two methods to compare."]
+        return [no] if alone else []
+    if len(voting) <= _EACH:
+        return [on_each(found.question, voting, words)]
+    return [cheapest(found, voting, words), *families(found, voting, words)]
 
 
 def scene_sentence(found: Answer, scene: str, words: Words) -> Sentence:

@@ -1,20 +1,29 @@
-"""Sentences about the measurement: its state, missing data, noise of the machine, method."""
+"""Sentences about the measurement: its state, missing data, repeatability of times, method."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from bench.results.orders import SPREAD
 from bench.results.quantities import COST, COSTS
-from bench.results.records import TIMING_SECONDS, Environment, Plan, Record, SceneRecord, endings
-from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT
+from bench.results.records import (
+    TIMING_SECONDS,
+    Environment,
+    Plan,
+    Record,
+    SceneRecord,
+    counted,
+    endings,
+)
+from bench.results.timings import (
+    FEWEST,
+    LEAST_OF_FEW,
+    LEAST_QUOTIENT,
+    REPEATABLE,
+    Repeatability,
+    repeatability,
+)
 from reports.formatting import number
-from reports.series import timing_spread
-
-#: Timing samples that spread further than this, relative to their median, are noisy.
-NOISY = 0.5
-#: A machine is called noisy from this part of noisy runs on.
-NOISY_PART = 0.25
 
 
 def state_sentence(plan: Plan | None, records: Sequence[Record]) -> str:
@@ -40,8 +49,7 @@ def missing_data(
     # Long runs are timed less often on purpose.
     short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
     not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
-    used = {r.environment: environments.get(r.environment) for r in ok if r.run_s}
-    machines = {(e.cpu, e.cores, e.clock, *e.versions.items()) for e in used.values() if e}
+    used = {r.environment for r in ok if r.run_s}
     sentences = {
         "The store holds no plan: all runs of a scene are shown together.": plan is None,
         f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in work, "
@@ -53,40 +61,28 @@ def missing_data(
             for problem, t_end in keys
         },
         "No run reached the end: there are no errors, orders and times.": records and not ok,
-        noise_sentence(ok): _noisy(_spreads(ok)),
         f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
         f"{short} runs have fewer than the {samples} timing samples planned.": short,
         "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
         "The times come from different machines, clocks or versions (environments "
-        f"{', '.join(map(str, sorted(used)))}): do not compare them.": len(machines) > 1,
+        f"{', '.join(map(str, sorted(used)))}): do not compare them.": repeatability(
+            ok, environments
+        ).machines
+        > 1,
     }
     return [sentence for sentence, holds in sentences.items() if holds]
 
 
-def noise_sentence(records: Sequence[Record]) -> str:
-    """Whether the machine was quiet enough to compare times."""
-    spreads = _spreads(records)
-    if not spreads:
-        return "No run has two timing samples: the noise of the machine is not known."
-    instead = "operations" if any(r.operations for r in records) else "counts"
-    verdict = (
-        f"The machine was noisy: judge by {instead}, or time again on a quiet one"
-        if _noisy(spreads)
-        else "The machine was quiet enough to tell larger differences"
-    )
-    noisy = sum(x > NOISY for x in spreads)
-    return (
-        f"{verdict} ({noisy} of {len(spreads)} timed runs spread by more than {NOISY:.0%} of "
-        f"their median)."
-    )
-
-
-def _noisy(spreads: Sequence[float]) -> bool:
-    return sum(x > NOISY for x in spreads) > NOISY_PART * len(spreads)
-
-
-def _spreads(records: Iterable[Record]) -> list[float]:
-    return [x for r in records if (x := timing_spread(r)) is not None]
+def times_sentence(times: Repeatability) -> str:
+    """The cost by which integrators are ranked first, and the reason."""
+    first = f"so this report ranks by {times.cost} first"
+    if times.width is None:
+        return f"No run has the {FEWEST} timing samples that an interval takes, {first}."
+    if times.machines > 1:
+        return f"Times were taken on {times.machines} machines or versions, {first}."
+    of = f"median width of the intervals of {counted(times.runs, 'run')}"
+    limit = "" if times.cost == "seconds" else f"; at most {100 * REPEATABLE:g} % is asked for"
+    return f"Times were repeatable to {100 * times.width:.2g} % ({of}{limit}), {first}."
 
 
 def method_of_measurement(plan: Plan | None) -> list[str]:
@@ -108,6 +104,8 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Work is counted where it happens; any difference of counts counts. A "
         "count that a library does not give is 'not counted'.",
+        f"Seconds rank integrators first if the intervals of the medians have a median width of at "
+        f"most {100 * REPEATABLE:g} %, operations first if they are wider or not known.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
         f"finest steps, as many as have slopes within {SPREAD:g} of each other; fewer than three "
         "points give 'not determined'.",

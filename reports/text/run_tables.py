@@ -10,6 +10,7 @@ from types import MappingProxyType
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST
 from bench.results.records import UNSUPPORTED, Record, median
 from bench.results.table import Table
+from bench.results.timings import FEWEST, LEVEL, interval_width
 from reports.formatting import (
     NO_VALUE,
     component_text,
@@ -21,7 +22,6 @@ from reports.series import (
     Series,
     groups_of,
     ok_runs,
-    timing_spread,
     trusted_error,
     with_values,
     worst_component,
@@ -172,21 +172,22 @@ def timing_table(series: Sequence[Series]) -> Table | None:
         timed = [r for r in s.ok if r.run_s]
         if not timed:
             continue
-        spreads = [x for r in timed if (x := timing_spread(r)) is not None]
+        widths = [x for r in timed if (x := interval_width(r)) is not None]
         compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
         rows.append(
             {
                 "integrator": s.label,
                 "runs timed": str(len(timed)),
                 "samples per run": text_range(map(str, sorted(len(r.run_s) for r in timed))),
-                "spread in %, median": _percent(median(spreads)),
-                "spread in %, worst": _percent(max(spreads, default=None)),
+                "interval in %, median": _percent(median(widths)),
+                "interval in %, widest": _percent(max(widths, default=None)),
                 "preparation in s, longest": number(max(compiled, default=None)),
                 "preparation in s, median": number(median(compiled)),
             }
         )
     note = (
-        "Spread: (slowest - fastest) / median of the samples of a run. Preparation is not timed as "
+        f"Interval: width of the {100 * LEVEL:g} % interval of a run's median, relative to it; of "
+        f"fewer than {FEWEST} samples from the fastest to the slowest. Preparation is not timed as "
         "a part of the run; the longest one compiles."
     )
     return Table.from_dicts("Timing", rows, note=note) if rows else None

@@ -157,7 +157,8 @@
     follow();
   }
   window.addEventListener("hashchange", () => {
-    if (new URLSearchParams(location.hash.slice(1)).has("group")) follow();
+    const said = new URLSearchParams(location.hash.slice(1));
+    if (NAMES.some((name) => said.has(name))) follow();
   });
 
   // The data of the other questions come after the first drawing.

@@ -1,0 +1,189 @@
+"""The cost by which a report ranks first: seconds where samples repeat, else operations."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from chromium import chromium, in_chromium, waited
+from planted import STEPS, plant, planted
+from small_stores import a_record
+
+from bench.results.records import Environment
+from bench.results.store import Store
+from bench.results.timings import REPEATABLE, interval_width, repeatability
+from reports.pages.card import write_card
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.pages.report import read_report
+from reports.questions.answers import answer
+from reports.questions.method_card import method_card
+from reports.questions.phrases import plain
+from reports.questions.question import FIRST, Question
+from reports.questions.sentences import sentences
+from reports.scenes import stored_runs
+from reports.series import series_of
+
+#: The samples of a run, relative to the first.
+QUIET, NOISY = (1.0, 1.01, 1.02, 1.03, 1.04, 1.05), (1.0, 1.05, 1.1, 1.2, 1.25, 1.3)
+COSTS = {"quiet": "seconds", "noisy": "operations"}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    """Results of two integrators: one takes the fewest operations, the other the least time."""
+    found = {}
+    for name, samples in (("quiet", QUIET), ("noisy", NOISY)):
+        records = [
+            planted("pendulum", who, {"a": (1.0, 2)}, h=h, operations={"residuals": operations / h})
+            for h in STEPS
+            for who, operations in (("lean", 1.0), ("swift", 5.0))
+        ]
+        folder = found[name] = plant(tmp_path_factory.mktemp(name) / name, records, samples=0)
+        with Store(folder, create=True) as store:
+            for r in records:
+                for n, part in enumerate(samples):
+                    slow = 3.0 if r.integrator == "lean" else 1.0
+                    store.add_sample(r.key, n, 1e-4 * slow * part / r.h)
+        write_html_report(folder)
+        write_markdown_report(folder)
+    return found
+
+
+def machine(cpu: str = "one", clock: str = "processor time") -> Environment:
+    return Environment(
+        date="", command="", cpu=cpu, cores=1, memory_gib=1.0, platform="", versions={}, clock=clock
+    )
+
+
+def timed(*samples: float, **changes: object):
+    return a_record(run_s=list(samples), rounds=[(1, n) for n in range(len(samples))], **changes)
+
+
+@pytest.mark.parametrize(
+    ("records", "width", "runs", "cost"),
+    [
+        ([timed(*QUIET)], 0.05 / 1.025, 1, "seconds"),
+        ([timed(*NOISY)], 0.3 / 1.15, 1, "operations"),
+        # The interval of nine samples leaves out an outlier on each side.
+        ([timed(0.1, *[1.0] * 7, 9.0)], 0.0, 1, "seconds"),
+        # The middle of the runs counts, however wide one is.
+        ([timed(*QUIET), timed(*QUIET), timed(1.0, 1.0, 1.0, 1.0, 1.0, 90.0)], 0.05 / 1.025, 3,
+         "seconds"),
+        ([timed(*QUIET), timed(*NOISY), timed(*NOISY)], 0.3 / 1.15, 3, "operations"),
+        # Five samples have no interval; a long run has one sample, which tells nothing of others.
+        ([timed(*[1.0] * 5), timed(2.0)], None, 0, "operations"),
+        ([timed(*QUIET), timed(2.0), timed(0.1, 9.0)], 0.05 / 1.025, 1, "seconds"),
+        ([timed(*QUIET), *[timed(*NOISY, status="diverged")] * 3], 0.05 / 1.025, 1, "seconds"),
+        ([], None, 0, "operations"),
+    ],
+)  # fmt: skip
+def test_seconds_rank_first_where_the_intervals_of_most_runs_are_narrow(records, width, runs, cost):
+    found = repeatability(records, {})
+    assert (found.runs, found.cost) == (runs, cost)
+    assert found.width == (None if width is None else pytest.approx(width, abs=1e-15))
+
+
+@pytest.mark.parametrize(
+    ("width", "cost"), [(REPEATABLE, "seconds"), (1.01 * REPEATABLE, "operations")]
+)
+def test_the_limit_itself_is_narrow_enough(width, cost):
+    record = timed(1.0 - width / 2, *[1.0] * 4, 1.0 + width / 2)
+    assert interval_width(record) == pytest.approx(width)
+    assert repeatability([record], {})._replace(width=width).cost == cost
+
+
+@pytest.mark.parametrize(
+    ("other", "cost"),
+    [
+        (machine(), "seconds"),
+        (machine(cpu="two"), "operations"),
+        (machine(clock="wall clock"), "operations"),
+        (None, "seconds"),
+    ],
+)
+def test_times_of_two_machines_or_clocks_rank_nothing(other, cost):
+    records = [timed(*QUIET, environment=1), timed(*QUIET, environment=2)]
+    places = {1: machine()} | ({2: other} if other else {})
+    assert repeatability(records, places).cost == cost
+
+
+def first_of(folder: Path) -> dict:
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    return json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_page_markdown_card_and_terminal_take_the_same_cost_first(folders, tmp_path, name):
+    folder, cost = folders[name], COSTS[name]
+    winner, other = ("swift", "lean") if cost == "seconds" else ("lean", "swift")
+    least = {"seconds": "takes the least time", "operations": "takes the fewest operations"}
+    report = read_report(folder, interactive=False)
+    found = report.answer
+    assert found.question == stored_runs(folder).first
+    assert found.question.key == f"a|1e-4|{cost}"
+    data = first_of(folder)
+    assert (data["first"]["cost"], list(data["answers"])) == (cost, [found.question.key])
+    one, two, *_ = (plain(s) for s in sentences(found, report.words))
+    assert one.startswith(f"To 1e-4 in acceleration (largest over time), {winner} {least[cost]}")
+    beside = "operations" if cost == "seconds" else "seconds"
+    assert two.startswith(f"To the same accuracy, {other} {least[beside]}")
+    assert report.winners.head[1] == least[cost].removeprefix("takes the ")
+    markdown = (folder / "report.md").read_text(encoding="utf-8")
+    bullets = markdown.partition("## Answer")[2].strip().splitlines()
+    assert f"{winner} {least[cost]}" in bullets[0]
+    assert f"{other} {least[beside]}" in bullets[1]
+    card = write_card(folder, tmp_path / "card.svg").read_text(encoding="utf-8")
+    same = write_card(folder, tmp_path / "same.svg", cost=cost).read_text(encoding="utf-8")
+    assert card == same
+    assert card != write_card(folder, tmp_path / "o.svg", cost=beside).read_text(encoding="utf-8")
+    # The integrator's own card: alone on the one scene by this cost.
+    assert any("Cheapest alone: pendulum" in line for line in method_card(folder, winner))
+    # A scene's page repeats the cheapest run.
+    page = next((folder / "report").glob("scene-*.html")).read_text(encoding="utf-8")
+    command = next(line for line in page.splitlines() if "stepbench solve" in line)
+    assert shlex.quote(winner) in command
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("quiet", "4.9 % (median width of the intervals of 12 runs), so this report ranks by "
+         "seconds first."),
+        ("noisy", "26 % (median width of the intervals of 12 runs; at most 20 % is asked for), so "
+         "this report ranks by operations first."),
+    ],
+)  # fmt: skip
+def test_the_front_page_says_how_well_times_repeat(folders, name, sentence):
+    for file, place in (("report.html", 'id="answer"'), ("report.md", "## Answer")):
+        text = (folders[name] / file).read_text(encoding="utf-8")
+        assert f"Times were repeatable to {sentence}" in text.partition(place)[0]
+
+
+def test_the_sentence_beside_is_about_the_same_scenes():
+    runs = [planted(scene, "m", {"a": (1.0, 2)}, h=1e-3) for scene in ("pendulum", "spring_mass")]
+    series = {r.problem: series_of([r]) for r in runs}
+    found = answer(series, FIRST).on(["pendulum"])
+    assert found.beside.question == Question("a", 1e-4, "seconds")
+    assert [*found.beside.scenes] == [*found.scenes] == ["pendulum"]
+    assert Question("a", 1e-4, "residuals").beside is None
+
+
+@in_chromium
+def test_an_address_that_names_a_cost_wins_over_the_first_question(folders):
+    with chromium() as page:
+        for fragment, cost in (("", "seconds"), ("#cost=operations", "operations")):
+            page.get("about:blank")
+            page.get((folders["quiet"] / "report.html").as_uri() + fragment)
+            waited(lambda: page.execute_script("return stepbench.data.complete"))
+            assert page.execute_script("return document.forms.question.cost.value") == cost
+            said = page.execute_script("return document.getElementById('answer').textContent")
+            assert said.index("least time") < said.index("fewest operations") or cost != "seconds"
+        # The same page, by a link in it.
+        page.execute_script("location.hash = '#cost=seconds'")
+        waited(
+            lambda: page.execute_script("return document.forms.question.cost.value") == "seconds"
+        )
