@@ -25,15 +25,12 @@ from reports.text.choosing_tables import (
     energy_table,
     multiples_table,
 )
+from reports.text.measurement import times_sentence
 
-#: The cost in question: it does not depend on the machine.
-_COST = "operations"
 #: The option of a command that says where its results are.
 _FOLDER = re.compile(r" --out[ =]\S+")
 #: The options at the end of a command that choose scenes and integrators of a suite.
 _CHOICE = re.compile(r"(?: (?:-[pi]|--problem|--integrator)[ =]?(?:'[^']*'|\S+))+$")
-#: The accuracy of the runs whose energy is compared.
-_ENERGY = Question("q", 1e-2, _COST)
 
 
 def heading_anchor(heading: str) -> str:
@@ -43,13 +40,13 @@ def heading_anchor(heading: str) -> str:
 
 @dataclass(frozen=True)
 class Advice:
-    """Sentences in paragraphs, and the table of the numbers that they follow from."""
+    """Sentences in paragraphs, and the tables of the numbers that they follow from."""
 
     kind: Kind
     #: The group in question, or "energy".
     about: str
     paragraphs: list[list[Sentence]]
-    table: Table
+    tables: list[Table]
 
     @property
     def key(self) -> str:
@@ -57,13 +54,13 @@ class Advice:
 
     @property
     def heading(self) -> str:
-        """The heading of the table."""
+        """The heading of the tables."""
         words = GROUP_NAMES[self.about].rpartition(" ")[0] if self.kind.groups else self.about
         return f"{self.kind.name}: {words}"
 
     @property
     def texts(self) -> list[str]:
-        """The paragraphs in Markdown; each leads to the table."""
+        """The paragraphs in Markdown; each leads to the tables."""
         anchor = heading_anchor(self.heading)
         return [
             f"{escape_markdown(' '.join(map(plain, own)))} [↓](#{anchor})"
@@ -121,6 +118,7 @@ def choosing_in_markdown(folder: Path) -> str:
         environments=measured_with(list(stored.environments.values())),
         sections=sections(stored),
         norm=NORMS[NORM],
+        times=_wrapped(times_sentence(stored.times)),
         silent=_wrapped(SILENT_NOTE),
         note=_wrapped(MULTIPLES_NOTE),
         anchor=heading_anchor,
@@ -131,7 +129,7 @@ def sections(stored: StoredRuns) -> list[KindAdvice]:
     """Return the advice for every kind of system, from the runs of a store."""
     words = replace(words_of(stored.series, stored.tags), brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
-    found = answers(stored.series, [*groups, _ENERGY.group], TABLE_TARGETS)
+    found = answers(stored.series, [*groups, "q"], TABLE_TARGETS)
     return [_section(kind, stored, found, words) for kind in KINDS]
 
 
@@ -140,10 +138,12 @@ def _section(
 ) -> KindAdvice:
     scenes = [k for k in scenes_of_kind(kind, stored.scenes) if stored.series.get(k)]
     made = [_on_group(kind, group, scenes, stored, found, words) for group in kind.groups]
-    if not kind.groups and _ENERGY in found:
-        drifts = energy_drifts(found[_ENERGY].on(scenes))
-        said, table = [on_energy(_ENERGY, drifts, words)], energy_table(_ENERGY, drifts, words)
-        made = [Advice(kind, "energy", said, table)] if drifts else []
+    # The accuracy of the runs whose energy is compared.
+    coarse = Question("q", 1e-2, stored.first.cost)
+    if not kind.groups and coarse in found:
+        drifts = energy_drifts(found[coarse].on(scenes))
+        said, table = [on_energy(coarse, drifts, words)], energy_table(coarse, drifts, words)
+        made = [Advice(kind, "energy", said, [table])] if drifts else []
     return KindAdvice(kind, escape_markdown(plain(on_scenes(scenes))), [own for own in made if own])
 
 
@@ -155,12 +155,12 @@ def _on_group(
     found: Mapping[Question, Answer],
     words: Words,
 ) -> Advice | None:
-    asked = [Question(group, target, _COST) for target in TABLE_TARGETS]
+    asked = [Question(group, target, stored.first.cost) for target in TABLE_TARGETS]
     own = [found[question].on(scenes) for question in asked if question in found]
     having = {name for answer in own for name in (*answer.scenes, *answer.unjudged)}
     runs = {name: stored.series[name] for name in scenes if name in having}
     if not runs:
         return None
     said = [*on_costs(own, words), on_silent_errors(group, runs, words)]
-    table = multiples_table(own, runs, words)
-    return Advice(kind, group, said, table)
+    by = [own, [answer.beside for answer in own if answer.beside]]
+    return Advice(kind, group, said, [multiples_table(one, runs, words) for one in by if one])

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import GROUP_NAMES, NORM
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM
 from reports.formatting import number
-from reports.questions.answers import Answer
+from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.phrases import Piece, Ref, Sentence, listed, plain
 from reports.questions.question import Question
-from reports.questions.sentences import sentences
+from reports.questions.sentences import no_rivals, remarks
 from reports.questions.words import Words, scene_ref
+from reports.ranking import RankEntry
 from reports.series import Series
 
 #: Numbers of scenes of which nothing general is said.
@@ -39,13 +40,59 @@ def on_scenes(scenes: Sequence[str]) -> Sentence:
     return [*said, f" {few} too few for a general rule."] if few else said
 
 
+def by_both(found: Answer, words: Words) -> list[Sentence]:
+    """'Cheapest to 1e-4 in ...: A by time and operations on s; B by time (2 times), C by operations
+    (3 times) on t.'.
+
+    Named is who is the cheapest, or cannot be told apart from it, by this cost and the one beside
+    it. Where nobody is, those of each cost are, with the multiple of it that the others take.
+    """
+    costs = {COSTS[a.question.cost].words: a for a in (found, found.beside) if a}
+    where: dict[tuple[tuple[str, ...], ...], dict[str, list[list[RankEntry]]]] = {}
+    for scene in found.scenes:
+        winners = _winners([answer.scenes[scene] for answer in costs.values()])
+        labels = tuple(tuple(entry.label for entry in own) for own in winners)
+        if any(labels):
+            where.setdefault(labels, {})[scene] = winners
+    said: Sentence = []
+    for labels, own in sorted(where.items(), key=lambda pair: (len(pair[0]), -len(pair[1]))):
+        by = [" and ".join(costs)] if len(labels) == 1 else [*costs]
+        parts: Sentence = []
+        for k, (cost, answer) in enumerate(zip(by, costs.values(), strict=False)):
+            first = [entry for winners in own.values() for entry in winners[k]]
+            parts += [", " if parts else "", *words.solvers(first), f" by {cost}"] if first else []
+            others = own if first and len(labels) > 1 else {}
+            near = [_least(answer.scenes[s], winners[1 - k]) for s, winners in others.items()]
+            times = [[words.run(e.run, e.multiple)] for e in near if e and e.run]
+            parts += [" (", *listed(times, len(times)), ")"] if times else []
+        said += ["; " if said else "", *parts, " on "]
+        said += listed(([scene_ref(scene)] for scene in own), len(own))
+    if not said:
+        return no_rivals(found, words)
+    return [["Cheapest to ", *words.accuracy(found.question), ": ", *said, "."]]
+
+
+def _winners(scenes: Sequence[SceneAnswer]) -> list[list[RankEntry]]:
+    """Who is first by all costs on a scene; if nobody is, who is by each."""
+    first = [scene.first if scene.votes else [] for scene in scenes]
+    labels = [{entry.label for entry in own} for own in first]
+    agreed = [e for e in first[0] if all(e.label in own for own in labels)]
+    return [agreed] if agreed else first
+
+
+def _least(scene: SceneAnswer, of: Sequence[RankEntry]) -> RankEntry | None:
+    """The cheapest of some integrators on a scene, by its cost."""
+    entries = [scene.entries[e.label] for e in of if scene.entries[e.label].ratio is not None]
+    return min(entries, key=lambda entry: entry.ratio or 0.0, default=None)
+
+
 def on_costs(found: Sequence[Answer], words: Words) -> list[list[Sentence]]:
     """The answers for several accuracies, each without what the ones before it say, too.
 
     Accuracies in a row have one answer if theirs differ in costs, steps and tolerances alone.
     """
     alike: list[list[list[Sentence]]] = []
-    for own in (sentences(answer, words) for answer in found):
+    for own in ([*by_both(answer, words), *remarks(answer, words)] for answer in found):
         if alike and _joined_answers([*alike[-1], own]):
             alike[-1].append(own)
         else:

@@ -32,14 +32,18 @@ def sentences(found: Answer, words: Words) -> list[Sentence]:
     words
         Names and tags of the report.
     """
-    if not found.scenes:
-        return _all_unjudged(found) or [["No scene has runs with an error in this quantity."]]
     said = _cheapest(found, words)
     if said and found.beside and (other := _cheapest(found.beside, words)):
         aim = len(words.aim(found.question))
         said.insert(1, ["To the same accuracy", *other[0][aim:]])
+    return [*said, *remarks(found, words)]
+
+
+def remarks(found: Answer, words: Words) -> list[Sentence]:
+    """Who reaches the accuracy on most scenes, nobody where, who fails, and what is not known."""
+    if not found.scenes:
+        return _all_unjudged(found) or [["No scene has runs with an error in this quantity."]]
     return [
-        *said,
         *_reached(found, words),
         *_nobody(found, words),
         *_failing(found, words),
@@ -52,12 +56,17 @@ def _cheapest(found: Answer, words: Words) -> list[Sentence]:
     """Who is cheapest, and the best family."""
     voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
     if not voting:
-        alone = any(s.first for s in found.scenes.values())
-        no = [*words.aim(found.question), ", no scene has two methods to compare."]
-        return [no] if alone else []
+        return no_rivals(found, words)
     if len(voting) <= _EACH:
         return [on_each(found.question, voting, words)]
     return [cheapest(found, voting, words), *families(found, voting, words)]
+
+
+def no_rivals(found: Answer, words: Words) -> list[Sentence]:
+    """The reason for which nobody is named, though somebody reaches the accuracy."""
+    alone = any(s.first for s in found.scenes.values())
+    no = [*words.aim(found.question), ", no scene has two methods to compare."]
+    return [no] if alone else []
 
 
 def scene_sentence(found: Answer, scene: str, words: Words) -> Sentence:

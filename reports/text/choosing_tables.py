@@ -53,7 +53,7 @@ def multiples_table(
     targets = _BETWEEN.join(a.question.accuracy for a in found)
     least = COSTS[question.cost].least
     return Table(
-        f"{least[0].upper()}{least[1:]} to {targets} in {question.quantity}, and multiples of them",
+        f"{least[0].upper()}{least[1:]} to {targets} in {question.quantity}, and multiples",
         ["integrator", *map(scene_name, scenes), "runs that failed"],
         rows,
         best={(0, j) for j in range(len(scenes) + 1)},
@@ -65,7 +65,7 @@ def multiples_table(
 MULTIPLES_NOTE = (
     'The row "least" has the lowest cost for each accuracy; other rows are multiples of it, sorted '
     "by how often an accuracy is reached. far: all runs that reached the end have a larger error. "
-    "unknown: reached, but the operations are not counted. A status such as newton_failed: no run "
+    "unknown: reached at a cost that is not known. A status such as newton_failed: no run "
     f"reached the end. {_UNJUDGED}: the reference cannot judge the accuracy. {NO_VALUE}: not tried "
     'or not supported; in the row "least": not reached. A word at the end of a cell holds for all '
     "tighter accuracies, too."
