@@ -122,7 +122,7 @@ def _admitted(
 
     def levels(s: Any) -> Any:
         q, v, _ = state_layout(scene.sizes).split(s)
-        t = scene.interval[0]
+        t = jnp.asarray(scene.interval[0])
         return jnp.concatenate([scene.constraint(q, t), constraint_velocity(scene, q, v, t)])
 
     rows = np.asarray(jax.jacfwd(levels)(jnp.asarray(s))) * size
