@@ -343,6 +343,12 @@ class MechatronicSystem:
             vars(copy)["sizes"] = self.sizes
         return copy
 
+    def later(self, t: float, state: State) -> Self:
+        """The same motion from a later start: at t in s, with the state that it has then."""
+        copy = self.with_parameters(self.parameters())
+        vars(copy).update(interval=(t, self.interval[1]), initial_state=lambda: state)
+        return copy
+
     def template(self) -> Self:
         """The scene with default float parameters: the key under which compiled code is kept.
 
@@ -352,7 +358,8 @@ class MechatronicSystem:
             If the scene keeps values that copies with other parameters would lack.
         """
         self.sizes  # noqa: B018 - copies keep the sizes, which cannot be found while tracing
-        kept = vars(self).keys() - {f.name for f in dataclasses.fields(self)} - {"sizes"}
+        own = {f.name for f in dataclasses.fields(self)} | {"sizes", "interval", "initial_state"}
+        kept = vars(self).keys() - own
         if kept:
             raise spec.SpecError(
                 f"{self.spec}: it keeps {', '.join(sorted(kept))} beside its parameters, which "

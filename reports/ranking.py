@@ -44,7 +44,8 @@ class RankEntry:
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
     is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's:
     infinite where only that one is 0.
-    ``ended`` says whether any run reached the end.
+    ``ended`` says whether any run reached the end. ``wins_later`` says whether it is the cheapest,
+    or ties, among the same runs from a later start of the motion.
     """
 
     label: str
@@ -55,6 +56,7 @@ class RankEntry:
     value: float | None = None
     ratio: float | None = None
     ended: bool = True
+    wins_later: bool = False
 
     @property
     def state(self) -> float | str:
@@ -155,17 +157,26 @@ def rank(
     found = {}
     for group in (g for g in groups if g in present):
         trusted = trusted_error(runs, group, NORM)
-        ladders = {label: _Ladder(own, group) for label, own in costs.items()}
+        ladders, *later = [
+            {label: _Ladder(own, group, start) for label, own in costs.items()}
+            for start in range(1 + max((len(r.later) for r in runs), default=0))
+        ]
         for question in questions([group], [t for t in targets if t >= trusted]):
-            found[question] = _entries(series, firsts, ladders, question)
+            found[question] = _entries(series, firsts, ladders, later, question)
     return found
 
 
 class _Ladder:
-    """The runs of an integrator from accurate to coarse, and the cheapest up to each of them."""
+    """The runs of an integrator from accurate to coarse, and the cheapest up to each of them.
 
-    def __init__(self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str):
-        judged = [(e, r, costs) for r, costs in runs if (e := r.error(group, NORM)) is not None]
+    ``start`` is the number of the later start of which the errors count, 0 for none. A run without
+    later starts has its own errors there.
+    """
+
+    def __init__(
+        self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str, start: int
+    ) -> None:
+        judged = [(e, r, costs) for r, costs in runs if (e := _error(r, group, start)) is not None]
         judged.sort(key=itemgetter(0))
         self.errors = [error for error, *_ in judged]
         self.cheapest: dict[str, list[tuple[float, Record] | None]] = {}
@@ -183,28 +194,48 @@ class _Ladder:
         """How many runs reach the target."""
         return bisect_right(self.errors, target)
 
+    def cheapest_reaching(self, question: Question) -> tuple[float, Record] | None:
+        """The cost and the run of the cheapest that reaches the target, if its cost is known."""
+        able = self.reaching(question.target)
+        return self.cheapest[question.cost][able - 1] if able else None
+
+
+def _error(record: Record, group: str, start: int) -> float | None:
+    if 0 < start <= len(record.later):
+        return record.later[start - 1].get(group)
+    return record.error(group, NORM)
+
+
+def _cheapest(
+    ladders: Mapping[str, _Ladder], question: Question
+) -> dict[str, tuple[float, Record]]:
+    found = {label: ladder.cheapest_reaching(question) for label, ladder in ladders.items()}
+    return {label: cost for label, cost in found.items() if cost}
+
 
 def _entries(
     series: Sequence[Series],
     firsts: Mapping[str, str],
     ladders: Mapping[str, _Ladder],
+    later: Sequence[Mapping[str, _Ladder]],
     question: Question,
 ) -> dict[str, RankEntry]:
-    able = {label: ladder.reaching(question.target) for label, ladder in ladders.items()}
-    cheapest = {
-        label: found
-        for label, ladder in ladders.items()
-        if able[label] and (found := ladder.cheapest[question.cost][able[label] - 1])
-    }
+    cheapest = _cheapest(ladders, question)
     best = min((value for value, _ in cheapest.values()), default=0.0)
+    winners: set[str] = set()
+    for start in later:
+        there = _cheapest(start, question)
+        if there:
+            _, least = min(there.values(), key=itemgetter(0))
+            winners |= {k for k, (_, r) in there.items() if not told_apart(least, r, question.cost)}
     entries = {}
     for s in series:
         first = firsts[s.label]
         value, run = cheapest.get(first, (None, None))
         ratio = None if value is None else _ratio(value, best)
-        reached = bool(able[first])
+        reached = bool(ladders[first].reaching(question.target))
         entries[s.label] = RankEntry(
-            s.label, first, s.family, reached, run, value, ratio, bool(s.ok)
+            s.label, first, s.family, reached, run, value, ratio, bool(s.ok), first in winners
         )
     return entries
 

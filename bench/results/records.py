@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
-from bench.results.quantities import ASKED, LEVELS, NORMS, PARTS, VIOLATIONS, whole
+from bench.results.quantities import ASKED, LEVELS, NORM, NORMS, PARTS, VIOLATIONS, whole
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
@@ -63,8 +63,10 @@ class Record(msgspec.Struct, kw_only=True):
     ``errors[group][norm]`` are relative errors of the worst component of each group, of "|q|" in
     the 2-norm of the group, and ``components[group][norm]`` those of all components; a group that
     the scene lacks is absent, a value that is not finite is None. They are measured at ``rows`` of
-    the steps of the run. ``constraint[level]`` is the largest residual over the rows, in its unit;
-    ``errors`` has it relative to the scene's size, by the names of ``VIOLATIONS``.
+    the steps of the run. ``later[k][group]`` are those of the same motion from later starts, in the
+    norm by which runs are judged; a run that does not reach the end has none.
+    ``constraint[level]`` is the largest residual over the rows, in its unit; ``errors`` has it
+    relative to the scene's size, by the names of ``VIOLATIONS``.
     ``energy_drift`` is the largest change relative to the motion's largest kinetic energy, for
     scenes that conserve it. ``reference_error[group][norm]`` is the reference's own estimated
     error, relative like ``errors``: below a hundred times that, an error says nothing.
@@ -98,6 +100,7 @@ class Record(msgspec.Struct, kw_only=True):
     errors: dict[str, dict[str, NotNegative | None]] = {}
     reference_error: dict[str, dict[str, NotNegative]] = {}
     components: dict[str, dict[str, list[NotNegative | None]]] = {}
+    later: list[dict[str, NotNegative | None]] = []
     rows: Count = 0
     constraint: dict[str, NotNegative | None] = {}
     energy_drift: NotNegative | None = None
@@ -311,6 +314,7 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
             row[f"error_{group}_2norm_{norm}"] = record.error(whole(group), norm)
             each = record.components.get(group, {}).get(norm, [])
             row[f"error_{group}_components_{norm}"] = each
+        row[f"error_{group}_{NORM}_later"] = [errors.get(group) for errors in record.later]
     for level in LEVELS:
         row[f"constraint_{level}"] = record.constraint.get(level)
     for name, value in record.work.items():
@@ -322,7 +326,15 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     row["run_s_median"] = median(samples)
     row["run_s_min"] = samples[0] if samples else None
     row["run_s_max"] = samples[-1] if samples else None
-    for nested in ("errors", "reference_error", "components", "constraint", "work", "rounds"):
+    for nested in (
+        "errors",
+        "later",
+        "reference_error",
+        "components",
+        "constraint",
+        "work",
+        "rounds",
+    ):
         del row[nested]
     return row
 

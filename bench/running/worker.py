@@ -24,6 +24,7 @@ from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import constraint_errors, finite, relative_errors
 from bench.running.inventory import load_registry
+from bench.running.later_starts import errors_from_later_starts
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import answers
@@ -105,7 +106,6 @@ class Worker:
         No reference is made without ``errors``, or if ``lacking`` says why there is none.
         """
         self.notify(PREPARING, "tracing and compiling")
-        scene = self.problem(cell.problem)
         trajectory, compile_s = self.run(cell)
         self.notify(MEASURING, "measuring")
         facts = (
@@ -119,13 +119,12 @@ class Worker:
             if lacking:
                 _add(record, f"No errors are known. {lacking}")
                 record.stopped = REFERENCE
-            self._compare(record, trajectory, scene, errors and not lacking)
+            self._compare(cell, record, trajectory, errors and not lacking)
         return CellResult(record, measure.stored_rows(trajectory))
 
-    def _compare(
-        self, record: Record, run: Trajectory, scene: MechatronicSystem, errors: bool
-    ) -> None:
+    def _compare(self, cell: Cell, record: Record, run: Trajectory, errors: bool) -> None:
         """Find all that is known of a good run; a failure costs a part, and is not the run's."""
+        scene = self.problem(cell.problem)
 
         def part(fault: str, find: Callable[[], Any], otherwise: Any) -> Any:
             try:
@@ -150,6 +149,11 @@ class Worker:
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
             return found.histories
+
+        def later() -> list[dict[str, float | None]]:
+            integrator = self.registry.integrator(record.integrator)
+            reference = self.reference(scene, record.t_end)
+            return errors_from_later_starts(integrator, cell.resolution, reference)
 
         residuals = "No residual of the constraints is known"
         no_errors, blocks = "No errors are known, the reference failed", ["energy"]
@@ -177,6 +181,9 @@ class Worker:
             return answers.checked_orders(stated, "claims()")
 
         record.operations = part("Its operations are not known", operations, {})
+        # A run that takes longer than its preparation would double the time of the suite.
+        if record.errors and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0):
+            record.later = part("Its errors from later starts are not known", later, [])
         record.claims = part("Its claimed orders are not known", claims, None)
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
-from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORMS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS
+from bench.results.records import Record
 from reports.charts import vega_lite as vl
 from reports.series import (
     Series,
@@ -37,7 +38,8 @@ def run_rows(
     """A row per run that has an error: what it is shown against, and a column per error.
 
     The column of an error has the name of its group and norm, such as "a_max". An error of zero
-    has no place on a logarithmic axis.
+    has no place on a logarithmic axis. "a_low" and "a_high" are the ends of the errors from this
+    start and from later ones, where there are any.
     """
     rows = []
     for s in series:
@@ -55,8 +57,15 @@ def run_rows(
                 for norm in norms
                 if (error := vl.short(r.error(group, norm)))
             }
-            rows += [row | errors] if errors else []
+            bars = {f"{group}_{end}": e for group in groups for end, e in _bar(r, group).items()}
+            rows += [row | errors | bars] if errors else []
     return rows
+
+
+def _bar(record: Record, group: str) -> dict[str, Any]:
+    found = [record.error(group, NORM), *(errors.get(group) for errors in record.later)]
+    known = [error for error in found if error]
+    return {"low": vl.short(min(known)), "high": vl.short(max(known))} if len(known) > 1 else {}
 
 
 def errors_by_norm(
@@ -116,6 +125,8 @@ def error_panel(
         lines[0]["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
     if across == "seconds":
         lines.append(times_layer(options, place["y"]))
+    if any(f"{group}_low" in row for row in rows):
+        lines.append(later_layer(options, place["x"], group))
     behind = floor_layer(floors(series, {group: errors}), options)
     behind += _slope_guides(series, group, errors, data, options) if across == "h" else []
     return {"data": data.source, "transform": transform, "layer": [*behind, *lines]}
@@ -149,6 +160,18 @@ def times_layer(options: vl.ChartOptions, y: vl.Spec) -> vl.Spec:
     ends = {"x": vl.log_quantity("fastest"), "x2": {"field": "slowest"}, "y": y}
     looks = {"color": options.colors(), "opacity": options.opacity(0.45)}
     return {"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | looks}
+
+
+def later_layer(options: vl.ChartOptions, x: vl.Spec, group: str) -> vl.Spec:
+    """A bar over the errors of each run from its start and from later ones, in their norm."""
+    ends = {"y": vl.log_quantity(f"{group}_low"), "y2": {"field": f"{group}_high"}, "x": x}
+    looks = {"color": options.colors(), "opacity": options.opacity(0.45)}
+    shown = f"datum['{group}_low'] > 0 && {options.shown_norm} === '{NORM}'"
+    return {
+        "transform": [{"filter": shown}],
+        "mark": {"type": "rule", "strokeWidth": 1},
+        "encoding": ends | looks,
+    }
 
 
 # ---- the reference's own error ------------------------------------------------------------

@@ -52,12 +52,15 @@ class SceneAnswer:
 
     @cached_property
     def first(self) -> list[RankEntry]:
-        """The contestants that cannot be told apart from the cheapest, itself included."""
+        """The contestants that cannot be told apart from the cheapest, itself included.
+
+        One that is first from a later start of the motion cannot be: luck decides between them.
+        """
         best = self._ranked[0].run if self._ranked else None
         tied = {
             s.label
             for s in self._ranked
-            if not (best and s.run and told_apart(best, s.run, self.cost))
+            if s.wins_later or not (best and s.run and told_apart(best, s.run, self.cost))
         }
         # In the order of the plan: the medians of those who tie change places from run to run.
         return [self.entries[k] for k in self.names if k in tied]

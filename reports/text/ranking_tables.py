@@ -18,9 +18,12 @@ from reports.text.measured_orders import orders_measured
 #: Columns of the ranked costs.
 _LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
 #: When costs tie.
-_TIES = "".join(
-    f"{', ' if k else 'Ties '}in {COSTS[cost].words}: {tie_text(cost)}"
-    for k, cost in enumerate(RANKED_COSTS)
+_TIES = (
+    "".join(
+        f"{', ' if k else 'Ties '}in {COSTS[cost].words}: {tie_text(cost)}"
+        for k, cost in enumerate(RANKED_COSTS)
+    )
+    + "; and where another one is the cheapest if the runs start later on the same motion"
 )
 
 

@@ -1,0 +1,103 @@
+"""Errors from later starts of the same motion, and the ties that they make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from planted import planted
+
+from bench.results.quantities import NORM
+from bench.running.later_starts import LATER, errors_from_later_starts
+from integrators import Steps
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from problems.reference import Reference
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.soft_impact import SoftImpact
+from problems.system import State
+from reports.charts.error_panels import run_rows
+from reports.questions.answers import answers
+from reports.questions.question import FIRST
+from reports.series import series_of
+
+
+def test_a_later_start_is_the_same_motion():
+    scene = SoftImpact()
+    t0, t_end = scene.interval
+    reference = Reference(scene, t_end)
+    t = t0 + LATER[0] * (t_end - t0)
+    z = reference(np.array([t]))
+    later = scene.later(t, State(z["q"][0], z["v"][0], z["x"][0]))
+    assert later.interval == (t, t_end)
+    assert scene.interval == (t0, t_end)
+    assert later.template() == scene.template()  # so that compiled programs serve both
+    run = GeneralizedAlpha().prepare(later, t_end, Steps(1e-3)).measure()
+    assert run.t[0] == t
+    assert run.t[-1] == pytest.approx(t_end)
+    assert run.q[0] == z["q"][0]
+    assert run.v[0] == z["v"][0]
+
+
+def test_errors_from_later_starts_fall_with_the_order_of_the_method():
+    scene = Pendulum()
+    reference = Reference(scene, scene.interval[1])
+    coarse, fine = (
+        errors_from_later_starts(GeneralizedAlpha(rho_inf=0.8), Steps(h), reference)
+        for h in (0.02, 0.01)
+    )
+    assert len(coarse) == len(fine) == len(LATER)
+    for before, after in zip(coarse, fine, strict=True):
+        assert {"q", "v", "a", "lam", "|q|", "constraint"} <= before.keys()
+        assert before["q"] / after["q"] == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_run_that_fails_from_a_later_start_has_no_errors():
+    class Breaks(GeneralizedAlpha):
+        def prepare(self, scene, t_end, resolution):
+            run = super().prepare(scene, t_end, resolution)
+            measure = run.measure
+
+            def cut():
+                found = measure()
+                found.status, found.message = "diverged", "It was cut."
+                return found
+
+            run.measure = cut
+            return run
+
+    scene = Pendulum()
+    found = errors_from_later_starts(Breaks(), Steps(0.02), Reference(scene, 1.35))
+    assert found == [{}] * len(LATER)
+
+
+def one(name, error, operations, later):
+    return planted(
+        "one",
+        name,
+        {"a": (1.0, 2)},
+        h=0.01,
+        errors={"a": {NORM: error}},
+        later=[{"a": e} for e in later],
+        operations={"residuals": operations},
+        work={"residuals": 1},
+    )
+
+
+def firsts(*records):
+    found = answers({"one": series_of(records)}, [FIRST.group], [1e-4])
+    (answer,) = (own for question, own in found.items() if question.cost == "operations")
+    return [entry.label for entry in answer.scenes["one"].first]
+
+
+def test_a_winner_that_changes_with_the_start_is_a_tie():
+    dear = one("dear", 5e-5, 300.0, [5e-5, 5e-5])
+    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, 7e-5]), dear) == ["cheap"]
+    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, 2e-4]), dear) == ["cheap", "dear"]
+    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, None]), dear) == ["cheap", "dear"]
+    # A run that was not repeated has its own errors there.
+    assert firsts(one("cheap", 9e-5, 100.0, []), dear) == ["cheap"]
+
+
+def test_charts_have_a_bar_over_the_errors():
+    series = series_of([one("cheap", 9e-5, 100.0, [8e-5, None, 3e-4])])
+    (row,) = run_rows(series, ["a"], [NORM], ["operations"])
+    assert (row["a_low"], row["a_high"]) == (8e-5, 3e-4)
