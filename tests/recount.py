@@ -107,6 +107,7 @@ def _scene(runs: list[Record], group: str, target: float, cost: str) -> dict[str
         else:
             states[name] = "far" if any(r.status == "ok" for r in rs) else "failed"
     tied = {k for k, (_, r) in lone.items() if cheapest and not _apart(cheapest, r, cost)}
+    tied |= {k for k in _first_later(own, twin, group, target, cost) if k in lone}
     rest = sorted(c for k, (c, _) in lone.items() if k not in tied)
     distinct = {twin[k] for k in own}
     return {
@@ -118,6 +119,28 @@ def _scene(runs: list[Record], group: str, target: float, cost: str) -> dict[str
         "several": len(distinct) > 1,
         "families": {k: rs[0].family for k, rs in own.items()},
     }
+
+
+def _first_later(
+    own: dict[str, list[Record]], twin: dict[str, str], group: str, target: float, cost: str
+) -> set[str]:
+    """The integrators that are the cheapest, or tie, from a later start of the motion."""
+    firsts = set()
+    for k in range(max((len(r.later) for rs in own.values() for r in rs), default=0)):
+        best: dict[str, tuple[float, float, str, Record]] = {}
+        for name, rs in own.items():
+            found = []
+            for r in (r for r in rs if r.status == "ok" and twin[name] == name):
+                error = r.later[k].get(group) if r.later else _error(r, group)
+                value = _cost(r, cost)
+                if error is not None and error <= target and value:
+                    found.append((value, -error, r.key, r))
+            if found:
+                best[name] = min(found)
+        if best:
+            cheapest = min(best.values())[3]
+            firsts |= {name for name, b in best.items() if not _apart(cheapest, b[3], cost)}
+    return firsts
 
 
 def _rounded(state: Any) -> Any:

@@ -42,11 +42,16 @@ def odd_runs():
         run("broken", "one", 100),
         *(run("coarse", n, 9, reference_error={"a": {"max": 2e-6}}) for n in ("one", "two")),
         *(run("twins", name, 100) for name in ("one", "two")),
+        run("lucky", "one", 100, later=[{"a": 1e-5}, {"a": 1e-2}]),
+        run("lucky", "two", 300, later=[{"a": 1e-5}, {"a": 1e-5}]),
+        run("lucky", "three", 500, later=[{"a": 1e-5}, {"a": 1e-5}]),
     ]
     records[2].errors["a"]["max"] = 1e-2
     endings = {"two": "newton_failed", "cut": INTERRUPTED, "shy": UNSUPPORTED}
     records += [run("broken", n, None, status=s, errors={}) for n, s in endings.items()]
-    records.append(run("twins", "copy", 100, errors=records[-4].errors))
+    records.append(
+        run("twins", "copy", 100, errors=next(r.errors for r in records if r.problem == "twins"))
+    )
     return records
 
 
