@@ -14,7 +14,7 @@ from chromium import chromium, in_chromium, waited
 from planted import everything, plant
 from small_stores import AN_EXPERIMENT
 
-from bench.results.experiments import CaseResult, PartResult
+from bench.results.experiments import CaseResult, Expected, PartResult
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 
@@ -31,7 +31,8 @@ PAGES = {
 SHORT = {"report.html"}
 CASE = CaseResult(
     label="mine", integrator="mine", family="other", axis="h", x=[0.1, 0.05], y=[0.2, 0.1],
-    number=1.0, predicted=(0.9, 1.1), as_predicted=True, healthy=False,
+    number=1.0, expected=Expected((0.9, 1.1), "theory", "", "reason"), as_expected=True,
+    healthy=False,
 )  # fmt: skip
 DRAWN = """
 return [...document.querySelectorAll("script[data-chart]")].every(

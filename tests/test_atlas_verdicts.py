@@ -40,8 +40,11 @@ def test_a_better_number_is_never_hit(number, better):
         for part in experiment.part:
             for s in part.case:
                 if s.measure in ("error", "energy", "constraint", "work"):
+                    order = s.take == "slope" and not s.over
                     value = number if s.take == "slope" else abs(number)
-                    improved = value + better if s.take == "slope" else value / (1 + better)
+                    improved = value + better if order else value - better
+                    if s.take != "slope":
+                        improved = value / (1 + better)
                     if within(value, part.healthy):
                         assert within(improved, part.healthy), (experiment.name, part.text)
 
@@ -55,7 +58,7 @@ def test_every_norm_has_its_words(monkeypatch):
 def planted(number, message="", **changes):
     case = {
         "label": "mine", "integrator": "mine", "family": "mine", "axis": "h", "x": [0.1],
-        "y": [number], "number": number, "predicted": None, "as_predicted": None,
+        "y": [number], "number": number, "expected": None, "as_expected": None,
         "healthy": within(number, (1.8, np.inf)), "message": message,
     }  # fmt: skip
     return CaseResult(**case | changes)

@@ -141,7 +141,7 @@ def test_the_atlas_counts_the_parts_that_spare_each():
     def case(name, healthy):
         return CaseResult(
             label=f"case of {name}", integrator=name, family="f", axis="h", x=[], y=[],
-            number=1.0, predicted=None, as_predicted=None, healthy=healthy,
+            number=1.0, expected=None, as_expected=None, healthy=healthy,
         )  # fmt: skip
 
     cases = [case("mine", True), case("mine", False), case("newmark", True), case("ida", None)]

@@ -95,7 +95,7 @@ def test_a_part_of_the_atlas_without_a_sweep_shows_its_numbers():
     def case(number):
         return CaseResult(
             label="one", integrator="one", family="f", axis="h", x=[0.1], y=[number],
-            number=number, predicted=None, as_predicted=None, healthy=None,
+            number=number, expected=None, as_expected=None, healthy=None,
         )  # fmt: skip
 
     def chart_of(*numbers):

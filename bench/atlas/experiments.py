@@ -1,4 +1,4 @@
-"""Experiments as data: TOML files with runs, measures and predicted numbers.
+"""Experiments as data: TOML files with runs, measures and expected numbers.
 
 An experiment has parts; a part measures one number by one rule for several cases. The settings of
 a part hold for all its cases; a case may have other settings of its own.
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from bench.plugins.facts import MethodFacts
+from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, check_end
@@ -29,14 +30,18 @@ MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "conditi
 TAKES = ("last", "largest", "growth", "slope")
 #: Quantities of which less is better, and a higher power of the step.
 _ONE_SIDED = ("error", "energy", "constraint", "work")
+#: Names that a formula may use.
+_FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
+#: A number, or arithmetic of numbers such as "2*sqrt(3)".
+Formula = float | str
 
 
 class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """The runs of a case and the number that is measured.
 
     The sweep goes over ``steps`` (each with ``pattern``; ``count`` steps each, if given) or over
-    ``rtol``, as the integrator wants it; over ``values`` of the scene's parameter ``over``, at the
-    first of steps or rtol; or, without a scene, over ``omega_h``. ``measure`` is
+    ``rtol``, as the integrator wants it; over ``values`` of ``over``, a parameter of the scene or
+    t_end, at the first of steps or rtol; or, without a scene, over ``omega_h``. ``measure`` is
 
     error
         relative error of ``group`` in ``norm``
@@ -75,19 +80,46 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     show: str | None = None
 
 
-class Case(Settings, kw_only=True, forbid_unknown_fields=True):
-    """One row of a part: an integrator (none for ``condition``) and the number predicted for it.
+class Expectation(Settings, kw_only=True, forbid_unknown_fields=True):
+    """Settings, and the reason of the numbers that are expected.
 
-    Settings and ``healthy`` that it does not have are those of its part.
+    ``basis`` is a key of `bench.results.experiments.BASES`, and ``why`` the reason in words: of
+    theory with symbols. ``margin`` is the distance from an expected number that is allowed:
+    absolute of a slope, relative of every other number.
     """
 
-    predicted: tuple[float, float]
+    basis: str | None = None
+    why: str | None = None
+    margin: float | None = None
+
+
+class Case(Expectation, kw_only=True, forbid_unknown_fields=True):
+    """One row of a part: an integrator (none for ``condition``) and the number expected of it.
+
+    ``expected`` is a number or its bounds, as formulas; None for a method that was added. All other
+    fields that a case does not have are those of its part.
+    """
+
+    expected: Formula | tuple[Formula, Formula] | None = None
     healthy: tuple[float, float] | None = None
     integrator: str = ""
     label: str = ""
 
+    def expectation(self) -> Expected | None:
+        """Compute the interval in which the number is expected, and say why it is."""
+        if self.expected is None:
+            return None
+        ends = self.expected if isinstance(self.expected, tuple) else (self.expected,)
+        low, high = value_of_formula(ends[0]), value_of_formula(ends[-1])
+        if len(ends) == 1:
+            far = (self.margin or 0.0) * (1.0 if self.take == "slope" else abs(low))
+            low, high = low - far, high + far
+        formula = " to ".join(map(str, ends)) if any(isinstance(e, str) for e in ends) else ""
+        why = " ".join((self.why or "").split()) if self.basis != "measurement" else ""
+        return Expected((low, high), self.basis or "", formula, why)
 
-class Part(Settings, kw_only=True, forbid_unknown_fields=True):
+
+class Part(Expectation, kw_only=True, forbid_unknown_fields=True):
     """Numbers of one kind; a method whose number is within ``healthy`` is spared.
 
     A quantity of which less is better bounds ``healthy`` above only, its order below only.
@@ -156,17 +188,40 @@ def read_experiment(path: Path) -> Experiment:
     made.name = path.stem[3:]
     for part in made.part:
         for case in part.case:
-            for name in (*Settings.__struct_fields__, "healthy"):
+            for name in (*Expectation.__struct_fields__, "healthy"):
                 if getattr(case, name) is None:
                     setattr(case, name, getattr(part, name))
             _check(case, case.healthy or part.healthy, f"{made.name}, {part.text!r}")
     return made
 
 
-def _check(s: Settings, healthy: tuple[float, float], where: str) -> None:
+def value_of_formula(formula: Formula) -> float:
+    """Compute a formula.
+
+    Raises
+    ------
+    SpecError
+        If it is more than arithmetic with the functions of `math`.
+    """
+    try:
+        code = compile(str(formula), "formula", "eval")
+        if not {*code.co_names} <= {*_FUNCTIONS}:
+            raise ValueError("unknown name")
+        return float(eval(code, {"__builtins__": {}}, _FUNCTIONS))
+    except (ArithmeticError, SyntaxError, TypeError, ValueError) as error:
+        raise SpecError(f"The formula {formula!r} cannot be computed: {error}.") from None
+
+
+def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
     _one_of(s.measure, MEASURES, f"{where}: measure")
+    _one_of(s.basis, list(BASES), f"{where}: basis")
+    expected = s.expectation()
+    if not expected or not -math.inf < expected.bounds[0] <= expected.bounds[1] < math.inf:
+        raise SpecError(f"{where}: expected={s.expected} is no number and no interval.")
+    if not expected.why and s.basis != "measurement":
+        raise SpecError(f"{where}: the basis {s.basis} needs a reason; write why.")
     _one_of(s.take or "last", TAKES, f"{where}: take")
-    good = math.inf if s.take == "slope" else -math.inf
+    good = math.inf if s.take == "slope" and not s.over else -math.inf
     if s.measure in _ONE_SIDED and good not in healthy and not (good < 0 and healthy[0] <= 0):
         side = "above" if good > 0 else "below"
         raise SpecError(
@@ -207,10 +262,11 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
     grid = grid[:1] if s.over else grid
     cells = []
     for change in varied:
+        end = change.pop("t_end", s.t_end)
         scene = registry.problem(s.problem, **change)
-        t0, end = scene.interval
+        t0, default = scene.interval
         for value in grid:
-            t_end = t0 + s.count * value if s.count else end if s.t_end is None else s.t_end
+            t_end = t0 + s.count * value if s.count else default if end is None else end
             resolution: Steps | Tolerances = (
                 Steps(value, s.pattern or (1.0,))
                 if integrator.controls == "step"

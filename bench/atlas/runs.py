@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, sweep_of
+from bench.atlas.experiments import Case, Expectation, Experiment, Part, Sweep, sweep_of
 from bench.atlas.measures import (
     component_history,
     conditions,
@@ -39,15 +39,11 @@ from problems.spec import SpecError
 
 @dataclass(frozen=True)
 class _Trial:
-    """A case to be run: the values ``x`` of the quantity ``axis``, and a cell for each.
-
-    Nothing is predicted for a method that was added.
-    """
+    """A case to be run: the values ``x`` of the quantity ``axis``, and a cell for each."""
 
     case: Case
     integrator: MethodFacts | None
     sweep: Sweep
-    predicted: bool = True
     message: str = ""
 
     def tasks(self, registry: Inventory) -> list[Task]:
@@ -82,7 +78,7 @@ def complete_experiments(
     experiments
         As `bench.atlas.experiments.read_experiments` returns them.
     added
-        Integrators that go through every part beside its own. Nothing is predicted for them; the
+        Integrators that go through every part beside its own. Nothing is expected of them; the
         result says whether they are spared.
     store
         Keeps the results.
@@ -162,39 +158,36 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
         method = registry.integrator(case.integrator) if case.integrator else None
         trials.append(_Trial(case, method, sweep_of(case, method, registry)))
     there = {trial.integrator.spec for trial in trials if trial.integrator}
-    settings = {name: getattr(part, name) for name in Settings.__struct_fields__}
+    settings = {name: getattr(part, name) for name in Expectation.__struct_fields__}
     # The condition belongs to the equations: no method can be added.
     for name in added if part.measure != "condition" else ():
         method = registry.integrator(name)
         if method.spec in there:
             continue
-        case = Case(predicted=(-math.inf, math.inf), integrator=name, **settings)
+        case = Case(integrator=name, **settings)
         sweep, message = Sweep("", ()), ""
         try:
             sweep = sweep_of(case, method, registry)
         except SpecError as error:  # the part has no resolutions for it
             message = str(error)
-        trials.append(_Trial(case, method, sweep, False, message))
+        trials.append(_Trial(case, method, sweep, message))
     return trials
 
 
 def _part(
     part: Part, trials: Sequence[_Trial], answers: dict[Task, Any], registry: Inventory
 ) -> PartResult:
-    take = part.take or "last"
     return PartResult(
         text=part.text,
         quantity=quantity_words(part),
-        take=take,
+        take=part.take or "last",
         healthy=_bounds(part.healthy),
         show=part.show or "",
-        cases=[_case(part, trial, take, answers, registry) for trial in trials],
+        cases=[_case(part, trial, answers, registry) for trial in trials],
     )
 
 
-def _case(
-    part: Part, trial: _Trial, take: str, answers: dict[Task, Any], registry: Inventory
-) -> CaseResult:
+def _case(part: Part, trial: _Trial, answers: dict[Task, Any], registry: Inventory) -> CaseResult:
     method, sweep, case = trial.integrator, trial.sweep, trial.case
     y: list[float | None] = []
     messages, shown, rounding, stopped = [trial.message], None, 0.0, False
@@ -215,11 +208,11 @@ def _case(
             y = answer[case.name or ""] if task.job is linear_response else answer
     x = list(sweep.x)
     y += [None] * (len(x) - len(y))
-    number = None if stopped else number_of(case.take or take, x, y, rounding)
+    number = None if stopped else number_of(case.take or "last", x, y, rounding)
     if number is None and not stopped:
         lacking = ", ".join(f"{at:g}" for at, value in zip(x, y, strict=True) if value is None)
         messages.append(f"no value at {sweep.axis} = {lacking}" if lacking else "only rounding")
-    judged = trial.predicted and not stopped
+    expected = case.expectation()
     return CaseResult(
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
@@ -228,8 +221,8 @@ def _case(
         x=x,
         y=y,
         number=number,
-        predicted=_bounds(case.predicted) if trial.predicted else None,
-        as_predicted=bool(within(number, case.predicted)) if judged else None,
+        expected=expected,
+        as_expected=bool(within(number, expected.bounds)) if expected and not stopped else None,
         healthy=None if stopped else within(number, case.healthy or part.healthy),
         stopped=stopped,
         message=next(filter(None, messages), ""),

@@ -11,14 +11,31 @@ from msgspec import Meta
 from bench.results.records import Name
 from bench.results.table import Table, number
 
+#: Bases of numbers that are expected, and the verdict on a number found that is so.
+BASES = {
+    "theory": "as predicted",
+    "publication": "as predicted",
+    "measurement": "as measured earlier",
+}
+
+
+class Expected(msgspec.Struct):
+    """The interval in which a number is expected, its basis, a key of `BASES`, the ``formula`` of
+    the number or of the bounds, empty if these are plain numbers, and the reason in words."""
+
+    bounds: tuple[float, float]
+    basis: Annotated[str, Meta(pattern=f"^({'|'.join(BASES)})$")]
+    formula: str
+    why: str
+
 
 class CaseResult(msgspec.Struct, kw_only=True):
     """One case: its sweep (``x``, ``y``; None where there is no value), the number made of it, and
-    whether that lies in the predicted interval (None: nothing was predicted, a method was added).
+    whether that lies in the interval expected (None: nothing was expected, a method was added).
 
     ``healthy`` is None where there is no number; ``message`` says why, or how the first run failed.
-    ``predicted`` bounds that are open are None. ``history`` holds t and the shown component.
-    ``stopped`` says that a run was stopped by its budget or from outside: nothing was measured.
+    ``history`` holds t and the shown component. ``stopped`` says that a run was stopped by its
+    budget or from outside: nothing was measured.
     """
 
     label: Name
@@ -28,8 +45,8 @@ class CaseResult(msgspec.Struct, kw_only=True):
     x: list[float]
     y: list[float | None]
     number: float | None
-    predicted: tuple[float | None, float | None] | None
-    as_predicted: bool | None
+    expected: Expected | None
+    as_expected: bool | None
     healthy: bool | None
     message: str = ""
     stopped: bool = False
@@ -66,7 +83,7 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
 
     @property
     def as_predicted(self) -> bool:
-        """Whether every predicted number was found."""
+        """Whether every number was found as expected."""
         return self.measured and not self._differs
 
     @property
@@ -83,24 +100,22 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
 
     @property
     def _differs(self) -> bool:
-        return any(case.as_predicted is False for part in self.parts for case in part.cases)
+        return any(case.as_expected is False for part in self.parts for case in part.cases)
 
 
-def bounds(interval: tuple[float | None, float | None]) -> str:
+def bounds(interval: tuple[float | None, float | None], digits: int = 6) -> str:
     """An interval in words."""
-    low, high = interval
-    if low is None or high is None:
-        return (
-            "any" if low is high else f"at least {low:g}" if high is None else f"at most {high:g}"
-        )
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    low, high = ("" if end is None else f"{end:.{digits}g}" for end in interval)
+    if not low or not high:
+        return f"at least {low}" if low else f"at most {high}" if high else "any"
+    return low if low == high else f"{low} to {high}"
 
 
 def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     """A row per experiment, with a column per method that was added."""
     added = list(
         dict.fromkeys(
-            c.label for f in found for p in f.parts for c in p.cases if c.predicted is None
+            c.label for f in found for p in f.parts for c in p.cases if c.expected is None
         )
     )
     rows = []
@@ -108,18 +123,22 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
         verdict = "DIFFERS" if f.verdict == "not as predicted" else f.verdict
         cases = [case for part in f.parts for case in part.cases]
         cells = [spared(c for c in cases if c.label == label) for label in added]
-        rows.append([f"{f.number}. {f.title}", f"{verdict}, {predicted_counts(f)}", *cells])
-    note = "Numbers that lie in the interval predicted for them, of all that were predicted."
+        rows.append([f"{f.number}. {f.title}", f"{verdict}, {expected_counts(f)}", *cells])
+    note = "Numbers found where theory, a publication or an earlier measurement says, of all."
     if added:
         note += " For a method that was added: the parts that spare it, of all that apply to it."
     head = ["failure", "verdict", *added]
     return Table("Where methods fail", head, rows, code=(), note=note)
 
 
-def predicted_counts(f: ExperimentResult) -> str:
-    """The count of numbers that came out as predicted: '3 of 4'."""
-    cases = [case for part in f.parts for case in part.cases if case.predicted is not None]
-    return f"{sum(bool(case.as_predicted) for case in cases)} of {len(cases)}"
+def expected_counts(f: ExperimentResult) -> str:
+    """The counts of numbers found as expected: "3 of 4 numbers predicted, 2 of 2 ..."."""
+    held: dict[str, list[bool]] = {verdict: [] for verdict in BASES.values()}
+    for case in (case for part in f.parts for case in part.cases):
+        if case.expected:
+            held[BASES[case.expected.basis]].append(bool(case.as_expected))
+    counts = {verdict.replace("as ", "numbers "): found for verdict, found in held.items() if found}
+    return ", ".join(f"{sum(found)} of {len(found)} {kind}" for kind, found in counts.items())
 
 
 def spared(cases: Iterable[CaseResult]) -> str:
@@ -135,16 +154,22 @@ def part_table(part: PartResult) -> Table:
     quantity_text = f"{part.quantity} ({how})" if how else part.quantity
     rows, best = [], set()
     for case in part.cases:
-        verdict = {True: "as predicted", False: "DIFFERS", None: "-"}[case.as_predicted]
-        verdict = "not measured" if case.stopped else verdict
-        predicted = "-" if case.predicted is None else bounds(case.predicted)
+        expected, verdict = case.expected, "not measured" if case.stopped else "-"
+        if expected and not case.stopped:
+            verdict = BASES[expected.basis] if case.as_expected else "DIFFERS"
         found = "none" if case.number is None else number(case.number)
-        rows.append([case.label, found, predicted, verdict, case.verdict])
+        where = [bounds(expected.bounds, 3), expected.basis] if expected else ["-", "-"]
+        rows.append([case.label, found, *where, verdict])
         if case.message:
-            rows[-1][3] += f" ({case.message.split(';')[0].rstrip('.')})"
+            rows[-1][-1] += f" ({case.message.split(';')[0].rstrip('.')})"
+        rows[-1].append(case.verdict)
         if case.healthy:
-            best.add((len(rows) - 1, 4))
+            best.add((len(rows) - 1, 5))
     note = f"Measured: {quantity_text}. Spared is what lies within {bounds(part.healthy)}."
-    head = ["", "found", "predicted", "verdict", "method"]
+    told = [(case.label, case.expected) for case in part.cases if case.expected]
+    texts = [e.why for _, e in told] + [f"{label}: {e.formula}" for label, e in told if e.formula]
+    if why := "; ".join(filter(None, dict.fromkeys(texts))):
+        note += f" Expected: {why}."
+    head = ["", "found", "expected", "basis", "verdict", "method"]
     named = all(case.label == case.integrator for case in part.cases)
     return Table(part.text, head, rows, best=best, code=(0,) if named else (), note=note)

@@ -8,9 +8,9 @@ from pathlib import Path
 from bench.results.experiments import (
     ExperimentResult,
     PartResult,
+    expected_counts,
     experiments_table,
     part_table,
-    predicted_counts,
 )
 from bench.results.table import Table
 from reports.charts import vega_lite as vl
@@ -29,8 +29,8 @@ def atlas_chapter(found: Sequence[ExperimentResult]) -> Chapter:
         "atlas.html",
         "Failure atlas",
         "Experiments that show where time integrators fail, and what helps. Each number has an "
-        "interval in which it is expected: from theory or a publication where they give one, else "
-        "from an earlier measurement.",
+        "interval in which it is expected, from theory, a publication or an earlier measurement; "
+        "the last predicts nothing and shows that nothing has changed.",
         "Where methods fail, and what helps: each experiment shows one failure, with the numbers "
         "that were predicted and found.",
         [_section(f) for f in found],
@@ -56,7 +56,7 @@ def _section(f: ExperimentResult) -> Section:
         parts,
         f.number,
         claim=" ".join(f.claim.split()),
-        verdict=f"{f.verdict.capitalize()}: {predicted_counts(f)} numbers.",
+        verdict=f"{f.verdict.capitalize()}: {expected_counts(f)}.",
         good=f.as_predicted,
         facts={"What helps": " ".join(f.remedy.split()), "Source": f.source},
     )

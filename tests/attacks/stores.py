@@ -12,7 +12,7 @@ import pytest
 from planted import everything, plant
 from small_stores import A_LONG_RUN
 
-from bench.results.experiments import CaseResult, ExperimentResult, PartResult
+from bench.results.experiments import CaseResult, Expected, ExperimentResult, PartResult
 from bench.results.records import Damping, IntegratorFacts
 from bench.results.store import FILE, Store
 
@@ -39,8 +39,8 @@ AN_EXPERIMENT = ExperimentResult(
                     x=[0.1, 0.05],
                     y=[1.0, 0.5],
                     number=1.0,
-                    predicted=(0.9, 1.1),
-                    as_predicted=True,
+                    expected=Expected((0.9, 1.1), "theory", "", "reason"),
+                    as_expected=True,
                     healthy=True,
                     history=([0.0, 1.0], [1.0, 2.0]),
                 )
