@@ -188,6 +188,12 @@ def form_name(record: Record) -> str:
     return ", ".join(_FORMS[part] for part in parts if part in _FORMS)
 
 
+def form_behind(name: str, form: str) -> str:
+    """A form in brackets behind a short name, without what the name says already."""
+    new = [part for part in form.split(", ") if part and part not in name.split(" · ")]
+    return f" ({', '.join(new)})" if new else ""
+
+
 def scene_name(scene: str) -> str:
     """A scene as a person reads it: `slider_crank[l1=2]` is `slider crank[l1=2]`."""
     name, bracket, rest = scene.partition("[")

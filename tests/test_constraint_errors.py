@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import reference
 from planted import planted
 
-from bench.results.quantities import NORMS, VIOLATIONS
+from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
 from bench.results.records import flatten
 from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
+from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
-from problems.scenes.slider_crank import SliderCrankDriven
-from reports.questions.answers import answer
+from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
+from reports.formatting import NO_VALUE
+from reports.questions.advice import on_costs
+from reports.questions.answers import answer, answers
+from reports.questions.method_card import card_sentences
 from reports.questions.phrases import plain
-from reports.questions.question import Question
+from reports.questions.question import FIRST, Question
 from reports.questions.sentences import scene_sentence, sentences
 from reports.questions.words import words_of
 from reports.series import series_of
+from reports.text.choosing_tables import multiples_table
+from reports.text.ranking_tables import targets_table, winners_table
+from reports.violations import violation_text
 
 HELD = Question("constraint", 1e-4, "operations")
 
@@ -118,8 +127,8 @@ def test_questions_ask_for_the_constraints():
     entries = found.scenes["held"].entries
     assert [entry.value for entry in entries.values()] == [3000.0, 1000.0, 1000.0]
     assert found.scenes["held"].winners == ["exact", "projects"]
-    said = [plain(sentence) for sentence in sentences(found, words)]
-    assert said[0].startswith(
+    told = [plain(sentence) for sentence in sentences(found, words)]
+    assert told[0].startswith(
         "To 1e-4 in constraints (largest over time), exact and projects tie for the fewest"
     )
     assert scene_sentence(found, "free", words) == []
@@ -131,3 +140,127 @@ def test_violations_are_columns_of_flat_rows():
     assert row["reference_error_constraint_max"] == ROUNDING
     assert row["error_constraint_velocity_max"] is None
     assert "error_constraint_components_max" not in row
+
+
+# ---- violations in words -----------------------------------------------------------------
+def won(scene, name="one", cost=100, size=2.2e-3, error=7.3e-3, **changes):
+    """A run that reaches 1e-4 in a and leaves such a violation, relative ``error``."""
+    errors = {"a": {"max": 5e-5}, "q": {"max": 1e-4 * cost}}
+    known = {"constraint": {"position": size}, "constraint_unit": "m", "formulation": "index2"}
+    known |= {"errors": errors | ({"constraint": {"max": error}} if error else {})}
+    known |= {"reference_error": {}, "work": {"residuals": cost}, "key": f"{scene} {name}"}
+    known["run_s"] = [1e-6 * cost] * 7
+    return planted(scene, name, {"a": (1, 2)}, h=0.01, **(known | changes))
+
+
+def said(*records, question=FIRST):
+    scenes = {r.problem: [] for r in records}
+    for r in records:
+        scenes[r.problem].append(r)
+    series = {name: series_of(own) for name, own in scenes.items()}
+    words = words_of(series, {})
+    return [plain(s) for s in sentences(answer(series, question), words)]
+
+
+FREE = {"constraint": {}, "error": None}
+
+
+def test_a_violation_has_its_unit_and_says_how_often_it_is_the_accuracy():
+    assert violation_text([won("s")], 1e-4) == "0.0022 m, 73 times the accuracy"
+    assert violation_text([won("s")], 1e-2) == violation_text([won("s")], 7.3e-3) == "0.0022 m"
+    tied = [won("s", size=1e-9, error=1e-9), won("s"), won("s", size=1e-3, error=1e-3)]
+    assert violation_text(tied, 1e-4) == "0.0022 m, 73 times the accuracy"
+    # Stores of earlier versions have neither units nor relative violations.
+    assert violation_text([won("s", error=None, constraint_unit="")], 1e-4) == "0.0022"
+    assert violation_text([won("s", **FREE)], 1e-4) == violation_text([], 1e-4) == ""
+
+
+@pytest.mark.parametrize(
+    ("scene", "unit"),
+    [(Pendulum(), "m²"), (SliderCrank(), "m"), (SliderCrankDriven(), ""), (Oscillator(), "")],
+)
+def test_the_unit_of_constraints_follows_from_their_multipliers(scene, unit):
+    """λ Φ is an energy; the driven crank has rows in m² and rad."""
+    assert constraint_unit(scene) == unit
+
+
+def test_sentences_tell_the_violation_of_a_winner():
+    (text, *_) = said(won("s"), won("s", "two", cost=300))
+    assert text == (
+        "To 1e-4 in acceleration (largest over time), one (index 2) takes the fewest operations on "
+        "s (1000 at h=0.01 s; |Φ| up to 0.0022 m, 73 times the accuracy; next: two (index 2), "
+        "3 times)."
+    )
+    assert "|Φ|" not in said(won("s", **FREE), won("s", "two", cost=300))[0].partition("; next")[0]
+
+
+def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints():
+    rivals = [won(f"s{k}", "two", cost=300) for k in range(4)]
+    held = [won(f"s{k}", size=1e-12, error=1e-12) for k in range(3)]
+    off, free = won("s3"), won("s3", **FREE)
+    assert said(*held, off, *rivals)[2] == (
+        "Constraints are violated by more than 1e-4: one on s3 (|Φ| up to 0.0022 m, 73 times the "
+        "accuracy)."
+    )
+    assert said(*held, free, *rivals)[2] == "The winners hold the constraints to 1e-4."
+    worse = won("s2", size=0.1, error=1.0)
+    assert said(*held[:2], worse, off, *rivals)[2].startswith(
+        "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, 1e+04 times the "
+        "accuracy) and one on s3"
+    )
+    # Whoever wins by the cost beside is looked at, too.
+    quick = won("s0", "three", cost=200, run_s=[1e-5] * 7, size=0.5, error=3.0)
+    assert said(*held, free, *rivals, quick)[2].startswith(
+        "Constraints are violated by more than 1e-4: three on s0 (|Φ| up to 0.5 m"
+    )
+    unconstrained = [won(f"s{k}", **FREE) for k in range(4)]
+    others = [won(f"s{k}", "two", cost=300, **FREE) for k in range(4)]
+    assert not any("onstraints" in text for text in said(*unconstrained, *others))
+
+
+def test_the_guide_tells_the_same_for_several_accuracies_at_once():
+    held = [won("s", name, cost, error=1e-6) for name, cost in (("one", 100), ("two", 300))]
+    scenes = {"s": series_of(held)}
+    found = answers(scenes, [FIRST.group], [1e-2, 1e-4])
+    asked = [answer for question, answer in found.items() if question.cost == FIRST.cost]
+    told = [[plain(s) for s in own] for own in on_costs(asked, words_of(scenes, {}))]
+    assert "The winners hold the constraints to 1e-2 and 1e-4." in told[0]
+
+
+def test_tables_of_winners_have_a_column_of_violations():
+    series = series_of([won("s"), won("s", "two", cost=300)])
+    free = series_of([won("f", **FREE), won("f", "two", cost=300, **FREE)])
+    asked = [replace(FIRST, cost=cost) for cost in RANKED_COSTS]
+    found = answers({"s": series, "f": free}, [FIRST.group], [FIRST.target])
+    names = words_of({"s": series, "f": free}, {}).names
+    table = winners_table({q: found[q] for q in asked}, {}, names)
+    assert table.head[-1] == "|Φ| of the winners"
+    column = {row[0]: row[-1] for row in table.rows}
+    each = "0.0022 m, 73 times the accuracy"
+    assert column == {"s": each, "f": ""}
+    own = targets_table(series, names)
+    assert dict(zip((row[0] for row in own.rows), (row[-1] for row in own.rows), strict=True))[
+        "a to 1e-2"
+    ] == "0.0022 m"  # fmt: skip
+    assert "|Φ|" not in " ".join(targets_table(free, names).head)
+    guide = multiples_table([found[FIRST]], {"s": series, "f": free}, words_of({"s": series}, {}))
+    assert guide.rows[1][:3] == ["|Φ| of the cheapest", each, NO_VALUE]
+
+
+def test_winners_by_several_costs_have_a_violation_each():
+    quick = won("s", cost=300, size=1e-9, error=1e-9, run_s=[1e-4] * 7)
+    series = series_of([won("s", "two", run_s=[1e-2] * 7), quick])
+    row = targets_table(series).rows[[r[0] for r in targets_table(series).rows].index("a to 1e-4")]
+    assert row[-1].split(" · ") == [
+        "0.0022 m, 73 times the accuracy", "1e-09 m", "0.0022 m, 73 times the accuracy"
+    ]  # fmt: skip
+
+
+def test_the_card_of_a_method_tells_its_own_violation():
+    scenes = {"s": series_of([won("s"), won("s", "two", cost=300, size=1e-9, error=1e-9)])}
+    words = words_of(scenes, {})
+    card = [plain(s) for s in card_sentences("one", answer(scenes, FIRST), scenes, words)]
+    assert (
+        "Cheapest alone: s (|Φ| up to 0.0022 m, 73 times the accuracy; next: two (index 2), "
+        "3 times)."
+    ) in card

@@ -65,8 +65,9 @@ class Record(msgspec.Struct, kw_only=True):
     the scene lacks is absent, a value that is not finite is None. They are measured at ``rows`` of
     the steps of the run. ``later[k][group]`` are those of the same motion from later starts, in the
     norm by which runs are judged; a run that does not reach the end has none.
-    ``constraint[level]`` is the largest residual over the rows, in its unit; ``errors`` has it
-    relative to the scene's size, by the names of ``VIOLATIONS``.
+    ``constraint[level]`` is the largest residual over the rows, in ``constraint_unit`` (per s, per
+    s^2) if that is known; ``errors`` has it relative to the scene's size, by the names of
+    ``VIOLATIONS``.
     ``energy_drift`` is the largest change relative to the motion's largest kinetic energy, for
     scenes that conserve it. ``reference_error[group][norm]`` is the reference's own estimated
     error, relative like ``errors``: below a hundred times that, an error says nothing.
@@ -103,6 +104,7 @@ class Record(msgspec.Struct, kw_only=True):
     later: list[dict[str, NotNegative | None]] = []
     rows: Count = 0
     constraint: dict[str, NotNegative | None] = {}
+    constraint_unit: Name = ""
     energy_drift: NotNegative | None = None
     work: dict[str, Count | None] = {}
     operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}

@@ -21,6 +21,8 @@ from problems.system import INVARIANTS, MechatronicSystem
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
+#: Units of constraints by those of their multipliers: lam Phi is an energy.
+_UNITS = {"N": "m", "N m": "rad", "N/m": "m²"}
 
 
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -38,6 +40,12 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
     return {
         name: np.abs(r).max(axis=1, initial=0.0) for name, r in zip(LEVELS, levels, strict=True)
     }
+
+
+def constraint_unit(scene: MechatronicSystem) -> str:
+    """Return the unit of Phi; nothing where rows differ in it or state none."""
+    units = {_UNITS.get(component.unit, "") for component in scene.components("lam")}
+    return units.pop() if len(units) == 1 else ""
 
 
 def invariant_changes(

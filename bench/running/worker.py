@@ -167,6 +167,7 @@ class Worker:
             return
         noted = part(no_errors, lambda: histories(reference), {}) if reference else {}
         drift = part(residuals, lambda: measure.violations(scene, run), {})
+        record.constraint_unit = part(residuals, lambda: measure.constraint_unit(scene), "")
         drift |= {name: abs(values) for name, values in change.items()}
         largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)

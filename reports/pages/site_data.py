@@ -20,7 +20,7 @@ from bench.results.quantities import (
 from bench.results.records import Record, SceneRecord
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
-from reports.names import family_name, scene_name
+from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
 from reports.questions.answers import Answer, SceneAnswer, answers
@@ -28,7 +28,7 @@ from reports.questions.phrases import Piece, Ref, Sentence
 from reports.questions.profile import Profile, profiles
 from reports.questions.question import TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
-from reports.series import Series, groups_of, step_or_tolerance, trusted_error
+from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
 _LARGEST = 40.0
@@ -50,10 +50,11 @@ class SiteData:
         self.found = answers(report.series)
         names = list(report.series)
         self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
-        self.families = {s.label: s.family for own in report.series.values() for s in own}
+        every = [s for own in report.series.values() for s in own]
+        self.families = {s.label: s.family for s in every}
+        self.forms = {s.label: form for s in every for r in s.ok[:1] if (form := form_name(r))}
         self.places = {label: k for k, label in enumerate(self.families)}
-        runs = (r for own in report.series.values() for s in own for r in s.ok)
-        self.groups = groups_of(runs, ASKED)
+        self.groups = groups_of(ok_runs(every), ASKED)
         self.resolutions: dict[str, int] = {}
         self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
         self.pages = {
@@ -155,6 +156,7 @@ class SiteData:
             "label": label,
             "short": self.report.words.names[label],
             "family": family_name(family),
+            "form": self.forms.get(label, ""),
             "light": style.color,
             "dark": style.dark,
             "shape": style.shape,

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import COSTS, GROUP_NAMES, NORM
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
+from reports.questions.cheapest import violating
 from reports.questions.phrases import Piece, Ref, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.sentences import no_rivals, remarks
@@ -28,7 +29,7 @@ SILENT_NOTE = (
 _ROUNDING = 1e-12
 _NUMBER = re.compile(r"\d[\d.]*(?:e-?\d+)?")
 #: Text whose number may be another one in the same answer: a step or tolerance, or an accuracy.
-_FREE = re.compile(r"(?: at )?(?:h|rtol)=|\d\S* in ")
+_FREE = re.compile(r"(?: at )?(?:h|rtol)=|\d\S* in |The winners hold ")
 
 
 def on_scenes(scenes: Sequence[str]) -> Sentence:
@@ -69,7 +70,8 @@ def by_both(found: Answer, words: Words) -> list[Sentence]:
         said += listed(([scene_ref(scene)] for scene in own), len(own))
     if not said:
         return no_rivals(found, words)
-    return [["Cheapest to ", *words.accuracy(found.question), ": ", *said, "."]]
+    text: Sentence = ["Cheapest to ", *words.accuracy(found.question), ": ", *said, "."]
+    return [text, *violating(found, words)]
 
 
 def _winners(scenes: Sequence[SceneAnswer]) -> list[list[RankEntry]]:

@@ -10,9 +10,11 @@ from types import MappingProxyType
 from bench.results.quantities import ASKED, NORM
 from bench.results.records import Record
 from reports.formatting import cost_text, named
+from reports.names import form_behind
 from reports.questions.question import TARGETS, Question, questions
 from reports.ranking import RankEntry, rank, told_apart
 from reports.series import Series, groups_of, ok_runs, reference_error
+from reports.violations import violation_text
 
 
 @dataclass(frozen=True)
@@ -93,12 +95,16 @@ class SceneAnswer:
         shown = [*self.first, self.second] if len(self.first) == 1 else self.first
         return [s.run for s in shown if s and s.run]
 
+    def violation(self, target: float) -> str:
+        """The largest violation of the constraints by the runs of the first ones, in words."""
+        return violation_text((s.run for s in self.first if s.run), target)
+
     def worded(self, names: Mapping[str, str] = MappingProxyType({})) -> str:
         """The answer with these names by label; integrators that do the same: 'a = b'."""
 
         def name_of(entry: RankEntry) -> str:
             alike = " = ".join(names.get(label, label) for label in self.names[entry.label])
-            return f"{alike} ({entry.form})" if entry.form else alike
+            return alike + form_behind(alike, entry.form)
 
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"

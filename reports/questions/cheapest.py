@@ -16,6 +16,7 @@ from reports.questions.question import OF_THE_BENCH, Question, tag_name
 from reports.questions.words import Words, scene_ref
 from reports.ranking import RankEntry
 from reports.series import step_or_tolerance
+from reports.violations import excess, violation_text
 
 #: Scenes are named instead of counted up to this many.
 _NAMED = 2
@@ -38,6 +39,8 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
             least = cost_text(best.value, question.cost)
             near += [words.run(best.run, least) if best.run else least, " at "]
         near += [_resolution(best.run)] if best.run else []
+        held = scene.violation(question.target)
+        near += [f"; |Φ| up to {held}"] if held else []
         if second and second.run:
             near += ["; next: ", *words.solvers([second]), ", "]
             near.append(words.run(second.run, second.multiple))
@@ -112,6 +115,25 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     # The counts of all then add up to more than the scenes.
     counted = others and any(alone[label] < len(where[label]) for label in order)
     return [*said, "; a tie counts for each of its members." if counted else "."]
+
+
+def violating(found: Answer, words: Words) -> list[Sentence]:
+    """The winners that violate constraints by more than the accuracy; by the cost beside, too."""
+    target, asked = found.question.target, found.question.accuracy
+    answers = [found, *([found.beside] if found.beside else [])]
+    voting = [(k, s) for own in answers for k, s in own.scenes.items() if s.votes]
+    runs = {s.run.key: (k, s, s.run) for k, own in voting for s in own.first if s.run}
+    told = [(k, s, r) for k, s, r in runs.values() if "constraint" in r.errors]
+    if found.question.group == "constraint" or not told:
+        return []
+    beyond = [
+        [words.method(s.label), " on ", scene_ref(k), f" (|Φ| up to {violation_text([r], target)})"]
+        for k, s, r in sorted(told, key=lambda own: -excess(own[2], target))
+        if excess(r, target) > 1
+    ]
+    if not beyond:
+        return [[f"The winners hold the constraints to {asked}."]]
+    return [[f"Constraints are violated by more than {asked}: ", *listed(beyond), "."]]
 
 
 def _compared(found: Answer, most: int) -> str:

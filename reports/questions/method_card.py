@@ -10,12 +10,13 @@ from bench.results.records import NOT_TRIED
 from problems.spec import SpecError, suggest
 from reports.formatting import cost_text, number, times
 from reports.questions.answers import Answer, SceneAnswer, answer
-from reports.questions.phrases import Sentence, listed, plain
+from reports.questions.phrases import Piece, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.words import Words, scene_ref, words_of
 from reports.ranking import RankEntry
 from reports.scenes import stored_runs
 from reports.series import Series
+from reports.violations import violation_text
 
 #: What an integrator is on a scene, in the order in which a card tells it.
 _STATES = {
@@ -73,8 +74,14 @@ def _detail(
     state: str, label: str, answer: SceneAnswer, own: Series, question: Question, words: Words
 ) -> Sentence:
     """What stands in brackets behind a scene."""
-    if state == "alone" and (second := answer.second):
-        return [" (next: ", *words.solvers([second]), f", {times(second.ratio)})"]
+    if state in ("alone", "tied", "single"):
+        run = answer.entries[label].run
+        said = violation_text([run] if run else [], question.target)
+        parts: list[Piece] = [f"|Φ| up to {said}"] if said else []
+        if state == "alone" and (second := answer.second):
+            next_one = [*words.solvers([second]), f", {times(second.ratio)}"]
+            parts += ["; next: " if said else "next: ", *next_one]
+        return [" (", *parts, ")"] if parts else []
     if state == "dearer":
         first = words.solvers(answer.first, most=1)
         return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import COSTS
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
-from reports.questions.cheapest import cheapest, families, on_each
+from reports.questions.cheapest import cheapest, families, on_each, violating
 from reports.questions.phrases import Sentence, listed
 from reports.questions.words import Words, scene_ref
 from reports.series import label_of
@@ -59,7 +59,8 @@ def _cheapest(found: Answer, words: Words) -> list[Sentence]:
         return no_rivals(found, words)
     if len(voting) <= _EACH:
         return [on_each(found.question, voting, words)]
-    return [cheapest(found, voting, words), *families(found, voting, words)]
+    said = [cheapest(found, voting, words), *violating(found, words)]
+    return [*said, *families(found, voting, words)]
 
 
 def no_rivals(found: Answer, words: Words) -> list[Sentence]:

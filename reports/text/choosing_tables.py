@@ -47,6 +47,8 @@ def multiples_table(
         for s in (s for s in series if any(r.status not in NOT_TRIED for r in s.records)):
             own.setdefault(s.label, {})[scene] = s
     rows = [["least", *(_short([_least(a, scene) for a in found]) for scene in scenes), ""]]
+    held = [_short([_held(a, scene) for a in found]) for scene in scenes]
+    rows += [["|Φ| of the cheapest", *held, ""]] if {*held} - {NO_VALUE} else []
     for label in sorted(own, key=lambda label: (-reached[label], -first[label])):
         cells = [_cell(found, scene, own[label].get(scene)) for scene in scenes]
         rows.append([words.names[label], *cells, _failed([*own[label].values()])])
@@ -67,7 +69,8 @@ MULTIPLES_NOTE = (
     "by how often an accuracy is reached. far: all runs that reached the end have a larger error. "
     "unknown: reached at a cost that is not known. A status such as newton_failed: no run "
     f"reached the end. {_UNJUDGED}: the reference cannot judge the accuracy. {NO_VALUE}: not tried "
-    'or not supported; in the row "least": not reached. A word at the end of a cell holds for all '
+    'or not supported; in the row "least": not reached. |Φ|: largest over time; its multiple of '
+    "the accuracy is that of the relative violation. A word at the end of a cell holds for all "
     "tighter accuracies, too."
 )
 
@@ -77,6 +80,11 @@ def _least(answer: Answer, scene: str) -> str:
         return _UNJUDGED
     values = [e.value for e in answer.scenes[scene].entries.values() if e.value is not None]
     return cost_text(min(values), answer.question.cost) if values else NO_VALUE
+
+
+def _held(answer: Answer, scene: str) -> str:
+    own = answer.scenes.get(scene)
+    return (own.violation(answer.question.target) if own else "") or NO_VALUE
 
 
 def _cell(found: Sequence[Answer], scene: str, series: Series | None) -> str:

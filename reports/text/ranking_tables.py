@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import number, tie_text
+from reports.formatting import NO_VALUE, number, tie_text
 from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
 from reports.series import Series
@@ -25,6 +26,22 @@ _TIES = (
     )
     + "; and where another one is the cheapest if the runs start later on the same motion"
 )
+
+
+def _violations(by_cost: Sequence[SceneAnswer], target: float) -> str:
+    """The violations of the constraints by the winners of each cost, once if they are alike."""
+    said = [answer.violation(target) or NO_VALUE for answer in by_cost]
+    return " · ".join(said if len({*said}) > 1 else said[:1]) if {*said} - {NO_VALUE} else ""
+
+
+def _with_violations(caption: str, head: list[str], rows: list[list[str]], **more: Any) -> Table:
+    """A table of winners; its last column, of violations, is left out if it is empty."""
+    count = len(head) + any(row[-1] for row in rows)
+    table = Table(caption, [*head, "|Φ| of the winners"][:count], [r[:count] for r in rows], **more)
+    if count > len(head):
+        table.note += f" |Φ|: in the winner's run, {NORMS[NORM]}; its multiple of the accuracy is "
+        table.note += "that of the relative violation."
+    return table
 
 
 def targets_table(
@@ -43,16 +60,18 @@ def targets_table(
         if by_cost[0].unjudged:
             own = number(by_cost[0].unjudged[""])
             cells = [f"cannot be judged: the reference's own error is {own}"]
-            cells += [""] * len(RANKED_COSTS)
+            cells += [""] * (len(RANKED_COSTS) + 1)
         else:
             entries = by_cost[0].scenes[""].entries.values()
             reached = sum(entry.reached for entry in entries)
             cells = [f"{reached} of {len(entries)}"]
-            cells += [answer.scenes[""].worded(names) for answer in by_cost]
+            own = [answer.scenes[""] for answer in by_cost]
+            cells += [answer.worded(names) for answer in own]
+            cells.append(_violations(own, question.target))
         rows.append([f"{question.group} to {question.accuracy}", *cells])
     if not rows:
         return None
-    return Table(
+    return _with_violations(
         "Cheapest way to an accuracy",
         ["relative error", "reached by", *_LEAST],
         rows,
@@ -76,10 +95,15 @@ def winners_table(
                 rows.setdefault(scene, []).append(own)
     if not rows:
         return None
-    return Table(
-        f"Cheapest way to {next(iter(found)).text}",
+    asked = next(iter(found))
+    cells = [
+        [scene, *(own.worded(names) for own in by_cost), _violations(by_cost, asked.target)]
+        for scene, by_cost in rows.items()
+    ]
+    return _with_violations(
+        f"Cheapest way to {asked.text}",
         ["scene", *(COSTS[question.cost].least for question in found)],
-        [[scene, *(own.worded(names) for own in by_cost)] for scene, by_cost in rows.items()],
+        cells,
         note=f"{_TIES}. Integrators joined by = do the same on the scene (equal errors and equal "
         "work at every resolution) and are one contestant. Other accuracies and "
         "costs: on the scenes' pages. The numbers in brackets lead to the runs.",

@@ -15,20 +15,26 @@
     const method = data.methods[index], link = html("a", { title: method.label }, method.short);
     link.href = stepbench.page(method.page);
     const head = html("th", { scope: "row" }, stepbench.badge(method), link);
+    const held = data.scenes[scene].groups.includes("constraint");
+    const form = held ? [html("td", {}, method.form)] : [];
     if (!Array.isArray(state))
-      return html("tr", { class: "out" }, head, html("td", { colspan: 3 }, STATES[state]));
+      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state]));
     const [multiple, k] = state, runs = data.runs_of[scene].find((own) => own.method === index);
     const [cost, error] = [question.cost, question.group].map((name) => stepbench.columnOf(runs, name)[k]);
-    return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head,
+    // A violation that is larger than the accuracy is told to be.
+    const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
+    const violation = held ? [html("td", {}, stepbench.errorText(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
+    return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head, ...form,
       html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.times(multiple)} ×`),
-      html("td", {}, stepbench.errorText(error)));
+      html("td", {}, stepbench.errorText(error)), ...violation);
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest(".card").hidden = table.closest("section").hidden = !found.length;
-    const head = ["method", stepbench.costName(question), "multiple of the best", `error in ${question.group}`];
+    const held = data.scenes[scene].groups.includes("constraint");
+    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${question.group}`, ...(held ? ["violation of Φ, relative"] : [])];
     table.replaceChildren(
       html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${data.norm}`),
       html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
