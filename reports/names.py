@@ -179,12 +179,9 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
     return {label: found[label] for label in parts}
 
 
-def form_name(record: Record) -> str:
-    """The form in which a run solves its constraints: 'index 2, projected'.
-
-    None of a scene without constraints, or of a method that does not state it.
-    """
-    parts = record.formulation.split(", ") if record.constraint else []
+def form_name(run: Record | None) -> str:
+    """The form in which a run solves constraints: 'index 2, projected'; nothing if not stated."""
+    parts = run.formulation.split(", ") if run and run.constraint else []
     return ", ".join(_FORMS[part] for part in parts if part in _FORMS)
 
 

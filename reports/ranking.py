@@ -16,7 +16,6 @@ from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.formatting import times
-from reports.names import form_name
 from reports.questions.question import Question, questions
 from reports.series import (
     Series,
@@ -66,11 +65,6 @@ class RankEntry:
         if self.reached:
             return "unknown"
         return "far" if self.ended else "failed"
-
-    @property
-    def form(self) -> str:
-        """The form in which the run solves the constraints of its scene."""
-        return form_name(self.run) if self.run else ""
 
     @property
     def multiple(self) -> str:

@@ -14,15 +14,16 @@ def excess(run: Record, target: float) -> float:
     return (run.error("constraint", NORM) or 0.0) / target
 
 
-def violation_text(runs: Iterable[Record], target: float) -> str:
+def violation_text(runs: Iterable[Record | None], target: float) -> str:
     """The largest |Phi| of runs, told to be too large if it is more than the accuracy.
 
-    '0.0022 m, 73 times the accuracy'; the multiple is relative. Nothing without constraints.
+    '0.0022 m, relative 0.0073: 73 times the accuracy'; nothing without constraints.
     """
-    held = [(size, r) for r in runs if (size := r.constraint.get("position")) is not None]
+    held = [(x, r) for r in runs if r and (x := r.constraint.get("position")) is not None]
     if not held:
         return ""
     size, run = max(held, key=lambda pair: pair[0])
     worst = max(excess(r, target) for _, r in held)
     shown = f"{number(size)} {run.constraint_unit}".rstrip()
-    return f"{shown}, {worst:.3g} times the accuracy" if worst > 1 else shown
+    told = f", relative {number(worst * target)}: {worst:.3g} times the accuracy"
+    return shown + (told if worst > 1 else "")

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chromium import chromium, in_chromium
 from helpers import reference
-from planted import planted
+from planted import plant, planted
 
 from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
 from bench.results.records import flatten
@@ -18,6 +19,7 @@ from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from reports.formatting import NO_VALUE
+from reports.pages.html_report import write_html_report
 from reports.questions.advice import on_costs
 from reports.questions.answers import answer, answers
 from reports.questions.method_card import card_sentences
@@ -163,13 +165,15 @@ def said(*records, question=FIRST):
 
 
 FREE = {"constraint": {}, "error": None}
+#: The violation that `won` leaves unless another is given, told for the accuracy 1e-4.
+OFF = "0.0022 m, relative 0.0073: 73 times the accuracy"
 
 
 def test_a_violation_has_its_unit_and_says_how_often_it_is_the_accuracy():
-    assert violation_text([won("s")], 1e-4) == "0.0022 m, 73 times the accuracy"
+    assert violation_text([won("s")], 1e-4) == OFF
     assert violation_text([won("s")], 1e-2) == violation_text([won("s")], 7.3e-3) == "0.0022 m"
     tied = [won("s", size=1e-9, error=1e-9), won("s"), won("s", size=1e-3, error=1e-3)]
-    assert violation_text(tied, 1e-4) == "0.0022 m, 73 times the accuracy"
+    assert violation_text(tied, 1e-4) == OFF
     # Stores of earlier versions have neither units nor relative violations.
     assert violation_text([won("s", error=None, constraint_unit="")], 1e-4) == "0.0022"
     assert violation_text([won("s", **FREE)], 1e-4) == violation_text([], 1e-4) == ""
@@ -188,8 +192,7 @@ def test_sentences_tell_the_violation_of_a_winner():
     (text, *_) = said(won("s"), won("s", "two", cost=300))
     assert text == (
         "To 1e-4 in acceleration (largest over time), one (index 2) takes the fewest operations on "
-        "s (1000 at h=0.01 s; |Φ| up to 0.0022 m, 73 times the accuracy; next: two (index 2), "
-        "3 times)."
+        f"s (1000 at h=0.01 s; |Φ| up to {OFF}; next: two (index 2), 3 times)."
     )
     assert "|Φ|" not in said(won("s", **FREE), won("s", "two", cost=300))[0].partition("; next")[0]
 
@@ -199,14 +202,13 @@ def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints()
     held = [won(f"s{k}", size=1e-12, error=1e-12) for k in range(3)]
     off, free = won("s3"), won("s3", **FREE)
     assert said(*held, off, *rivals)[2] == (
-        "Constraints are violated by more than 1e-4: one on s3 (|Φ| up to 0.0022 m, 73 times the "
-        "accuracy)."
+        f"Constraints are violated by more than 1e-4: one on s3 (|Φ| up to {OFF})."
     )
     assert said(*held, free, *rivals)[2] == "The winners hold the constraints to 1e-4."
     worse = won("s2", size=0.1, error=1.0)
     assert said(*held[:2], worse, off, *rivals)[2].startswith(
-        "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, 1e+04 times the "
-        "accuracy) and one on s3"
+        "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, relative 1: 1e+04 "
+        "times the accuracy) and one on s3"
     )
     # Whoever wins by the cost beside is looked at, too.
     quick = won("s0", "three", cost=200, run_s=[1e-5] * 7, size=0.5, error=3.0)
@@ -234,17 +236,16 @@ def test_tables_of_winners_have_a_column_of_violations():
     found = answers({"s": series, "f": free}, [FIRST.group], [FIRST.target])
     names = words_of({"s": series, "f": free}, {}).names
     table = winners_table({q: found[q] for q in asked}, {}, names)
-    assert table.head[-1] == "|Φ| of the winners"
+    assert table.head[-1] == "|Φ| of the winners, largest over time"
     column = {row[0]: row[-1] for row in table.rows}
-    each = "0.0022 m, 73 times the accuracy"
-    assert column == {"s": each, "f": ""}
+    assert column == {"s": OFF, "f": ""}
     own = targets_table(series, names)
     assert dict(zip((row[0] for row in own.rows), (row[-1] for row in own.rows), strict=True))[
         "a to 1e-2"
     ] == "0.0022 m"  # fmt: skip
     assert "|Φ|" not in " ".join(targets_table(free, names).head)
     guide = multiples_table([found[FIRST]], {"s": series, "f": free}, words_of({"s": series}, {}))
-    assert guide.rows[1][:3] == ["|Φ| of the cheapest", each, NO_VALUE]
+    assert guide.rows[1][:3] == ["|Φ| of the cheapest", OFF, NO_VALUE]
 
 
 def test_winners_by_several_costs_have_a_violation_each():
@@ -252,7 +253,7 @@ def test_winners_by_several_costs_have_a_violation_each():
     series = series_of([won("s", "two", run_s=[1e-2] * 7), quick])
     row = targets_table(series).rows[[r[0] for r in targets_table(series).rows].index("a to 1e-4")]
     assert row[-1].split(" · ") == [
-        "0.0022 m, 73 times the accuracy", "1e-09 m", "0.0022 m, 73 times the accuracy"
+        OFF, "1e-09 m", OFF
     ]  # fmt: skip
 
 
@@ -260,7 +261,31 @@ def test_the_card_of_a_method_tells_its_own_violation():
     scenes = {"s": series_of([won("s"), won("s", "two", cost=300, size=1e-9, error=1e-9)])}
     words = words_of(scenes, {})
     card = [plain(s) for s in card_sentences("one", answer(scenes, FIRST), scenes, words)]
-    assert (
-        "Cheapest alone: s (|Φ| up to 0.0022 m, 73 times the accuracy; next: two (index 2), "
-        "3 times)."
-    ) in card
+    assert (f"Cheapest alone: s (|Φ| up to {OFF}; next: two (index 2), 3 times).") in card
+
+
+@in_chromium
+def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_violation(tmp_path):
+    records = [won("pendulum"), won("pendulum", "two", cost=300, size=1e-9, error=1e-9)]
+    records += [won("spring_mass", **FREE, formulation="unconstrained")]
+    write_html_report(plant(tmp_path, records))
+
+    def asked(page, scene, question):
+        page.get("about:blank")
+        page.get((tmp_path / "report" / f"scene-{scene}.html").as_uri() + question)
+        said = "return [...document.querySelectorAll(arguments[0])].map((node) => node.innerText)"
+        return [page.execute_script(said, place) for place in ("[data-verdict]", ".methods tr")]
+
+    with chromium() as page:
+        (verdict,), rows = asked(page, "pendulum", "#group=constraint&target=1e-3&cost=operations")
+        assert verdict.startswith("To 1e-3 in constraints (largest over time), two (index 2) takes")
+        assert "one index 2 not reached" in rows[-1].replace("\t", " ")
+        _, (head, one, two) = asked(page, "pendulum", "#group=a&target=1e-4&cost=operations")
+        assert "form" in head
+        assert "violation of Φ" in head
+        assert one.endswith("7.3e-3 > 1e-4")
+        assert two.endswith("1.0e-9")
+        _, (head, one) = asked(page, "spring_mass", "#group=a&target=1e-4&cost=operations")
+        assert "violation" not in head
+        assert "index" not in one
+        assert page.get_log("browser") == []

@@ -7,16 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from bench.results.quantities import (
-    ASKED,
-    COSTS,
-    ERROR_NAMES,
-    NORM,
-    NORMS,
-    RANKED_COSTS,
-    TRUST,
-    VIOLATION_MEANING,
-)
+from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import Record, SceneRecord
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
@@ -126,7 +117,6 @@ class SiteData:
             "failed": report.failed,
             "norm": NORMS[NORM],
             "trust": TRUST,
-            "violation": VIOLATION_MEANING,
             "group_names": {g: ERROR_NAMES[g] for g in self.groups},
             "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
             "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},

@@ -8,13 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from bench.results.quantities import (
-    ERROR_MEANING,
-    NORM,
-    NORMS,
-    VIOLATION_MEANING,
-    VIOLATIONS,
-)
+from bench.results.quantities import ERROR_MEANING, NORM, NORMS, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from bench.results.table import Table
@@ -164,19 +158,17 @@ class StudySections:
 
     def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
-        held = groups_of(ok_runs(series), tuple(VIOLATIONS))
         shown, left_out = self._few(series)
         if self.interactive:
             chart, where = work_precision_with_menus(series, groups, self.styles), ""
         else:
-            chart = work_precision_chart(
-                shown, [*(g for g in groups if g in "qa"), *held], self.styles
-            )
+            drawn = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
+            chart = work_precision_chart(shown, drawn, self.styles)
             where = f" {self._norms_text([NORM])}"
         caption = (
             f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
             f"or counted work. A line joins the resolutions of one integrator. {ERROR_MEANING} "
-            f"{VIOLATION_MEANING + ' ' if held else ''}{self._reference_error(groups)}{left_out}"
+            f"{self._reference_error(groups)}{left_out}"
         )
         return captioned(caption, {name: chart})
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from bench.results.quantities import ASKED, NORM
 from bench.results.records import Record
 from reports.formatting import cost_text, named
-from reports.names import form_behind
+from reports.names import form_behind, form_name
 from reports.questions.question import TARGETS, Question, questions
 from reports.ranking import RankEntry, rank, told_apart
 from reports.series import Series, groups_of, ok_runs, reference_error
@@ -97,14 +97,14 @@ class SceneAnswer:
 
     def violation(self, target: float) -> str:
         """The largest violation of the constraints by the runs of the first ones, in words."""
-        return violation_text((s.run for s in self.first if s.run), target)
+        return violation_text((s.run for s in self.first), target)
 
     def worded(self, names: Mapping[str, str] = MappingProxyType({})) -> str:
         """The answer with these names by label; integrators that do the same: 'a = b'."""
 
         def name_of(entry: RankEntry) -> str:
             alike = " = ".join(names.get(label, label) for label in self.names[entry.label])
-            return alike + form_behind(alike, entry.form)
+            return alike + form_behind(alike, form_name(entry.run))
 
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"

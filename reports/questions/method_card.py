@@ -75,8 +75,7 @@ def _detail(
 ) -> Sentence:
     """What stands in brackets behind a scene."""
     if state in ("alone", "tied", "single"):
-        run = answer.entries[label].run
-        said = violation_text([run] if run else [], question.target)
+        said = violation_text([answer.entries[label].run], question.target)
         parts: list[Piece] = [f"|Φ| up to {said}"] if said else []
         if state == "alone" and (second := answer.second):
             next_one = [*words.solvers([second]), f", {times(second.ratio)}"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import Record
-from reports.names import form_behind, scene_name, short_names
+from reports.names import form_behind, form_name, scene_name, short_names
 from reports.questions.phrases import Ref, Sentence, listed
 from reports.questions.question import Question
 from reports.ranking import RankEntry
@@ -45,7 +45,7 @@ class Words:
         """
         forms: dict[str, str] = {}
         for entry in entries:
-            forms[entry.label] = forms.get(entry.label) or entry.form
+            forms[entry.label] = forms.get(entry.label) or form_name(entry.run)
         behind = {k: form_behind(self.names[k], form) for k, form in forms.items()}
         return listed(([self.method(k), *filter(None, [said])] for k, said in behind.items()), most)
 

@@ -69,9 +69,8 @@ MULTIPLES_NOTE = (
     "by how often an accuracy is reached. far: all runs that reached the end have a larger error. "
     "unknown: reached at a cost that is not known. A status such as newton_failed: no run "
     f"reached the end. {_UNJUDGED}: the reference cannot judge the accuracy. {NO_VALUE}: not tried "
-    'or not supported; in the row "least": not reached. |Φ|: largest over time; its multiple of '
-    "the accuracy is that of the relative violation. A word at the end of a cell holds for all "
-    "tighter accuracies, too."
+    'or not supported; in the row "least": not reached. |Φ|: largest over time. A word at '
+    "the end of a cell holds for all tighter accuracies, too."
 )
 
 

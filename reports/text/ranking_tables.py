@@ -37,11 +37,8 @@ def _violations(by_cost: Sequence[SceneAnswer], target: float) -> str:
 def _with_violations(caption: str, head: list[str], rows: list[list[str]], **more: Any) -> Table:
     """A table of winners; its last column, of violations, is left out if it is empty."""
     count = len(head) + any(row[-1] for row in rows)
-    table = Table(caption, [*head, "|Φ| of the winners"][:count], [r[:count] for r in rows], **more)
-    if count > len(head):
-        table.note += f" |Φ|: in the winner's run, {NORMS[NORM]}; its multiple of the accuracy is "
-        table.note += "that of the relative violation."
-    return table
+    head = [*head, f"|Φ| of the winners, {NORMS[NORM]}"]
+    return Table(caption, head[:count], [row[:count] for row in rows], **more)
 
 
 def targets_table(
