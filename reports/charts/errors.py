@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST, COSTS, ERROR_NAMES, GROUP_NAMES, NORM, NORMS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, GROUP_NAMES, NORM, NORMS, VIOLATIONS
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
     ACROSS,
@@ -88,7 +88,8 @@ def work_precision_with_menus(
     series = [s for s in series if s.ok]
     options = vl.ChartOptions(styles_of(series, styles), interactive=True)
     known = {name for r in ok_runs(series) for name in r.errors}
-    errors_of = [name for name in ERROR_NAMES if name in known]
+    asked = {*groups, *VIOLATIONS}
+    errors_of = [n for n in ERROR_NAMES if n in known and n.strip("|") in asked]
     data = vl.Dataset("runs", run_rows(series, errors_of, options.norms, _MENU))
     if not data.rows:
         return None
