@@ -8,13 +8,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.plugins.registry import Registry
 from integrators import Steps
+from integrators.native.step_method import NativeMethod
 from problems.reference import Reference
 
 
 @pytest.fixture(autouse=True)
 def scripts(monkeypatch):
     monkeypatch.setattr(sys, "path", [str(Path(__file__).parent / "benchmarks"), *sys.path])
+
+
+def test_every_native_method_is_in_a_race():
+    import families
+
+    registry = Registry()
+    native = {n for n in registry.integrators if isinstance(registry.integrator(n), NativeMethod)}
+    raced = {scene: families.all_native(scene) for scene in (families.SCENE, families.FREE)}
+    names = {spec.partition("[")[0] for specs in raced.values() for spec in specs}
+    assert names == native > {"rodas5p", "stormer_verlet", "cr"}
+    assert {specs[0] for specs in raced.values()} == {families.OURS}
 
 
 @pytest.mark.long
@@ -25,8 +38,9 @@ def test_tables_of_families():
     lines = families.same_step_table(rows).splitlines()
     cells = [cell.strip() for cell in lines[2].split("|")[1:-1]]
     assert cells[0] == f"`{families.OURS}`"
-    operations, residuals = (float(cells[k]) for k in (4, 6))
+    step, run, operations, residuals = (float(cells[k].split()[0]) for k in (1, 2, 5, 7))
     assert operations > 100 * residuals > 100
+    assert run == pytest.approx(5 * step, rel=0.1)  # ms of 5000 steps in µs
     assert lines[-1].startswith("- kr_alpha was left out: constraints")
 
     rows = families.beside_ida(families.SCENE, 1e-3, rounds=1)

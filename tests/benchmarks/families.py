@@ -1,8 +1,9 @@
 """Families of native methods on the slider crank; backward differences beside IDA; solvers in C.
 
-``make bench`` prints four kinds of tables and writes them as JSON: all methods at the same step;
-each at the step or tolerance that gives the error of generalized-alpha in a; backward differences
-of our own beside IDA at the same tolerances, with the parts of IDA's time; and solvers of libraries
+``make bench`` prints four kinds of tables and writes them as JSON: every native method at the same
+step, and at the step or tolerance that gives the error of generalized-alpha in a, with the time of
+a step and of a run (those that take no constraints on a scene without); backward differences of our
+own beside IDA at the same tolerances, with the parts of IDA's time; and solvers of libraries
 with equations in C beside the same through Python. Contestants run in turn and ratios are taken
 within rounds (see `race`). Times are not checked.
 """
@@ -25,7 +26,6 @@ from opponents import (
     OURS,
     SCENE,
     STEPS,
-    T_END,
     Contestant,
     NotHere,
     c_program,
@@ -34,23 +34,26 @@ from opponents import (
 )
 from race import race
 
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.adapters.packed_functions import in_c
 from integrators.lowering.native import load_c
+from integrators.native.step_method import NativeMethod
 from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
+from problems.scenes.duffing import Duffing
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem
 
-#: One or two methods of each family.
+#: One or two methods of each family; `all_native` adds the other native methods.
 MEMBERS = (
     OURS,
     "generalized_alpha[formulation=stabilised_index2,rho_inf=0.8,newton=modified]",
-    "hht_i3[newton=modified,steps=constant]",
+    "hht_i3[newton=modified]",
     "park[newton=modified]",
     "bdf2[newton=modified]",
     "bdf2[formulation=stabilised_index2,newton=modified]",
@@ -64,17 +67,15 @@ MEMBERS = (
     "semi_implicit_euler",
     "linearly_implicit_euler",
     "half_explicit_euler",
-    "phem56[steps=constant]",
-    "radau_iia[stages=2,newton=modified,steps=constant]",
-    "radau_iia[formulation=stabilised_index2,newton=modified,steps=constant]",
-    "kr_alpha",
-)
-#: Those of the race at equal error: adaptive methods follow a tolerance there.
-RACERS = (
-    *(one.replace(",steps=constant", "").replace("[steps=constant]", "") for one in MEMBERS),
+    "phem56",
+    "radau_iia[stages=2,newton=modified]",
+    "radau_iia[formulation=stabilised_index2,newton=modified]",
+    "rodas5p",
     "bdf_adaptive[newton=modified]",
     "generalized_alpha_adaptive[newton=modified]",
 )
+#: A scene for methods that take no constraints.
+FREE = Duffing()
 #: Steps of generalized-alpha in the races at equal error, and tolerances beside IDA.
 SIZES, RTOLS = (1e-3, 1e-4), (1e-4, 1e-6, 1e-8)
 #: IDA whose calls of equations are timed one by one.
@@ -110,21 +111,58 @@ def _held(
     return race(title, _ERROR, found, rounds) + reasons
 
 
-def same_step(members: Sequence[str], steps: int, rounds: int) -> list[dict[str, Any]]:
+def all_native(scene: MechatronicSystem) -> list[str]:
+    """Native methods: those that take the slider crank, or the others that take this scene."""
+    registry = Registry()
+    known = {one.partition("[")[0] for one in MEMBERS}
+    methods = {
+        name: registry.integrator(name) for name in registry.integrators if name not in known
+    }
+    native = {name: one for name, one in methods.items() if isinstance(one, NativeMethod)}
+    if scene is SCENE:
+        return [*MEMBERS, *(name for name, one in native.items() if not one.supports(SCENE))]
+    taken = [
+        name for name, one in native.items() if one.supports(SCENE) and not one.supports(scene)
+    ]
+    return [OURS, *taken]
+
+
+def constant(spec: str, *given: Any) -> Contestant:
+    """A method with constant steps.
+
+    Raises
+    ------
+    NotHere
+        If it has none.
+    """
+    method = Registry().integrator(spec)
+    fixed = method if method.controls == "step" else method.at_constant_steps()
+    if fixed is None:
+        raise NotHere(f"{spec} was left out: it has no constant steps.")
+    return stepbench(spec if fixed is method else fixed.spec, *given)
+
+
+def same_step(
+    members: Sequence[str], steps: int, rounds: int, scene: MechatronicSystem = SCENE
+) -> list[dict[str, Any]]:
     """All methods with the same constant steps, and the program in C with its own."""
-    h, reference = Steps(T_END / steps), Reference(SCENE, T_END)
-    makers = [partial(stepbench, one, h, reference) for one in members]
-    return _held(f"the same step, h={h.h:g} s", [*makers, c_program], rounds)
+    t_end = scene.interval[1]
+    h, reference = Steps((t_end - scene.interval[0]) / steps), Reference(scene, t_end)
+    makers = [partial(constant, one, h, reference, scene) for one in members]
+    in_c = [c_program] if scene is SCENE else []
+    return _held(f"{scene.name}, the same step, h={h.h:g} s", [*makers, *in_c], rounds)
 
 
-def same_error(racers: Sequence[str], h: float, rounds: int) -> list[dict[str, Any]]:
+def same_error(
+    racers: Sequence[str], h: float, rounds: int, scene: MechatronicSystem = SCENE
+) -> list[dict[str, Any]]:
     """All methods at about the error of generalized-alpha in a; its row is the first."""
-    reference = Reference(SCENE, T_END)
-    ours = stepbench(OURS, Steps(h), reference)
+    reference = Reference(scene, scene.interval[1])
+    ours = stepbench(OURS, Steps(h), reference, scene)
     assert ours.error is not None
     others = [one for one in racers if one != OURS]
     makers = [partial(equally_accurate, one, ours.error, reference) for one in others]
-    return _held(f"equal error in a, h={h:g} s", [lambda: ours, *makers], rounds)
+    return _held(f"{scene.name}, equal error in a, h={h:g} s", [lambda: ours, *makers], rounds)
 
 
 def beside_ida(scene: MechatronicSystem, rtol: float, rounds: int) -> list[dict[str, Any]]:
@@ -198,12 +236,13 @@ def same_step_table(rows: list[dict[str, Any]]) -> str:
         speed = 1e3 * us["least"] / operations
         return [
             f"`{row['contestant']}`", f"{us['median']:.2f} ({us['least']:.2f})",
-            _spread(row["ratio"]), f"{us['least'] / c:.1f}", f"{operations:.0f}", f"{speed:.2f}",
+            f"{row['milliseconds']['least']:.1f}", _spread(row["ratio"]), f"{us['least'] / c:.1f}", 
+            f"{operations:.0f}", f"{speed:.2f}",
             *counts, f"{row['agreement'][_ERROR]:.1e}",
         ]  # fmt: skip
 
-    head = "method | µs/step (least) | time/ours (quartiles) | least/C | operations/step "
-    head += f"| ns/operation | residuals/step | factorisations/step | {_ERROR}"
+    head = "method | µs/step (least) | ms/run, least | time/ours (quartiles) | least/C "
+    head += f"| operations/step | ns/operation | residuals/step | factorisations/step | {_ERROR}"
     return _table(head, rows, cells)
 
 
@@ -214,13 +253,14 @@ def same_error_table(rows: list[dict[str, Any]]) -> str:
     def cells(row: dict[str, Any]) -> list[str]:
         ms, operations = row["milliseconds"], row["work"]["operations"]
         return [
-            f"`{row['contestant']}`", row["about"], str(row["steps"]), f"{ms['least']:.1f}",
+            f"`{row['contestant']}`", row["about"], str(row["steps"]),
+            f"{row['us_per_step']['least']:.2f}", f"{ms['least']:.1f}",
             _spread(row["ratio"]), f"{operations / 1e6:.1f}", f"{operations / ours:.2f}",
             f"{row['agreement'][_ERROR]:.1e}",
         ]  # fmt: skip
 
-    head = "method | at | steps | ms, least | time/ours (quartiles) | million operations "
-    return _table(head + f"| operations/ours | {_ERROR}", rows, cells)
+    head = "method | at | steps | µs/step, least | ms/run, least | time/ours (quartiles) "
+    return _table(head + f"| million operations | operations/ours | {_ERROR}", rows, cells)
 
 
 def ida_table(rows: list[dict[str, Any]]) -> str:
@@ -255,15 +295,17 @@ def main() -> None:
         record = {"machine": msgspec.to_builtins(environment()), "rows": rows}
         given.out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
-    keep(same_step(MEMBERS, STEPS, given.rounds), same_step_table)
+    for scene in (SCENE, FREE):
+        keep(same_step(all_native(scene), STEPS, given.rounds, scene), same_step_table)
     for scene in (SCENE, CarAxis()):
         for rtol in RTOLS:
             keep(beside_ida(scene, rtol, given.rounds), ida_table)
     scenes, rtol = _IN_C
     for scene, solvers in product(scenes, _SOLVERS):
         keep(beside_python(scene, rtol, solvers, given.rounds), ida_table)
-    for h in SIZES:
-        keep(same_error(RACERS, h, max(3, given.rounds // 2)), same_error_table)
+    for scene, h in product((SCENE, FREE), SIZES):
+        rows_of = same_error(all_native(scene), h, max(3, given.rounds // 2), scene)
+        keep(rows_of, same_error_table)
     print(f"Written to {given.out}.")
 
 

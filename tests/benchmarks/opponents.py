@@ -188,13 +188,14 @@ def equally_accurate(spec: str, wanted: float, reference: Reference) -> Contesta
     """
     in_steps = Registry().integrator(spec).controls == "step"
     size, order = (1e-3, 2.0) if in_steps else (1e-6, 1.0)
-    length = T_END - SCENE.interval[0]
+    scene = reference.scene
+    length = scene.interval[1] - scene.interval[0]
     fine, coarse = (length / _MOST_STEPS if in_steps else 1e-14), (length / 20 if in_steps else 0.1)
     met: list[Contestant] = []
     tried, why = set(), ""
     for _ in range(_TRIES):
         try:
-            found = stepbench(spec, Steps(size) if in_steps else Tolerances(size), reference)
+            found = stepbench(spec, Steps(size) if in_steps else Tolerances(size), reference, scene)
         except NotHere as reason:
             if "left out" in str(reason):
                 raise
