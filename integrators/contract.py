@@ -266,9 +266,10 @@ class PreparedRun(ABC):
     def bill(self, run: Trajectory) -> dict[str, float]:
         """Return the floating-point operations of a measured run by part; empty if not known.
 
-        They are those of the scene's equations and of linear algebra (`integrators.operations`):
-        numbers that were counted in the run, times the operations of one. Sums of vectors within
-        the method (stages, predictors, norms, step control) are left out everywhere.
+        They are all that is done in the steps of the run: evaluations of the scene's equations,
+        linear algebra, and arithmetic of the method itself (stages, predictors, tests of
+        convergence, step control). Numbers that were counted in the run are multiplied by the
+        operations of one (`integrators.operations`).
         """
         return {}
 

@@ -11,9 +11,12 @@ routine computes them: dense LU 2/3 n^3, both substitutions 2 n^2 for each right
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,7 +26,7 @@ from integrators.lowering.moves import MOVES
 from integrators.lowering.operators import ELEMENTARY, OPERATORS
 from integrators.programs import Follower, Program, Step, program
 from problems.compiled import compiled
-from problems.named_equations import EQUATIONS, INDEX1
+from problems.named_equations import EQUATIONS, INDEX1, part_of, turns_of
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
     from integrators.contract import Trajectory
     from problems.system import MechatronicSystem
 
+#: Operations on real numbers in one on complex numbers.
+_COMPLEX = 4
 #: Turns of loops that are counted at all.
 _MOST_TURNS = 100_000
 #: Operations for each entry of the result, by the names of StableHLO.
@@ -40,7 +45,7 @@ _EACH = {name: operator.cost for name, operator in OPERATORS.items()} | {
     **dict.fromkeys(MOVES.keys() - {"scatter"}, 0),
     **dict.fromkeys(("constant", "iota", "convert", "bitcast_convert", "reduce_precision"), 0),
     **dict.fromkeys(("compare", "clamp", "sort", "round_nearest_afz", "AllocateBuffer"), 0),
-    "optimization_barrier": 0,
+    **dict.fromkeys(("optimization_barrier", "complex"), 0),
 }
 
 
@@ -78,6 +83,9 @@ class Operations(NamedTuple):
 
 
 NOTHING = Operations()
+#: Parts of a bill: evaluations of the scene's equations, linear algebra within them, and arithmetic
+#: of the method itself.
+RESIDUALS, INNER, OWN = "residuals", "inner solves", "method"
 
 
 class Algebra(NamedTuple):
@@ -108,6 +116,41 @@ def sparse(rows: Int[np.ndarray, " e"], columns: Int[np.ndarray, " e"], n: int) 
     right = np.diff(factors.U.tocsr().indptr) - 1
     entries = below.sum() + right.sum()
     return Algebra(float((below * (1 + 2 * right)).sum()), float(2 * entries + n))
+
+
+class Cost(NamedTuple):
+    """Operations of a program in one part of the work, and the turns in which they arise.
+
+    Attributes
+    ----------
+    part
+        Of the work; see `bench.results.quantities.PARTS`.
+    turns
+        Name of the innermost loop or branch around them whose turns a run counts (see
+        `problems.named_equations.turns`); empty if there is none. Those of one name share their
+        turns.
+    inner
+        Whether they arise in each iteration of Newton's method for the index-1 equations.
+    operations
+        Their number in such a turn.
+    """
+
+    part: str
+    turns: str
+    inner: bool
+    operations: float
+
+
+def bill_of(
+    costs: Iterable[Cost], scene: MechatronicSystem, run: Trajectory, turns: Mapping[str, float]
+) -> dict[str, float]:
+    """Operations of a run by part, from those of a turn of each loop and its turns in the run."""
+    costs = [cost for cost in costs if turns[cost.turns]]
+    inner = _index1_turns(scene, run) if any(cost.inner for cost in costs) else 0.0
+    found: dict[str, float] = defaultdict(float)
+    for cost in costs:
+        found[cost.part] += cost.operations * turns[cost.turns] * (inner if cost.inner else 1.0)
+    return {part: value for part, value in found.items() if value}
 
 
 def bill(
@@ -151,76 +194,98 @@ def _index1_turns(scene: MechatronicSystem, run: Trajectory) -> float:
     return float(np.mean(turns))
 
 
-def operations(function: Callable, *arguments: Any, only_equations: bool = False) -> Operations:
+def operations(function: Callable, *arguments: Any) -> Operations:
     """Count the operations of a traceable function at arguments, of which only shapes matter.
-
-    Parameters
-    ----------
-    only_equations
-        Leave out arithmetic that belongs to no equation of a scene (`problems.named_equations`).
 
     Raises
     ------
     NotCounted
         If the program has a loop whose number of turns it does not tell, or an unknown operation.
     """
+    found: dict[tuple[bool, bool], float] = defaultdict(float)
+    for cost in costs_of(function, *arguments):
+        found[cost.inner, cost.part == INNER] += cost.operations
+    return Operations(*(found[kind] for kind in product((False, True), repeat=2)))
+
+
+def costs_of(
+    function: Callable,
+    *arguments: Any,
+    libraries: Mapping[str, Callable[[Step], float]] = MappingProxyType({}),
+) -> list[Cost]:
+    """Count the operations of a traceable function by part, and by loops whose turns a run counts.
+
+    Parameters
+    ----------
+    libraries
+        Operations of calls of libraries, by name.
+
+    Raises
+    ------
+    NotCounted
+        If the program has another loop whose turns it does not tell, or an unknown operation.
+    """
     functions = program(function, *arguments)
-    counter = _Counter(functions, only_equations)
+    counter = _Counter(functions, libraries)
     given = [counter.new([]) for _ in functions["main"].parameters]
-    return counter.total(counter.called("main", given))
+    found = counter.total(counter.called("main", given))
+    alike = counter.names
+    found = [cost._replace(operations=cost.operations / alike.get(cost.turns, 1)) for cost in found]
+    return [*found, *(Cost(OWN, name, False, 0.0) for name in alike)]
 
 
 @dataclass
 class _Counted:
-    """Operations of a step, and numbers of the steps that it needs.
+    """Costs of a step, and numbers of the steps that it needs.
 
     ``known`` is its result if that is one whole number that is known; ``constant`` tells whether
-    it depends on no argument. Of ``branches`` it needs the results of the dearest one.
+    it depends on no argument.
     """
 
     given: list[int]
-    operations: Callable[[], Operations] = lambda: NOTHING
+    cost: Callable[[], Cost | None] = lambda: None
     constant: bool = False
     known: int | None = None
-    branches: list[list[int]] | None = None
 
 
 class _Counter(Follower[int]):
     """Lists a program's steps, in which equal operations on equal values stand once."""
 
-    def __init__(self, functions: Program, only_equations: bool) -> None:
+    def __init__(
+        self, functions: Program, libraries: Mapping[str, Callable[[Step], float]]
+    ) -> None:
         super().__init__(functions)
-        self._only_equations = only_equations
+        self._libraries = libraries
         self._steps: list[_Counted] = []
         self._seen: dict[Any, int] = {}
-        #: Turns of the loops that are being followed; None if their number is not known.
+        #: Turns of the loops that are being followed, or their names; None if nobody knows them.
         self._turns: tuple[int | str | None, ...] = ()
+        #: Names of the loops and branches whose turns a run counts, and how many have each.
+        self.names: dict[str, int] = defaultdict(int)
 
     def new(self, given: list[int], *about: Any, **more: Any) -> int:
         """The number of a new step."""
         self._steps.append(_Counted(given, *about, **more))
         return len(self._steps) - 1
 
-    def total(self, results: Iterable[int]) -> Operations:
-        """The operations that results need."""
-        tally, reached, waiting = NOTHING, set[int](), [*results]
+    def total(self, results: Iterable[int], first: int = 0) -> list[Cost]:
+        """The costs of what results need, one for each kind; of the steps from the first one on."""
+        found, reached, waiting = defaultdict[Any, float](float), set[int](), [*results]
         while waiting:
             number = waiting.pop()
-            if number not in reached:
+            if number not in reached and number >= first:
                 reached.add(number)
                 step = self._steps[number]
-                tally = tally.plus(step.operations())
+                if cost := step.cost():
+                    found[cost[:3]] += cost.operations
                 waiting += step.given
-                if step.branches:
-                    waiting += max(step.branches, key=lambda results: sum(self.total(results)))
-        return tally
+        return [Cost(*kind, amount) for kind, amount in found.items()]
 
     def step(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
         if step.name == "while":
             return self._loop(step, given, values, scope)
         if step.name == "case":
-            branches = [self.run(body, [], values, scope) for body in step.bodies]
-            return [self.new(given, branches=branches)] * len(step.made)
+            return self._branch(step, given, values, scope)
         bodies = [[one.name for one in body.steps] for body in step.bodies]
         number = None if step.value is None else step.value.tobytes()
         types = [(one.shape, str(one.dtype)) for one in step.made]
@@ -228,11 +293,25 @@ class _Counter(Follower[int]):
         if key not in self._seen:
             constant = all(self._steps[value].constant for value in given)
             known = _known(step, [self._steps[value].known for value in given])
-            counts = EQUATIONS in scope or not self._only_equations
-            operations = partial(_repeated, step, counts, self._turns)
-            about = (operations, False, known) if not constant else (lambda: NOTHING, True, known)
+            cost = partial(self._cost, step, scope, self._turns)
+            about = (cost, False, known) if not constant else (lambda: None, True, known)
             self._seen[key] = self.new(given, *about)
         return [self._seen[key]] * len(step.made)
+
+    def _branch(
+        self, step: Step, given: list[int], values: dict[int, int], scope: str
+    ) -> list[int]:
+        """The results of the dearest branch."""
+        outside, name = self._turns, self._new_turns(scope)
+        self._turns = (*outside, name) if name else outside
+        dearest, found = -1.0, list[int]()
+        for body in step.bodies:
+            first = len(self._steps)
+            results = self.run(body, [], values, scope)
+            size = sum(cost.operations for cost in self.total(results, first))
+            dearest, found = max((dearest, found), (size, results), key=lambda one: one[0])
+        self._turns = outside
+        return [self.new([*given, one]) for one in found]
 
     def _loop(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
         (condition, turn), outside = step.bodies, self._turns
@@ -240,7 +319,8 @@ class _Counter(Follower[int]):
         start = [self.new([x]) if one else x for x, one in zip(given, changed, strict=True)]
         known = {k: self._steps[value].known for k, value in values.items()}
         first = [self._steps[value].known for value in given]
-        turns = INDEX1 if INDEX1 in scope else _turns(self.functions, step, first, known)
+        turns = INDEX1 if INDEX1 in scope else self._new_turns(scope)
+        turns = turns or _turns(self.functions, step, first, known)
         self._turns = *outside, turns
         (goes_on,) = self.run(condition, start, values, scope)
         after = self.run(turn, start, values, scope)
@@ -251,6 +331,53 @@ class _Counter(Follower[int]):
                 self._steps[before].given.append(x)  # by another turn
             results.append(self.new([before, x, goes_on]) if one else before)
         return results
+
+    def _new_turns(self, scope: str) -> str:
+        """The name of a loop or branch whose turns a run counts; empty if it has none."""
+        name = turns_of(scope)
+        if not name or name in self._turns:
+            return ""
+        self.names[name] += 1
+        return name
+
+    def _cost(self, step: Step, scope: str, loops: tuple[int | str | None, ...]) -> Cost | None:
+        """Operations of a step in loops; None if there are none.
+
+        Raises
+        ------
+        NotCounted
+            If they are not known.
+        """
+        algebra = self._algebra(step)
+        amount, part = algebra, part_of(scope)
+        if algebra is None:
+            amount, part = float(_arithmetic(step)), part or (OWN, RESIDUALS)[EQUATIONS in scope]
+        elif not part or EQUATIONS in scope:
+            part = INNER
+        name, inner = "", False
+        for turns in reversed(loops):
+            if turns is None and amount:
+                raise NotCounted("it has a loop whose number of turns is not known beforehand")
+            if turns == INDEX1:
+                inner = True
+            elif isinstance(turns, str):
+                name = turns
+                break  # a run counts all of them
+            else:
+                amount *= turns or 0
+        return Cost(part, name, inner, amount) if amount else None
+
+    def _algebra(self, step: Step) -> float | None:
+        """Operations of a factorisation or solve; None for any other step."""
+        name = step.name
+        if name in self._libraries:
+            return self._libraries[name](step)
+        if name == "triangular_solve" or "trsm" in name:
+            return float(step.taken[0].shape[-1] * step.made[0].size)
+        if "getrf" in name or "potrf" in name or name == "cholesky":
+            *many, _, n = step.taken[0].shape
+            return math.prod(many) * dense(n).factorisation / (1 if "getrf" in name else 2)
+        return None
 
 
 class _Numbers(Follower[int | None]):
@@ -285,43 +412,14 @@ def _turns(
     return None
 
 
-def _repeated(step: Step, counts: bool, loops: tuple[int | str | None, ...]) -> Operations:
-    """Operations of a step in loops; if it does not count, of its linear algebra alone.
-
-    Raises
-    ------
-    NotCounted
-        If they are not known.
-    """
-    algebra = _algebra(step)
-    operations = Operations(0.0, algebra or 0.0)
-    if counts and algebra is None:
-        operations = Operations(float(_arithmetic(step)))
-    for turns in reversed(loops):
-        if turns is None and any(operations):
-            raise NotCounted("it has a loop whose number of turns is not known beforehand")
-        if isinstance(turns, str):
-            operations = Operations(0.0, 0.0, operations.arithmetic, operations.algebra)
-        else:
-            operations = operations.times(turns or 0)
-    return operations
-
-
-def _algebra(step: Step) -> float | None:
-    """Operations of a factorisation or solve; None for any other step."""
-    name = step.name
-    if name == "triangular_solve" or "trsm" in name:
-        return float(step.taken[0].shape[-1] * step.made[0].size)
-    if "getrf" in name or "potrf" in name or name == "cholesky":
-        *many, _, n = step.taken[0].shape
-        return math.prod(many) * dense(n).factorisation / (1 if "getrf" in name else 2)
-    return None
-
-
 def _arithmetic(step: Step) -> int:
+    """Operations of a step on numbers."""
+    kind = step.made[0].dtype.kind
+    return _COMPLEX ** (kind == "c") * _of_numbers(step) if kind in "fc" else 0
+
+
+def _of_numbers(step: Step) -> int:
     name, made = step.name, step.made[0]
-    if made.dtype.kind not in "fc":
-        return 0
     if name in _EACH:
         return _EACH[name] * made.size
     first = step.taken[0]

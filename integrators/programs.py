@@ -53,7 +53,7 @@ class Step:
         Names that the traced function gave to this part of it (`jax.named_scope`); a follower adds
         those of the functions that call it.
     value
-        Of a constant.
+        Of a constant; None if it is complex.
     """
 
     name: str
@@ -155,7 +155,10 @@ class _Reader:
         name = operation.name.rpartition(".")[2]
         attributes, value = {}, None
         if name == "constant":
-            value = np.array(operation.attributes["value"])
+            try:
+                value = np.array(operation.attributes["value"])
+            except TypeError as error:  # MLIR's bindings read no complex numbers
+                attributes["value"] = str(error)
         else:  # of releases of MLIR one gives attributes there, another one their names
             names = [getattr(one, "name", one) for one in operation.attributes]
             attributes = {one: str(operation.attributes[one]) for one in names}

@@ -80,20 +80,6 @@ def test_a_method_meets_the_error_of_another():
 
 
 @pytest.mark.long
-def test_operations_of_full_newton_are_those_of_its_fixed_order():
-    import opponents
-
-    # Multiplications and divisions of its elimination: `test_fixed_elimination` counts them.
-    elimination, steps = 2 * 85, Steps(1e-2)
-    full, modified = (
-        opponents.stepbench(f"generalized_alpha[newton={kind}]", steps)
-        for kind in ("full", "modified")
-    )
-    assert modified.done == modified.work["operations"]
-    assert elimination * full.work["newton"] < full.done < 0.6 * full.work["operations"]
-
-
-@pytest.mark.long
 def test_the_table_of_a_race_has_operations_per_second():
     import opponents
     import race

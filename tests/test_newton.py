@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from integrators.native.linear_solvers import LinearSolver
+from integrators.native.linear_solvers import LinearSolver, Once
 from integrators.native.newton import Bounds, newton
 from integrators.native.step_records import StepReport
 from problems import jax, jnp
@@ -24,7 +24,7 @@ class Slopes(LinearSolver):
         self._slope, self.log, self.places = slope, "", []
 
     def once(self, residual, u):
-        return self.update(self.renewed(residual, u, u), residual(u))
+        return Once(self.update(self.renewed(residual, u, u), residual(u)))
 
     def nothing_kept(self, size):
         return jnp.full(size, jnp.nan)

@@ -97,7 +97,7 @@ def test_flat_rows_have_the_sum_and_every_part():
     parts = {part: row["operations_" + part.replace(" ", "_")] for part in PARTS}
     assert parts == {
         "residuals": 6e4, "Jacobians": 3e4, "inner solves": None, "factorisations": None,
-        "solves": 1e4,
+        "solves": 1e4, "method": None,
     }  # fmt: skip
     assert row["operations"] == 1e5
     assert flatten(planted("pendulum", "one", {}, h=0.1, operations={}), {})["operations"] is None

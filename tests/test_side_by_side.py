@@ -31,7 +31,7 @@ def wanted(residual_of, u, p):
 
 def updates(residual_of, u, p):
     """Updates of runs side by side, with unknowns and a parameter each."""
-    program = jax.jit(jax.vmap(lambda u, p: linear_solvers.DENSE.once(residual_of(p), u)))
+    program = jax.jit(jax.vmap(lambda u, p: linear_solvers.DENSE.once(residual_of(p), u).update))
     return np.asarray(program(u, p))
 
 

@@ -117,7 +117,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
     ) -> ModelState:
         p, old = self.parameters(), state.matrices
         new = jnp.asarray(h != old.h)
-        matrices = jax.lax.cond(
+        matrices = work.where_needed(
             new, lambda: self._matrices(state.tangents, h), lambda: old._replace(h=h)
         )
         work.count(factorisations=2 * new)

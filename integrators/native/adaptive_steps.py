@@ -22,9 +22,11 @@ from integrators.native.kernel import (
     SparseKernel,
     bounded,
     flat_row,
+    no_counts,
     rewritten_step,
 )
 from integrators.native.step_control import Span, StepControl
+from integrators.native.step_operations import STEPS
 from integrators.native.step_program import Carried, Numbers, StepProgram
 from integrators.native.step_records import (
     COUNTS,
@@ -37,6 +39,7 @@ from integrators.native.step_records import (
     largest,
 )
 from problems.formulations import Start
+from problems.named_equations import turns, with_named_blocks
 from problems.runtime import Array, Bool, Int, jax, jnp
 from problems.system import MechatronicSystem
 
@@ -76,10 +79,11 @@ class AdaptiveRun(LoopRun):
             if times == before:
                 windows.append(window)
                 first, full = first + self._slots, window[-1, 0] > 0
+        self._turns = [*map(int, end[4 + len(COUNTS) :])]
         rows = in_order(np.concatenate([*windows, last[None]]))
         limits, work = (
             (float(self._span.t_end), int(self._span.max_steps)),
-            Work(*map(int, end[2:])),
+            Work(*map(int, end[2 : 4 + len(COUNTS)])),
         )
         return self._trajectory(rows, end, limits[0], work, limits[1])
 
@@ -158,12 +162,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1. With None the
     program has no memory for them: many runs side by side would copy it in every step.
     """
-    control, step = StepControl(program.functions), rewritten_step(program, template)
+    named, control = with_named_blocks(template), StepControl(program.functions)
+    step = rewritten_step(program, named)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None, times: Array
     ) -> tuple[Array, ...]:
-        scene, method = template.with_parameters(p), program.method(numbers)
+        scene, method = named.with_parameters(p), program.method(numbers)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
         h0 = jnp.maximum(method.first_step(control.first_step(start, span)), smallest)
         begun = program.begin(scene, numbers, start, h0)
@@ -223,12 +228,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             return _Progress(t, state, h_next, error, peaks, ending, counts, rows)
 
         width, slots = 2 + flat_row(first).size, 0 if wanted is None else wanted.size
-        none, counts = jnp.asarray(0), (jnp.asarray(0),) * (2 + len(COUNTS))
-        rows = KeptRows(jnp.zeros((slots, width)), none)
+        counts = no_counts(2, step, p, numbers, begun)
+        rows = KeptRows(jnp.zeros((slots, width)), jnp.asarray(0))
         m = _Progress(
             span.t0, begun, h0, jnp.asarray(1.0), _sizes_of(first), jnp.asarray(_OK), counts, rows
         )
-        m = jax.lax.while_loop(goes_on, one_step, m)
+        with turns(STEPS):
+            m = jax.lax.while_loop(goes_on, one_step, m)
         last = jnp.stack([1.0 * m.counts[0], m.t]), flat_row(program.read(scene, m.state))
         program.finish(m.state)
         return m.rows.table, jnp.concatenate(last), jnp.stack([m.ending, m.t, *m.counts])

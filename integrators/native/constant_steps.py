@@ -22,11 +22,14 @@ from integrators.native.kernel import (
     SparseKernel,
     bounded,
     flat_row,
+    no_counts,
     rewritten_step,
 )
+from integrators.native.step_operations import ROWS, STEPS
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import COUNTS, Scalar, Time
 from problems.formulations import Start
+from problems.named_equations import turns, with_named_blocks
 from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
 
@@ -114,7 +117,8 @@ class ConstantStepsRun(LoopRun):
         if int(end[2]) > done:
             parts.append(self._rows(np.array([int(end[2])]))[0])  # the last good step
         rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        work = Work(int(end[2]), 0, *map(int, end[3:]))
+        work = Work(int(end[2]), 0, *map(int, end[3 : 3 + len(COUNTS)]))
+        self._turns = [*map(int, end[3 + len(COUNTS) :])]
         run = self._trajectory(rows, end, self._t_end, work)
         numbers: Any = rows[:, 0].astype(int) - 1  # all at once
         _, sizes = step_times(self._clock, numbers)
@@ -157,12 +161,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     and ``[ending, t, counts...]``.
     """
 
-    step = rewritten_step(program, template)
+    named = with_named_blocks(template)
+    step = rewritten_step(program, named)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
     ) -> tuple[Array, Array]:
-        scene = template.with_parameters(p)
+        scene = named.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
         first = program.read(scene, state)
         sane = bounded(first)
@@ -182,22 +187,24 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
 
         def to_row(carry: tuple) -> tuple:
             k, kept, progress = carry
-            progress = jax.lax.while_loop(
-                lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
-            )
+            with turns(STEPS):
+                progress = jax.lax.while_loop(
+                    lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
+                )
             n, state, ending, _, t = progress
             reached = jnp.where(ending == _OK, n, -1)
             row = jnp.concatenate([jnp.stack([reached, t]), flat_row(program.read(scene, state))])
             return k + 1, kept.at[k].set(row), progress
 
-        counts = (jnp.asarray(0),) * (1 + len(COUNTS))
+        counts = no_counts(1, step, p, numbers, state)
         progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
         width = 2 + flat_row(first).size
-        _, kept, progress = jax.lax.while_loop(
-            lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
-            to_row,
-            (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
-        )
+        with turns(ROWS):
+            _, kept, progress = jax.lax.while_loop(
+                lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
+                to_row,
+                (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
+            )
         _, state, ending, (steps, *counts), t = progress
         program.finish(state)
         return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])

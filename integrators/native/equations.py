@@ -43,7 +43,8 @@ def evaluated(
 
     for equation in jaxpr.eqns:
         inner, taken = _called(equation), [value(atom) for atom in equation.invars]
-        results = rule(equation, taken) if inner is None else evaluated(inner, taken, rule)
+        with jax.named_scope(str(equation.source_info.name_stack)):  # its operations are counted
+            results = rule(equation, taken) if inner is None else evaluated(inner, taken, rule)
         values.update(zip(equation.outvars, results, strict=True))
     return [value(atom) for atom in jaxpr.outvars]
 

@@ -23,6 +23,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from integrators.native import small_matrices
+from integrators.native.step_records import PIVOTS
+from problems.named_equations import part, turns
 from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
 #: Entries of a matrix, by row and column.
@@ -73,15 +75,20 @@ class EliminationPlan:
 
     def solve(
         self, products: Sequence[Float[Array, " n"]], b: Float[Array, " n"]
-    ) -> Float[Array, " n"]:
-        """Solve a x = b, given the products of a with the seeds."""
+    ) -> tuple[Float[Array, " n"], Int[Array, ""]]:
+        """Solve a x = b, given the products of a with the seeds; return x, and 1 if it took an
+        elimination with pivots, else 0."""
         # Each stage stands unfused, and values between them are numbers: XLA computes a number anew
         # for each array that it goes into.
-        triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
-        x = jnp.stack(small_matrices.unfused(self._backward, triangle, right))
-        a = jnp.stack(products)
-        solved = reliable & small_matrices.unfused(self._solved, a, b, x)
-        return jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
+        with part("factorisations"):
+            triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
+        with part("solves"):
+            x = jnp.stack(small_matrices.unfused(self._backward, triangle, right))
+            a = jnp.stack(products)
+            solved = reliable & small_matrices.unfused(self._solved, a, b, x)
+        with turns(PIVOTS):
+            x = jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
+        return x, jnp.where(solved, 0, 1)
 
     def solve_many(
         self, products: Sequence[Sequence[Float[Array, " k"]]], b: Sequence[Float[Array, " k"]]

@@ -14,7 +14,7 @@ from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import most_rows, width_of
 from integrators.native import klu, small_matrices
 from integrators.native.endings import Ending
-from integrators.native.step_operations import run_bill
+from integrators.native.step_operations import loop_costs, run_bill
 from integrators.native.step_program import Carried, Numbers, StepProgram
 from integrators.native.step_records import Reading, StepReport, Time, largest
 from problems.exported_programs import exported
@@ -82,12 +82,13 @@ class Kernel:
     """
 
     def __init__(self, loop: Callable, form: Form, about: tuple | None = None) -> None:
+        @jax.jit  # so that it is traced once
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*form.unpack(packed), *wanted)
 
         about = about and (about, str(form[:2]), form.types)
-        self.compiled = exported(run, about) if about else jax.jit(run)
-        self.form, self._run = form, run
+        self.compiled = exported(run, about) if about else run
+        self.form, self.run = form, run
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.compiled(packed, *wanted)
@@ -96,7 +97,7 @@ class Kernel:
     def _many(self) -> Callable:
         # Many runs do the same arithmetic side by side: use the widest registers.
         wide = known_options(xla_cpu_prefer_vector_width=512)
-        return jax.jit(jax.vmap(self._run), compiler_options=wide)
+        return jax.jit(jax.vmap(self.run), compiler_options=wide)
 
     def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
         """Run many runs in one program: every argument has one more axis in front."""
@@ -186,6 +187,8 @@ class LoopRun(PreparedRun):
     ) -> None:
         self._start, self._noted = consistent_start(scene), noted
         self._program, self._scene = program, scene
+        #: Turns of the loops and branches of the run that was measured last.
+        self._turns: list[int] = []
         self._parts = scene.parameters(), numbers, self._start
         form = Form.of(*self._parts, times)
         self.kernel = kernel(program, scene.template(), form)
@@ -197,7 +200,10 @@ class LoopRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        return run_bill(self._program, self._scene, run, self.kernel.form.structs)
+        loop, form = self.kernel.run, self.kernel.form
+        about = type(self), self._scene.template(), str(form[:2]), form.types
+        costs = loop_costs(loop, self._program, about, self.arguments, *self.end_only)
+        return run_bill(costs, self._scene, run, self._turns)
 
     def _trajectory(
         self, rows: np.ndarray, end: np.ndarray, t_end: float, work: Work, max_steps: int = 0
@@ -244,6 +250,7 @@ class KeptRows(NamedTuple):
 def rewritten_step(program: StepProgram, template: MechatronicSystem) -> Callable:
     """The step of a program on a kind of scene as a function of (p, numbers, state, t, h)."""
 
+    @jax.jit  # so that it is traced once
     @small_matrices.without_products
     def step(
         p: dict, numbers: Numbers, state: Carried, t: Time, h: Time
@@ -251,6 +258,15 @@ def rewritten_step(program: StepProgram, template: MechatronicSystem) -> Callabl
         return program.step(template.with_parameters(p), numbers, state, t, h)
 
     return step
+
+
+def no_counts(
+    more: int, step: Callable, p: dict, numbers: Numbers, state: Carried
+) -> tuple[Int[Array, ""], ...]:
+    """Zeros for the counts of a step, and for more counts before them."""
+    zero = jnp.zeros(())  # of the same type as times, so that the step is traced once
+    _, report = jax.eval_shape(step, p, numbers, state, zero, zero)
+    return (jnp.asarray(0),) * (more + len(report.counts))
 
 
 def _with_start(

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from integrators.native.equations import (
 )
 from integrators.native.fixed_elimination import EliminationPlan, planned
 from problems import runtime
+from problems.named_equations import part
 from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.sparsity import Pattern
 
@@ -43,11 +44,19 @@ Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 _MOST_WRITTEN_OUT = 1000
 
 
+class Once(NamedTuple):
+    """An update by a tangent, and the number of eliminations in a fixed order that had to be
+    repeated with pivots for it; arrays, or what stands for them."""
+
+    update: Any
+    repeated: Any = np.zeros((), int)
+
+
 class LinearSolver(ABC):
     """Updates of Newton's method from tangents; all functions can be traced."""
 
     @abstractmethod
-    def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
         """The update by the tangent at u: tangent^-1 residual(u)."""
 
     @abstractmethod
@@ -83,17 +92,21 @@ class DenseSolver(LinearSolver):
 
     joins: bool = True
 
-    def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
         program = jax.make_jaxpr(residual)(u)
         order = _order(program, len(u)) if self.joins else None
 
-        def by_pivots(u: Array, *constants: Array) -> Array:
+        def by_pivots(u: Array, *constants: Array) -> Once:
             residual = partial(with_constants, program, constants)
-            return small_matrices.solve(jax.jacfwd(residual)(u), residual(u))
+            with part("Jacobians"):
+                tangent = jax.jacfwd(residual)(u)
+            with part("residuals"):
+                r = residual(u)
+            return Once(small_matrices.solve(tangent, r))
 
-        def in_order(order: EliminationPlan, u: Array, *constants: Array) -> Array:
+        def in_order(order: EliminationPlan, u: Array, *constants: Array) -> Once:
             r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
-            return order.solve(products, r)
+            return Once(*order.solve(products, r))
 
         if order is None:
             return by_pivots(u, *program.consts)
@@ -101,17 +114,17 @@ class DenseSolver(LinearSolver):
         alone = jax.custom_batching.custom_vmap(rewritten(partial(in_order, order)))
 
         @alone.def_vmap
-        def _(size: int, batched: list[bool], *args: Array) -> tuple[Array, bool]:
+        def _(size: int, batched: list[bool], *args: Array) -> tuple[Once, Once]:
             many = _side_by_side(program, order)
             if many is None:
                 axes = [0 if one else None for one in batched]
-                return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), True
+                return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), Once(True, True)
             # Runs are along the last axis, so that the processor works with several at once.
             each = (
                 jnp.moveaxis(x if one else jnp.broadcast_to(x, (size, *jnp.shape(x))), 0, -1)
                 for x, one in zip(args, batched, strict=True)
             )
-            return jnp.moveaxis(many(*each), -1, 0), True
+            return Once(jnp.moveaxis(many(*each), -1, 0)), Once(True, False)
 
         return alone(u, *program.consts)
 
@@ -119,7 +132,9 @@ class DenseSolver(LinearSolver):
         return jnp.full((size, size), jnp.nan)
 
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
-        return small_matrices.inverse(jax.jacfwd(residual)(u))
+        with part("Jacobians"):
+            tangent = jax.jacfwd(residual)(u)
+        return small_matrices.inverse(tangent)
 
     def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
         return small_matrices.product(kept, r)
@@ -154,11 +169,13 @@ def _linearised(
         programs.append(jax.make_jaxpr(linear)(u))
         return r, list(programs[-1].consts)
 
-    r, constants = small_matrices.unfused(coefficients, u)
+    with part("residuals"):
+        r, constants = small_matrices.unfused(coefficients, u)
     product = partial(with_constants, programs[-1], constants)
-    if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
-        return r, list(jax.vmap(product)(jnp.asarray(seeds)))
-    return r, [product(jnp.asarray(seed)) for seed in seeds]
+    with part("Jacobians"):
+        if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
+            return r, list(jax.vmap(product)(jnp.asarray(seeds)))
+        return r, [product(jnp.asarray(seed)) for seed in seeds]
 
 
 def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:
@@ -210,17 +227,27 @@ class SparseSolver(LinearSolver):
     pattern: Pattern
     analysis: klu.Analysis
 
-    def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        return klu.solve_once(self.analysis, self.pattern.values(residual, u), residual(u))
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        with part("residuals"):
+            r = residual(u)
+        entries = self._entries(residual, u)
+        with part("factorisations"):
+            return Once(klu.solve_once(self.analysis, entries, r))
 
     def nothing_kept(self, size: int) -> Array:
         return klu.none()
 
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
-        return klu.factorised(self.analysis, self.pattern.values(residual, u), instead_of=kept)
+        entries = self._entries(residual, u)
+        with part("factorisations"):
+            return klu.factorised(self.analysis, entries, instead_of=kept)
 
     def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
         return klu.solve_by(kept, self.analysis, r)
 
     def known(self, kept: Array) -> Bool[Array, ""]:
         return kept[0] > 0
+
+    def _entries(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " e"]:
+        with part("Jacobians"):
+            return self.pattern.values(residual, u)

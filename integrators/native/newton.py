@@ -22,7 +22,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from integrators.native.linear_solvers import LinearSolver
-from integrators.native.step_records import Scalar, StepReport, largest
+from integrators.native.step_records import PIVOTS, Scalar, StepReport, largest
+from problems.named_equations import part, turns
 from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
 #: Updates that stop shrinking below this relative size have met round-off.
@@ -97,8 +98,9 @@ class Iteration(NamedTuple):
     #: True if the last update came from a new tangent.
     exact: Bool[Array, ""] | bool
     kept: Any
-    #: Number of tangents that were computed.
+    #: Numbers of tangents that were computed, and of eliminations that were repeated with pivots.
     tangents: Int[Array, ""] | int
+    repeated: Int[Array, ""] | int = 0
 
 
 class Revision(NamedTuple):
@@ -158,6 +160,7 @@ def newton(
     kept: Array | None,
     linear: LinearSolver,
     solved_after: Scalar = math.inf,
+    call: int = 0,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -179,6 +182,8 @@ def newton(
     solved_after
         Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
         the guess is one, 1 for linear equations.
+    call
+        Number of the call in its step.
 
     Returns
     -------
@@ -199,7 +204,8 @@ def newton(
         change = revision(now, tol, most, linear.known(now.kept))
         u = jnp.where(change.restart, old, jnp.where(change.back, guess, now.u))
         renew = partial(linear.renewed, residual)
-        kept = jax.lax.cond(change.renew, renew, lambda _, kept: kept, u, now.kept)
+        with turns(f"tangent{call}"):
+            kept = jax.lax.cond(change.renew, renew, lambda _, kept: kept, u, now.kept)
         return now._replace(
             u=u,
             remaining=jnp.where(change.restart, most, now.remaining),
@@ -212,9 +218,13 @@ def newton(
     def iterate(now: Iteration) -> Iteration:
         if modified:
             now = prepared(now)
-            du = linear.update(now.kept, residual(now.u))
+            with part("residuals"):
+                r = residual(now.u)
+            with part("solves"):
+                du = linear.update(now.kept, r)
         else:
-            du = linear.once(residual, now.u)
+            du, repeated = linear.once(residual, now.u)
+            now = now._replace(repeated=now.repeated + repeated)
         u = now.u - du
         # An old tangent may send u far away, so u then does not set the scale.
         scale = jnp.where(now.exact, u, guess)
@@ -226,9 +236,13 @@ def newton(
 
     allowed = 2 * most if modified else most
     start = Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
-    end = jax.lax.while_loop(go_on, iterate, start)
+    with turns(f"newton{call}"):
+        end = jax.lax.while_loop(go_on, iterate, start)
     solved, counts = (
         is_solved(end, tol, solved_after),
         (end.k, end.k, end.tangents, end.tangents, end.k),
     )
-    return end.u, end.kept, StepReport(solved, *counts, solved)
+    taken = {f"newton{call}": end.k, PIVOTS: end.repeated}
+    if modified:
+        taken[f"tangent{call}"] = end.tangents
+    return end.u, end.kept, StepReport(solved, *counts, solved, taken)

@@ -15,6 +15,7 @@ from typing import Any
 
 from integrators.native.equations import bound, evaluated, is_program
 from problems import runtime
+from problems.named_equations import part
 from problems.runtime import Array, Float, jax, jnp
 
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
@@ -28,7 +29,8 @@ _ROOM = 64
 def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Inverse of a square matrix; not finite if the matrix is singular."""
     if len(a) > MOST or not runtime.joins_loops():
-        return jnp.linalg.inv(a)
+        with part("factorisations"):
+            return jnp.linalg.inv(a)
     alone = jax.custom_batching.custom_vmap(_by_elimination)
 
     @alone.def_vmap
@@ -37,14 +39,22 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
             return jnp.linalg.inv(a), True
         return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
 
-    return alone(a)
+    with part("factorisations"):
+        return alone(a)
 
 
 def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of a x = b for one right-hand side."""
     if len(a) > MOST or not runtime.joins_loops():
-        return jnp.linalg.solve(a, b)
-    alone = jax.custom_batching.custom_vmap(lambda a, b: product(inverse(a), b))
+        with part("factorisations"):
+            return jnp.linalg.solve(a, b)
+
+    def by_inverse(a: Array, b: Array) -> Array:
+        inverted = inverse(a)
+        with part("solves"):
+            return product(inverted, b)
+
+    alone = jax.custom_batching.custom_vmap(by_inverse)
 
     @alone.def_vmap
     def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:

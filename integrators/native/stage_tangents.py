@@ -15,15 +15,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from integrators.native import small_matrices
-from integrators.native.linear_solvers import LinearSolver, Residual
-from integrators.operations import Algebra, dense
+from integrators.native.linear_solvers import LinearSolver, Once, Residual
 from problems.runtime import Array, Bool, Float, jnp
 
 #: Unknowns of all stages to a function: slope in steps to the tangent of a stage.
 TangentsBySlope: TypeAlias = Callable[[Array], Callable[[complex], Array]]
-
-#: Operations of complex arithmetic, in those of real arithmetic.
-_COMPLEX = 4
 
 
 class StageTangents(LinearSolver):
@@ -52,8 +48,8 @@ class StageTangents(LinearSolver):
             if z.imag >= 0
         ]
 
-    def once(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        return self.update(self.renewed(residual, u, None), residual(u))
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        return Once(self.update(self.renewed(residual, u, None), residual(u)))
 
     def nothing_kept(self, size: int) -> Any:
         n = size // self.stages
@@ -76,9 +72,3 @@ class StageTangents(LinearSolver):
 
     def known(self, kept: Any) -> Bool[Array, ""]:
         return ~jnp.isnan(kept[0][0, 0])
-
-    def algebra(self, size: int) -> Algebra:
-        """Operations of the factorisations, and of a solve."""
-        one = dense(size // self.stages)
-        costs = sum(_COMPLEX if isinstance(slope, complex) else 1 for slope, *_ in self._modes)
-        return Algebra(costs * one.factorisation, costs * one.solve)

@@ -1,148 +1,77 @@
-"""Floating-point operations of runs in our own time loops, from what their steps are made of."""
+"""Floating-point operations of runs in our own time loops: of the program that runs, in the turns
+that it took."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from integrators.contract import Trajectory
-from integrators.native.stage_tangents import StageTangents
-from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_work import EquationsFinder, Residual
-from integrators.operations import NOTHING, Algebra, Operations, bill, dense, operations, sparse
+from integrators.native.step_program import StepProgram
+from integrators.native.step_records import PIVOTS
+from integrators.operations import Cost, bill_of, costs_of, sparse
+from integrators.programs import Step
 from problems.exported_programs import found_once
-from problems.formulations import Start
-from problems.named_equations import with_named_blocks
-from problems.runtime import Array, Float, jax
+from problems.runtime import Array
 from problems.system import MechatronicSystem
 
-
-class EquationCosts(NamedTuple):
-    """Costs of a system of equations: its residual, its tangent, and the linear algebra."""
-
-    residual: Operations
-    tangent: Operations
-    algebra: Algebra
+#: Names of the loops over steps, and over rows, which is no work of a method.
+STEPS, ROWS = "steps", "rows"
 
 
-class StepCosts(NamedTuple):
-    """Costs of a step: each of its systems of equations, and all other equations of the scene."""
-
-    solved: tuple[EquationCosts, ...]
-    others: Operations
+_costs: dict[Callable, list[Cost]] = {}
 
 
-class _CostFinder(EquationsFinder):
-    """Counts the operations of the equations of a step, and solves none."""
-
-    def __init__(self, program: StepProgram) -> None:
-        super().__init__()
-        self._program = program
-        self.costs: list[EquationCosts] = []
-
-    def solve(
-        self,
-        residual: Residual,
-        guess: Float[Array, " n"],
-        *more: Any,
-        split: StageTangents | None = None,
-        **named: Any,
-    ) -> Any:
-        if self._program.keeps_tangents:
-            self._add_costs(residual, guess, split)
-        else:
-            # Tangents come beside a residual, with which they share parts.
-            costs = self._add_costs(residual, guess, joint=True)
-            alone = costs.tangent.plus(costs.residual.times(-1))
-            self.costs[-1] = costs._replace(tangent=alone)
-        return super().solve(residual, guess, *more, **named)
-
-    def once(self, residual: Residual, guess: Float[Array, " n"]) -> Any:
-        # No iteration is counted that would bill the residual: it belongs to the tangent.
-        self._add_costs(residual, guess, joint=True)
-        return super().solve(residual, guess)
-
-    def _add_costs(
-        self,
-        residual: Residual,
-        guess: Array,
-        split: StageTangents | None = None,
-        joint: bool = False,
-    ) -> EquationCosts:
-        """Add the costs of equations; those of a ``joint`` tangent hold those of its residual."""
-        patterns, k, size = self._program.patterns, len(self.costs), len(guess)
-        if patterns:
-            tangent = partial(patterns[k].values, residual)
-            algebra = sparse(patterns[k].rows, patterns[k].columns, size)
-        elif split:
-            tangent, algebra = split.assembled, split.algebra(size)
-        else:
-            tangent, algebra = jax.jacfwd(residual), dense(size)
-        both = operations(lambda u: (residual(u), tangent(u)) if joint else tangent(u), guess)
-        self.costs.append(EquationCosts(operations(residual, guess), both, algebra))
-        return self.costs[-1]
-
-
-_costs: dict[tuple[StepProgram, MechatronicSystem], StepCosts] = {}
-
-
-def step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -> StepCosts:
-    """Return the costs of a step, found by tracing it once for each program and kind of scene.
+def loop_costs(loop: Callable, program: StepProgram, about: Any, *given: Array) -> list[Cost]:
+    """Return the costs of a time loop by part, and by the turns in which they arise.
 
     Parameters
     ----------
-    shapes
-        Shapes of parameters, numbers, start and time, the arguments of the kernel.
+    loop, program
+        A traceable function, and the method of which it is made.
+    about
+        All that decides it beside the method.
+    given
+        Its arguments, of which only shapes matter.
 
     Raises
     ------
     integrators.operations.NotCounted
-        If the step has a loop of its own around equations of the scene.
+        If the step has a loop of its own whose turns nobody counts.
     """
-    key = program, template
-    if key not in _costs:
-        find = partial(_step_costs, program, template, shapes)
-        _costs[key] = found_once(find, key, StepCosts)
-    return _costs[key]
+    if loop not in _costs:
+        find = partial(costs_of, loop, *given, libraries=_of_klu(program))
+        shapes = [x.shape for x in given]
+        _costs[loop] = found_once(find, (program, about, shapes), list[Cost])
+    return _costs[loop]
 
 
-def _step_costs(program: StepProgram, template: MechatronicSystem, shapes: Any) -> StepCosts:
-    named, found = with_named_blocks(template), []
-    p, numbers, start, _ = shapes
-    h = jax.ShapeDtypeStruct((), float)
+def _of_klu(program: StepProgram) -> dict[str, Callable[[Step], float]]:
+    """Costs of calls of KLU, by the patterns of its matrices.
 
-    def begin(p: Any, numbers: Numbers, start: Start, h: Any) -> Any:
-        method = program.functions.with_numbers(numbers.method)
-        return method.begin(named.with_parameters(p), start, h)
+    A pattern is known by the number of its entries, or of its unknowns.
+    """
+    algebras = {p.size: sparse(p.rows, p.columns, p.size) for p in program.patterns}
+    sizes = {len(p.rows): p.size for p in program.patterns}
 
-    def step(p: Any, numbers: Numbers, state: Any, t: Any, h: Any) -> Any:
-        finder, scene = _CostFinder(program), named.with_parameters(p)
-        method = program.functions.with_numbers(numbers.method)
-        after = method.step(scene, state, t, h, finder)
-        found[:] = finder.costs
-        return after, method.read(scene, after)
+    def factorisation(step: Step) -> float:
+        return algebras[sizes[step.taken[0].size]].factorisation
 
-    state = jax.eval_shape(begin, p, numbers, start, h)
-    others = operations(step, p, numbers, state, h, h, only_equations=True)
-    return StepCosts(tuple(found), others)
+    def solve(step: Step) -> float:
+        return algebras[step.made[0].size].solve
+
+    return {
+        "factor_f64": factorisation,
+        "solve_with_numeric_f64": solve,
+        "solve_with_symbol_f64": lambda step: factorisation(step) + solve(step),
+    }
 
 
 def run_bill(
-    program: StepProgram, scene: MechatronicSystem, run: Trajectory, shapes: Any
+    costs: list[Cost], scene: MechatronicSystem, run: Trajectory, turns: list[int]
 ) -> dict[str, float]:
-    """Return the bill of a run; ``shapes`` are those of the kernel's arguments.
-
-    The systems of equations of a step share the counts of a run: each is taken at their mean.
-    """
-    solved, others = step_costs(program, scene.template(), shapes)
-    work, share = run.work, 1 / max(len(solved), 1)
-    attempts = (work.steps or 0) + (work.rejected or 0)
-    residuals, tangents = others.times(attempts), NOTHING
-    factorisations = solves = 0.0
-    for one in solved:
-        residuals = residuals.plus(one.residual.times(share * (work.newton or 0)))
-        # Each tangent is factorised once; it may linearise the scene's equations several times.
-        tangents = tangents.plus(one.tangent.times(share * (work.factorisations or 0)))
-        factorisations += share * (work.factorisations or 0) * one.algebra.factorisation
-        solves += share * (work.solves or 0) * one.algebra.solve
-    return bill(scene, run, residuals, tangents, factorisations, solves)
+    """Return the bill of a run; ``turns`` are those of its loops in the order of their names."""
+    known = {STEPS: (run.work.steps or 0) + (run.work.rejected or 0), ROWS: 0, "": 0}
+    others = sorted({PIVOTS, *(cost.turns for cost in costs)} - known.keys())
+    return bill_of(costs, scene, run, known | dict(zip(others, turns, strict=True)))

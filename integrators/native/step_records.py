@@ -7,6 +7,8 @@ from typing import Any, NamedTuple, TypeAlias
 from problems.runtime import Array, Bool, Float, Int, jnp
 from problems.system import Variables
 
+#: Name of the branch that repeats an elimination in a fixed order with pivots.
+PIVOTS = "pivots"
 #: A number, which may be traced.
 Scalar: TypeAlias = Float[Array, ""] | float
 #: A time or a step in s.
@@ -47,15 +49,17 @@ class StepReport(NamedTuple):
     solves: Int[Array, ""] | int = 0
     #: True if the equations are solved, even if the method refuses what they give.
     solved: Bool[Array, ""] | bool = True
+    #: Turns of each loop and branch whose turns are not known beforehand, by name.
+    turns: dict[str, Int[Array, ""] | int] = {PIVOTS: 0}  # noqa: RUF012  nobody changes it
 
     @property
     def counts(self) -> tuple[Int[Array, ""] | int, ...]:
-        """The counts in the order of `COUNTS`."""
-        return self[1:-1]
+        """The counts in the order of `COUNTS`, and the turns in the order of their names."""
+        return *self[1 : 1 + len(COUNTS)], *(self.turns[name] for name in sorted(self.turns))
 
 
 #: Names of the counts of a step.
-COUNTS = StepReport._fields[1:-1]
+COUNTS = StepReport._fields[1:-2]
 
 
 class Errors(NamedTuple):

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 from integrators.native.linear_solvers import DENSE, LinearSolver, Residual
 from integrators.native.newton import Bounds, newton
 from integrators.native.stage_tangents import StageTangents
-from integrators.native.step_records import Scalar, StepReport
+from integrators.native.step_records import COUNTS, PIVOTS, Scalar, StepReport
+from problems.named_equations import part, turns
 from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
 Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
@@ -103,7 +104,7 @@ class StepWork:
         noise = (0.0,) * len(rounding) if noise is None else noise
         bounds = Bounds(groups, self._tolerance, rounding, noise)
         u, kept, report = newton(
-            residual, guess, old, bounds, self._most, kept, solver, solved_after
+            residual, guess, old, bounds, self._most, kept, solver, solved_after, k
         )
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
@@ -147,7 +148,7 @@ class StepWork:
         self.kept = kept + list((self._before or [None] * self._calls)[calls : self._calls])
         self._report = outer
         fine, solved = reports.converged.all(), reports.solved.all()
-        self._add(StepReport(*map(jnp.sum, reports))._replace(converged=fine, solved=solved))
+        self._add(jax.tree.map(jnp.sum, reports)._replace(converged=fine, solved=solved))
         return carry, ys
 
     def once(self, residual: Residual, guess: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -160,7 +161,9 @@ class StepWork:
         kept = None if self._before is None else self._before[k]
         self.kept.append(kept)
         self.count(residuals=1, jacobians=1, factorisations=1, solves=1)
-        return guess - self._solvers(k).once(residual, guess)
+        found = self._solvers(k).once(residual, guess)
+        self._add(StepReport(turns={PIVOTS: found.repeated}))
+        return guess - found.update
 
     def factorised(self, residual: Residual, u: Float[Array, " n"]) -> Callable[[Array], Array]:
         """Factorise the tangent of a residual at u; return the solution for right-hand sides.
@@ -177,9 +180,19 @@ class StepWork:
 
         def solution(r: Array) -> Array:
             self.count(solves=1)
-            return solver.update(kept, r)
+            with part("solves"):
+                return solver.update(kept, r)
 
         return solution
+
+    def where_needed(
+        self, needed: Bool[Array, ""], then: Callable[[], Any], otherwise: Callable[[], Any]
+    ) -> Any:
+        """Return ``then()`` where it is needed, else ``otherwise()``, which costs nothing."""
+        name = f"branch{len(self.report().turns)}"
+        self._add(StepReport(turns={name: 1 * needed}))
+        with turns(name):
+            return jax.lax.cond(needed, then, otherwise)
 
     def count(
         self,
@@ -209,11 +222,15 @@ class StepWork:
         if before is None:
             self._report = more
             return
-        counts = (a + b for a, b in zip(before.counts, more.counts, strict=True))
+        counts = (getattr(before, name) + getattr(more, name) for name in COUNTS)
         self._report = StepReport(
             jnp.logical_and(before.converged, more.converged),
             *counts,
             solved=jnp.logical_and(before.solved, more.solved),
+            turns={
+                name: before.turns.get(name, 0) + more.turns.get(name, 0)
+                for name in before.turns | more.turns
+            },
         )
 
 

@@ -13,8 +13,8 @@ from reports.series import Series
 
 #: Of more runs than this the finest one of each integrator is drawn.
 MOST_BARS = 24
-#: Colours of the parts: evaluations in greens, linear algebra in browns.
-_COLORS = ("#2f8f6b", "#8cc9ae", "#e3b778", "#b8692f", "#7a3f1d")
+#: Colours of the parts: evaluations in greens, linear algebra in browns, the method's own in grey.
+_COLORS = ("#2f8f6b", "#8cc9ae", "#e3b778", "#b8692f", "#7a3f1d", "#8a93a6")
 
 
 def bills(series: Sequence[Series], styles: Mapping[str, LineStyle]) -> vl.Spec | None:

@@ -61,9 +61,9 @@ _HISTORIES = {
     "steps": (("h", "gamma"), "step size and weights of the recurrence"),
 }
 _BILLS = (
-    "Floating-point operations of each run by part; their sum stands after the name. They are "
-    "those of the scene's equations and of linear algebra, counted from its traced programs "
-    "and by formulas (LU of n unknowns 2/3 n^3)."
+    "Floating-point operations of each run by part; their sum stands after the name. Those of "
+    "native methods are counted in the program of their steps; the arithmetic of solvers of other "
+    "libraries is estimated by its published formulas."
 )
 ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 

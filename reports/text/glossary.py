@@ -38,8 +38,8 @@ _DEFINITIONS = {
     "takes a new tangent each time, modified Newton keeps an old one.",
     "Norm": "The rule that makes one number of an error over time: its largest value over all "
     "steps unless another is named.",
-    "Operations": "Floating-point operations of a run, counted from its equations and its linear "
-    "algebra, the same on every machine.",
+    "Operations": "Floating-point operations of a run, counted from the program of its steps, the "
+    "same on every machine.",
     "Order": "The power p with which an error falls: with half the step it is 2^p times smaller.",
     "Pareto front": "The runs that no other run beats in accuracy and cost at once.",
     "Performance profile": "The part of all tasks that a method solves at no more than so many "

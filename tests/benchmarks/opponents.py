@@ -24,16 +24,7 @@ import numpy as np
 from bench.plugins.registry import Registry
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
-from integrators.contract import Trajectory
-from integrators.native.equations import tangent_pattern
-from integrators.native.fixed_elimination import planned
-from integrators.native.linear_solvers import _linearised
-from integrators.native.step_method import NativeMethod
-from integrators.native.step_work import EquationsFinder
-from integrators.operations import operations
-from problems.initial_values import consistent_start
 from problems.reference import Reference
-from problems.runtime import jax, jnp
 from problems.scenes.slider_crank import SliderCrank
 from problems.system import MechatronicSystem
 
@@ -69,8 +60,6 @@ class Contestant:
     error: float | None = None
     #: Work counts of the run, and its floating-point operations.
     work: dict[str, float | None] = field(default_factory=dict)
-    #: Operations that the run does, where full Newton takes fewer than those of full matrices.
-    done: float | None = None
 
 
 def options(doc: str | None, rounds: int, out: str) -> argparse.Namespace:
@@ -132,46 +121,7 @@ def stepbench(
     error = None if reference is None else relative_errors(end, reference)[0]["a"]["settled"]
     size = f"h={resolution.h:.2g} s" if isinstance(resolution, Steps) else _at(resolution)
     work = asdict(end.work) | {"operations": sum(run.bill(end).values())}
-    return Contestant(
-        spec, size, timed(run.execute), end.work.steps, end.q[-1], error, work,
-        _done(method, scene, run, end),
-    )  # fmt: skip
-
-
-def _done(method: Any, scene: MechatronicSystem, run: Any, end: Trajectory) -> float | None:
-    """Operations of a run: equations, tangents, eliminations; None for libraries and large scenes.
-
-    `PreparedRun.bill` takes full matrices for full Newton; this function takes the few products and
-    the fixed order by which it is solved. Both leave out predictions and tests of convergence.
-    """
-    if not isinstance(method, NativeMethod):
-        return None
-    bill = run.bill(end)
-    program, numbers = method.program(scene)
-    if program.keeps_tangents:
-        return sum(bill.values())
-    iterations: list[tuple[float, float]] = []
-
-    def step(parameters: Any, numbers: Any, h: Any) -> None:
-        moved, finder = scene.with_parameters(parameters), EquationsFinder()
-        functions = program.functions.with_numbers(numbers.method)
-        functions.step(moved, functions.begin(moved, start, h), h, h, finder)
-        for residual, size, _ in finder.found:
-            u = jnp.ones(size)
-            order = planned(tangent_pattern(jax.make_jaxpr(residual)(u), size))
-            if order is not None:
-                both = operations(lambda u: _linearised(residual, u, order.seeds), u)  # noqa: B023
-                alone = operations(residual, u).of_scene(0.0)
-                iterations.append((alone, both.of_scene(0.0) + 2 * order.work))
-
-    start = consistent_start(scene)
-    jax.eval_shape(step, scene.parameters(), numbers, 1.0)
-    if not iterations:
-        return None
-    # The systems of equations of a step share the counts of a run.
-    alone, both = (sum(parts) / len(iterations) for parts in zip(*iterations, strict=True))
-    outside = bill.get("residuals", 0.0) - alone * (end.work.newton or 0)
-    return outside + both * (end.work.factorisations or 0)
+    return Contestant(spec, size, timed(run.execute), end.work.steps, end.q[-1], error, work)
 
 
 def _at(tolerances: Tolerances) -> str:

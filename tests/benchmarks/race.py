@@ -80,6 +80,7 @@ def race(title: str, agreement: str, contestants: list[Contestant], rounds: int)
     ours, rows = contestants[0], []
     for one, own in zip(contestants, seconds.T, strict=True):
         ratios = np.quantile(own / seconds[:, 0], [0.5, 0.25, 0.75])
+        done = one.work.get("operations")
         gap = np.linalg.norm(one.q - ours.q) / np.linalg.norm(ours.q)
         rows.append(
             {
@@ -99,7 +100,7 @@ def race(title: str, agreement: str, contestants: list[Contestant], rounds: int)
                 },
                 "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True))
                 | {"of_least": float(own.min() / seconds[:, 0].min())},
-                "gflops": one.done and 1e-9 * one.done / float(np.median(own)),
+                "gflops": done and 1e-9 * done / float(np.median(own)),
                 "agreement": {agreement: float(gap if one.error is None else one.error)},
             }
         )
@@ -184,7 +185,7 @@ def table(rows: list[dict[str, Any]], most: Peak | None = None) -> str:
 
 
 def _speed(rate: float | None, most: Peak | None) -> str:
-    if rate is None:
+    if not rate:
         return ""
     return f"{rate:.2f}" if most is None else f"{rate:.2f} ({rate / most.wide:.1%})"
 

@@ -125,5 +125,5 @@ def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method):
     declared, counted = audited(method, SWING[0])
     assert counted <= declared
     bill = run.bill(run.measure())
-    # Three unknowns: 2/3 n^3 and 2 n^2 operations.
-    assert (bill["factorisations"], bill["solves"]) == (steps * 18, steps * 18)
+    # Three unknowns in a fixed order (`tests/test_operations.py`).
+    assert (bill["factorisations"], bill["solves"]) == (steps * 14, steps * 37)
