@@ -281,10 +281,12 @@ def test_use_of_this_process_and_its_children_is_seen():
     assert after.memory > 2**20
     assert after.ready  # it asks
     with subprocess.Popen(["sleep", "1000"]) as idle:
-        assert comes(lambda: (use := usage.usage(idle.pid)) and not use.ready)
-        idle.send_signal(signal.SIGSTOP)  # a process of a job, but not its first one
-        assert comes(lambda: (use := usage.usage(os.getpid())) and use.stopped)
-        idle.kill()
+        try:
+            assert comes(lambda: (use := usage.usage(idle.pid)) and not use.ready)
+            idle.send_signal(signal.SIGSTOP)  # a process of a job, but not its first one
+            assert comes(lambda: (use := usage.usage(os.getpid())) and use.stopped)
+        finally:
+            idle.kill()
     assert usage.usage(2**22 + 1) is None
 
 
