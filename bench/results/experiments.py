@@ -103,9 +103,9 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
         return any(case.as_expected is False for part in self.parts for case in part.cases)
 
 
-def bounds(interval: tuple[float | None, float | None], digits: int = 6) -> str:
+def bounds(interval: tuple[float | None, float | None]) -> str:
     """An interval in words."""
-    low, high = ("" if end is None else f"{end:.{digits}g}" for end in interval)
+    low, high = ("" if end is None else number(end) for end in interval)
     if not low or not high:
         return f"at least {low}" if low else f"at most {high}" if high else "any"
     return low if low == high else f"{low} to {high}"
@@ -158,7 +158,7 @@ def part_table(part: PartResult) -> Table:
         if expected and not case.stopped:
             verdict = BASES[expected.basis] if case.as_expected else "DIFFERS"
         found = "none" if case.number is None else number(case.number)
-        where = [bounds(expected.bounds, 3), expected.basis] if expected else ["-", "-"]
+        where = [bounds(expected.bounds), expected.basis] if expected else ["-", "-"]
         rows.append([case.label, found, *where, verdict])
         if case.message:
             rows[-1][-1] += f" ({case.message.split(';')[0].rstrip('.')})"
