@@ -179,10 +179,10 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
     return {label: found[label] for label in parts}
 
 
-def form_name(run: Record | None) -> str:
-    """The form in which a run solves constraints: 'index 2, projected'; nothing if not stated."""
-    parts = run.formulation.split(", ") if run and run.constraint else []
-    return ", ".join(_FORMS[part] for part in parts if part in _FORMS)
+def form_name(runs: Iterable[Record | None]) -> str:
+    """The form in which runs of a method solve constraints: 'index 2, projected'; or nothing."""
+    stated = (run.formulation.split(", ") for run in runs if run and run.constraint)
+    return ", ".join(_FORMS[part] for part in next(stated, []) if part in _FORMS)
 
 
 def form_behind(name: str, form: str) -> str:

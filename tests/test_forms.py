@@ -56,7 +56,7 @@ def formulation(text: str, constrained: bool = True) -> str:
 
 def form(text: str, **changes) -> str:
     known = {"formulation": text, "constraint": {"position": 1e-9}} | changes
-    return form_name(planted("s", "m", {}, h=0.1, **known))
+    return form_name([None, planted("s", "m", {}, h=0.1, **known)])
 
 
 @pytest.mark.parametrize(("text", "named"), FORMS.items())

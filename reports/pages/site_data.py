@@ -41,11 +41,10 @@ class SiteData:
         self.found = answers(report.series)
         names = list(report.series)
         self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
-        every = [s for own in report.series.values() for s in own]
-        self.families = {s.label: s.family for s in every}
-        self.forms = {s.label: form for s in every for r in s.ok[:1] if (form := form_name(r))}
+        self.series = [s for own in report.series.values() for s in own]
+        self.families = {s.label: s.family for s in self.series}
         self.places = {label: k for k, label in enumerate(self.families)}
-        self.groups = groups_of(ok_runs(every), ASKED)
+        self.groups = groups_of(ok_runs(self.series), ASKED)
         self.resolutions: dict[str, int] = {}
         self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
         self.pages = {
@@ -146,7 +145,7 @@ class SiteData:
             "label": label,
             "short": self.report.words.names[label],
             "family": family_name(family),
-            "form": self.forms.get(label, ""),
+            "form": form_name(r for s in self.series if s.label == label for r in s.ok),
             "light": style.color,
             "dark": style.dark,
             "shape": style.shape,

@@ -104,7 +104,7 @@ class SceneAnswer:
 
         def name_of(entry: RankEntry) -> str:
             alike = " = ".join(names.get(label, label) for label in self.names[entry.label])
-            return alike + form_behind(alike, form_name(entry.run))
+            return alike + form_behind(alike, form_name([entry.run]))
 
         if not self.first:
             return "not measured" if self.unknown else "nobody reaches it"

@@ -43,10 +43,10 @@ class Words:
 
         One that stands there for several scenes stands once.
         """
-        forms: dict[str, str] = {}
+        runs: dict[str, list[Record | None]] = {}
         for entry in entries:
-            forms[entry.label] = forms.get(entry.label) or form_name(entry.run)
-        behind = {k: form_behind(self.names[k], form) for k, form in forms.items()}
+            runs.setdefault(entry.label, []).append(entry.run)
+        behind = {k: form_behind(self.names[k], form_name(own)) for k, own in runs.items()}
         return listed(([self.method(k), *filter(None, [said])] for k, said in behind.items()), most)
 
     def accuracy(self, question: Question) -> Sentence:

@@ -10,7 +10,7 @@ from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, cost_text, number
-from reports.names import scene_name
+from reports.names import form_behind, form_name, scene_name
 from reports.questions.answers import Answer
 from reports.questions.question import Question
 from reports.questions.words import Words
@@ -51,7 +51,9 @@ def multiples_table(
     rows += [["|Φ| of the cheapest", *held, ""]] if {*held} - {NO_VALUE} else []
     for label in sorted(own, key=lambda label: (-reached[label], -first[label])):
         cells = [_cell(found, scene, own[label].get(scene)) for scene in scenes]
-        rows.append([words.names[label], *cells, _failed([*own[label].values()])])
+        form = form_name(r for s in own[label].values() for r in s.ok)
+        name = words.names[label] + form_behind(words.names[label], form)
+        rows.append([name, *cells, _failed([*own[label].values()])])
     targets = _BETWEEN.join(a.question.accuracy for a in found)
     least = COSTS[question.cost].least
     return Table(

@@ -34,7 +34,7 @@
     const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest(".card").hidden = table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint");
-    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${question.group}`, ...(held ? ["violation of Φ, relative"] : [])];
+    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];
     table.replaceChildren(
       html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${data.norm}`),
       html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
