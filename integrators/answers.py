@@ -76,20 +76,27 @@ def checked_orders(value: object, what: str = "orders") -> dict[str, int]:
     return {group: whole(order, f"{what}[{group!r}]") for group, order in value.items()}
 
 
-def refusal(integrator: Integrator, scene: MechatronicSystem) -> str | None:
+def refusal(
+    integrator: Integrator, scene: MechatronicSystem, about: str = "supports"
+) -> str | None:
     """Ask an integrator whether it takes a scene; return None or its reason.
+
+    Parameters
+    ----------
+    about
+        The method that is asked: "supports", or "caution".
 
     Raises
     ------
     FalseAnswer
         If it answers neither None nor a sentence.
     """
-    reason = integrator.supports(scene)
+    reason = getattr(integrator, about)(scene)
     if reason is None:
         return None
     if not isinstance(reason, str) or not reason.strip():
-        raise refused("supports()", reason, "None, or the reason in a sentence")
-    return text(reason, "supports()")
+        raise refused(f"{about}()", reason, "None, or the reason in a sentence")
+    return text(reason, f"{about}()")
 
 
 def checked_run(value: Any) -> PreparedRun:

@@ -377,6 +377,13 @@ class Integrator(ABC):
         """Return None if the integrator can take the scene, else the reason in one sentence."""
         return None
 
+    def caution(self, scene: MechatronicSystem) -> str | None:
+        """Return None, or why runs on the scene may be wrong though they reach the end.
+
+        It is one sentence, a note on each such run.
+        """
+        return None
+
     @abstractmethod
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         """Make everything ready for a run.

@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 _PROC = Path("/proc")
-#: States of a thread that goes on as soon as the machine lets it: it is running or waits to run, or
-#: it sleeps without heeding signals, as while it reads from a disk or is frozen.
-_READY = (b"R", b"D")
 #: Longest time in s between two looks that counts: more passes if this process itself is halted.
 LONGEST_LOOK = 1.0
 
@@ -28,9 +25,9 @@ class Usage(NamedTuple):
     memory
         Resident memory in bytes.
     stopped
-        Whether a signal has stopped a process.
+        Whether a signal has stopped the first process.
     ready
-        Whether a thread computes now, or waits for a processor, for the disk or for memory.
+        Whether a thread computes now, or waits for a processor.
     """
 
     computed_s: float = 0.0
@@ -58,7 +55,7 @@ def idle_seconds(before: Usage, after: Usage, passed: float) -> float:
     """Return for how many of the s between two looks a tree of processes was idle.
 
     Nothing tells how long threads and processes that have ended meanwhile had waited for a
-    processor. So this time counts only if at the second look no thread is ready.
+    processor. So this time counts only if at the second look no thread waits for one or has it.
     """
     computed = max(0.0, after.computed_s - before.computed_s)
     queued = max(0.0, after.queued_s - before.queued_s)
@@ -77,7 +74,7 @@ def usage(process: int) -> Usage | None:
                     found.computed_s + more.computed_s,
                     found.queued_s + more.queued_s,
                     found.memory + more.memory,
-                    found.stopped or more.stopped,
+                    found.stopped,
                     found.ready or more.ready,
                 )
         return found
@@ -92,7 +89,7 @@ def _linux(process: int) -> Usage:
     with suppress(OSError):  # a kernel without statistics of its scheduler
         for thread in (_PROC / str(process) / "task").iterdir():
             with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
-                ready = ready or _fields(thread)[0] in _READY
+                ready = ready or _fields(thread)[0] == b"R"
                 queued += int((thread / "schedstat").read_bytes().split()[1])
     memory = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
     computed, stopped = ticks / os.sysconf("SC_CLK_TCK"), fields[0] in b"Tt"
@@ -124,7 +121,7 @@ def _elsewhere(process: int) -> Usage | None:
             times.user + times.system,
             memory=found.memory_info().rss,
             stopped=status == psutil.STATUS_STOPPED,
-            ready=status in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP),
+            ready=status == psutil.STATUS_RUNNING,
         )
     except psutil.Error:
         return None

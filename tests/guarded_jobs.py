@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -103,10 +102,6 @@ def leaves_children(state: tuple) -> int:
 def starts_a_child(state: tuple) -> int:
     subprocess.Popen(["sleep", "1000"], start_new_session=True)
     return 1
-
-
-def waits_for_a_child(state: tuple, code: str) -> int:
-    return subprocess.run([sys.executable, "-S", "-c", code]).returncode
 
 
 def comes_back_twice(state: tuple) -> int:

@@ -250,6 +250,13 @@ def test_silent_errors_are_those_of_every_run_that_ended():
     (sentence,) = on_silent_errors("a", {"s": series}, words)
     assert plain(sentence) == "Silent failures in acceleration: wrong (s: 0.2)."
     assert on_silent_errors("lam", {"s": series}, words) == []
+    series[0].records[0].message = "It may be wrong."
+    (sentence,) = on_silent_errors("a", {"s": series}, words)
+    assert plain(sentence).startswith("Silent failures")  # one run of them says nothing
+    for record in series[0].records:
+        record.message = "It may be wrong."
+    (sentence,) = on_silent_errors("a", {"s": series}, words)
+    assert plain(sentence) == "Wrong with a note in acceleration: wrong (s: 0.2)."
 
 
 def test_energies_that_change_by_rounding_tie():

@@ -132,6 +132,7 @@ def _facts(record: Record) -> list[str]:
         ]
         if known:
             lines.append(f"{title}: {', '.join(known)}")
+    lines += [f"note: {note}" for note in record.notes]
     if record.energy_drift is not None:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
     if record.run_s:

@@ -22,7 +22,7 @@ LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 _MORE = 5
 #: A process may be idle for so many budgets of a run, or at least so long, in s.
 _IDLE, _LEAST_IDLE = 2, 10.0
-#: Processes may be halted by a signal, as their user or they may send, so many idle times.
+#: A process may be halted by a signal, as its user or itself may send, so many idle times.
 _STOPPED = 3
 #: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
 #: without having computed or been idle: the machine did not let it run.
@@ -137,11 +137,10 @@ class Meter:
         passed, used = min(now - self._looked, LONGEST_LOOK), self._used[self.phase]
         used.computed_s += max(0.0, use.computed_s - self._last.computed_s)
         used.lasted_s += passed
-        idle = idle_seconds(self._last, use, passed)
         if use.stopped:
-            used.stopped_s += idle
+            used.stopped_s += passed
         else:
-            used.idle_s += idle
+            used.idle_s += idle_seconds(self._last, use, passed)
         self._looked, self._last = now, use
         return use
 

@@ -23,7 +23,7 @@ class Solution:
     Parameters
     ----------
     status, message
-        "ok", or how it ended, with the reason.
+        "ok" with notes on what is wrong, if any, or how it ended, with the reason.
     t
         Times in s of the rows that are kept: the first steps, and 100 to 200 more.
     q, v, a, lam, x, y

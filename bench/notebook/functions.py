@@ -92,7 +92,7 @@ def solve(
         integrator=record.integrator,
         resolution=record.resolution,
         status=record.status,
-        message=record.message,
+        message=" ".join(record.notes) or record.message,
         t=np.array(rows.t),
         **{group: _array(rows, group) for group in GROUPS},
         components=names,

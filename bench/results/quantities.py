@@ -137,6 +137,8 @@ RANKED_COSTS = tuple(cost.name for cost in COSTS.values() if cost.ranked)
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.
 COST = "operations"
+#: A run that ends well with a larger error than this has nothing right.
+WRONG = 0.1
 #: Below this many times the reference's own error, an error says nothing.
 TRUST = 100.0
 

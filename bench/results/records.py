@@ -10,7 +10,17 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
-from bench.results.quantities import ASKED, LEVELS, NORM, NORMS, PARTS, VIOLATIONS, whole
+from bench.results.quantities import (
+    ASKED,
+    GROUPS,
+    LEVELS,
+    NORM,
+    NORMS,
+    PARTS,
+    VIOLATIONS,
+    WRONG,
+    whole,
+)
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
@@ -138,6 +148,25 @@ class Record(msgspec.Struct, kw_only=True):
     def floor(self, group: str, norm: str) -> float:
         """Return the reference's own error."""
         return self.reference_error.get(group, {}).get(norm, 0.0)
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on a run that reached the end and is wrong, or may be; a failed one has none.
+
+        ``message`` is told without the reference, the last sentence by it.
+        """
+        if self.status != "ok":
+            return []
+        wrong = {g: e for g in GROUPS if (e := self.error(g, NORM) or 0.0) > WRONG}
+        group, error = next(iter(wrong.items()), ("", 0.0))
+        why = (
+            f"the error of {group} is {error / self.rtol:.2g} times rtol"
+            if self.rtol
+            else f"its steps are too large for order {(self.claims or {}).get(group, 'unknown')}"
+        )
+        each = ", ".join(f"{g} {e:.2g}" for g, e in wrong.items())
+        judged = f"Errors above {WRONG:g} of the size (largest over time): {each}; {why}."
+        return [*filter(None, [self.message]), *([judged] if wrong else [])]
 
     def cost(self, name: str) -> float | None:
         """Return a cost by its name in `bench.results.quantities.COSTS`, or None if unknown."""
@@ -289,9 +318,12 @@ def counted(number: int, word: str) -> str:
 
 def endings(records: Iterable[Record]) -> str:
     """Count how runs ended: "12 ok, 3 not supported, 1 failed with a reason"."""
+    records = list(records)
     statuses = Counter(record.status for record in records)
     ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))
-    parts = [f"{ok} ok", f"{unsupported} not supported" if unsupported else ""]
+    noted = sum(record.status == "ok" and record.message != "" for record in records)
+    parts = [f"{ok} ok{f' ({noted} with a note)' if noted else ''}"]
+    parts += [f"{unsupported} not supported"] if unsupported else []
     parts += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
     return ", ".join(filter(None, parts))
 

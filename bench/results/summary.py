@@ -19,6 +19,7 @@ def solution(record: Record, rows: Rows) -> dict[str, Any]:
         "formulation": record.formulation,
         "status": record.status,
         "message": record.message,
+        "notes": record.notes,
         "t": rows.t[-1] if rows.t else None,
         **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
         "errors": record.errors,

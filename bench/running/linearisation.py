@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.results.quantities import WRONG
 from bench.running.errors import scales
+from integrators.contract import Trajectory
 from problems.exported_programs import exported
 from problems.formulations import constraint_velocity, ode_rate
 from problems.layouts import state_layout
@@ -20,6 +22,10 @@ from problems.system import MechatronicSystem
 _SPECTRA = 60
 #: With more states than this there are no eigenvalues: they would cost more than the runs.
 _MOST_STATES = 400
+#: Times at which a run is asked for its fastest vibration.
+_TIMES = 5
+#: A vibration that weighs less than so many times as much in a as in v is a part of the motion.
+_WEIGHT = 20.0
 #: The fewest linearised steps, a multiple of a block's, and the most times the cube of the states.
 _FEWEST, _MOST_WORK = 480, 4e8
 #: Two numbers of steps tell the growth if they agree up to this part.
@@ -70,6 +76,42 @@ def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | 
         "decay": float(max(0.0, -values.real.min())),
         "oscillation": float(np.abs(values.imag).max()),
     }
+
+
+def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) -> str:
+    """Say that a run does not control its accelerations; nothing where it does or nobody knows.
+
+    A vibration at omega is omega times as large in a as in v; relative to the largest values, ::
+
+        weight = omega max|v| / max|dv/dt|
+
+    which is near 1 if the motion itself vibrates at omega. Errors of ``rtol`` in v in each of its
+    N periods are weight N rtol in a. Constant steps (``rtol`` None) of more than half a period
+    leave any part of it.
+    """
+    t, v = run.t, run.v
+    if state_layout(scene.sizes).size > _MOST_STATES or len(t) < 2:
+        return ""
+    places = np.searchsorted(t, np.linspace(t[0], t[-1], 2 * _TIMES + 1)[1::2])
+    states = np.concatenate([run.q, run.v, run.x], axis=1)
+    at = np.resize(places, _SPECTRA)
+    jacobians = np.asarray(_jacobians(scene.template())(scene.parameters(), t[at], states[at]))
+    if not np.isfinite(jacobians).all():
+        return ""
+    omega = float(np.median(np.abs(np.linalg.eigvals(jacobians[:_TIMES]).imag).max(axis=1)))
+    change = np.linalg.norm(np.diff(v, axis=0), axis=1) / np.diff(t)
+    weight = omega * np.linalg.norm(v, axis=1).max() / (change.max() or np.inf)
+    steps = run.work.steps or len(t) - 1
+    h = float(np.median(np.diff(t)[places - 1])) * (len(t) - 1) / steps
+    periods = omega / (2 * np.pi) * np.array([t[-1] - t[0], h])
+    left = float(2 * periods[1] > 1) if rtol is None else rtol * periods[0]
+    if weight < _WEIGHT or weight * left < WRONG:
+        return ""
+    return (
+        f"Accelerations are not controlled: the fastest vibration, {omega:.3g} rad/s, weighs "
+        f"{weight:.2g} times as much in a as in v, and a step takes {periods[1]:.2g} of its "
+        f"periods; take {'a smaller rtol' if rtol else 'smaller steps'}, or trust q and v alone."
+    )
 
 
 def growth(scene: MechatronicSystem, reference: Reference) -> float | None:

@@ -25,6 +25,7 @@ from bench.running import measure
 from bench.running.errors import constraint_errors, finite, relative_errors
 from bench.running.inventory import load_registry
 from bench.running.later_starts import errors_from_later_starts
+from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import answers
@@ -177,6 +178,10 @@ class Worker:
         def operations() -> dict[str, float]:
             return answers.checked_bill(self.prepared[record.key].bill(run), PARTS)
 
+        def cautions() -> str:
+            caution = answers.refusal(self.registry.integrator(record.integrator), scene, "caution")
+            return f"{caution or ''} {uncontrolled(scene, run, record.rtol)}"
+
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)
             return answers.checked_orders(stated, "claims()")
@@ -186,6 +191,7 @@ class Worker:
         if record.errors and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0):
             record.later = part("Its errors from later starts are not known", later, [])
         record.claims = part("Its claimed orders are not known", claims, None)
+        _add(record, part("Its cautions are not known", cautions, ""))
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         """Run a cell; return its trajectory, whatever its end, and the seconds to prepare it."""

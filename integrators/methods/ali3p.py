@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import ClassVar
 
 import numpy as np
@@ -121,7 +122,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
         def moved(w: Array, rows: Callable[..., list[Array]], *control: Array) -> list[Array]:
             """Solve for the moved w, its multiplier, and control; the first row is a force."""
-            cuts = np.cumsum([nv, nl, *map(len, control)])[:-1]
+            cuts = [*accumulate([nv, nl, *map(len, control)])][:-1]
 
             def residual(u: Array) -> Array:
                 new, mu, *others = jnp.split(u, cuts)
@@ -139,7 +140,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
         def by_outputs(y: Array) -> Array:
             """Force of the change of outputs from those of the step."""
-            return scene.actuation() @ (y - z.y) if scene.has("output") else jnp.zeros(nv)
+            return jnp.asarray(scene.actuation()) @ (y - z.y) if scene.has("output") else 0.0 * z.a
 
         def of_v(v: Array, mu: Array) -> list[Array]:
             return [h / 2 * by_outputs(y), formulations.constraint_velocity(scene, q, v, t)]

@@ -125,9 +125,17 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         return self.steps == "adaptive" and self.control == "chrono"
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        order = 1 if self.mixed == "forces" and mass_varies(scene) else 2
+        order = 1 if self.caution(scene) else 2
         claimed = dict.fromkeys(("q", "v", "a", "lam", "x", "y"), order)
         return claimed | ({"a": 1} if self.values == "own" else {})
+
+    def caution(self, scene: MechatronicSystem) -> str | None:
+        if self.mixed == "accelerations" or not mass_varies(scene):
+            return None
+        return (
+            "With mixed=forces HHT-I3 is of order 1 here, not 2, as the mass matrix depends on q; "
+            "take mixed=accelerations."
+        )
 
     def step_method(self, scene: MechatronicSystem) -> HHTI3 | None:
         return None if self._chooses_by_newton else self

@@ -20,7 +20,7 @@ from reports.questions.words import Words
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.run_tables import failures_table, unsupported_table
+from reports.text.run_tables import failures_table, notes_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
 _STATES = {"far": "not reached", "failed": "no run reached the end"}
@@ -70,6 +70,7 @@ class MethodChapter:
         self.scenes = _scenes_table(label, by_scene, answer)
         self.orders = _orders_table(by_scene, facts.orders if facts else {})
         self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
+        self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
         self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
         families = {
             s.records[0].integrator: s.family for own in stored.series.values() for s in own

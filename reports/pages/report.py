@@ -33,7 +33,7 @@ from reports.text.measurement import (
 )
 from reports.text.order_table import order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
-from reports.text.run_tables import failures_table, timing_table, unsupported_table
+from reports.text.run_tables import failures_table, notes_table, timing_table, unsupported_table
 
 
 class Report:
@@ -80,6 +80,7 @@ class Report:
         own = {name: damping[name] for name in facts if name in damping}
         self.damping = damping_table(own, list(stored.scenes.items()))
         self.failures, self.unsupported = failures_table(runs), unsupported_table(runs)
+        self.noted = notes_table(runs)
         self.lost_orders = lost_orders_table(series, facts, {e.name for e in experiments})
         self.orders = order_tables(plan, stored.records)
         found = drift_chapter(store.long_runs(), interactive), atlas_chapter(experiments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM
+from bench.results.quantities import COSTS, GROUP_NAMES, NORM, WRONG
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import violating
@@ -18,12 +18,10 @@ from reports.series import Series
 
 #: Numbers of scenes of which nothing general is said.
 _FEW = {1: "One scene is", 2: "Two scenes are"}
-#: A run that ends well with a larger error than this has nothing right.
-_WRONG = 0.1
 #: The meaning of silent failures.
 SILENT_NOTE = (
     "Silent failures are integrators whose every run that reaches the end has an error above "
-    f"{_WRONG:g}, without a warning; the smallest error stands in brackets."
+    f"{WRONG:g}, without a note of its own; the smallest error stands in brackets."
 )
 #: Energies that change by less than this change by rounding.
 _ROUNDING = 1e-12
@@ -139,20 +137,24 @@ def _joined_part(parts: Sequence[Piece]) -> Piece | None:
 def on_silent_errors(
     group: str, runs: Mapping[str, Sequence[Series]], words: Words
 ) -> list[Sentence]:
-    """The methods whose runs reach the end, and are all wrong by more than a tenth."""
-    where: dict[str, list[Sentence]] = {}
+    """The methods whose runs reach the end, and are all wrong by more than a tenth.
+
+    Those that say so by a note in each run stand apart.
+    """
+    where: dict[bool, dict[str, list[Sentence]]] = {False: {}, True: {}}
     for scene, series in runs.items():
         for s in series:
             errors = [(e, r) for r in s.ok if (e := r.error(group, NORM)) is not None]
-            if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > _WRONG:
+            if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > WRONG:
                 error, run = best
                 near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]
-                where.setdefault(s.label, []).append(near)
-    if not where:
-        return []
-    quantity = GROUP_NAMES[group].rpartition(" ")[0]
-    who = listed(([words.method(k), " (", *listed(own), ")"] for k, own in where.items()), 6)
-    return [[f"Silent failures in {quantity}: ", *who, "."]]
+                where[all(r.message for _, r in errors)].setdefault(s.label, []).append(near)
+    quantity, said = GROUP_NAMES[group].rpartition(" ")[0], []
+    for noted, found in where.items():
+        lead = "Wrong with a note" if noted else "Silent failures"
+        who = listed(([words.method(k), " (", *listed(own), ")"] for k, own in found.items()), 6)
+        said += [[f"{lead} in {quantity}: ", *who, "."]] if found else []
+    return said
 
 
 def on_energy(

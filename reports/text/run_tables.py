@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from types import MappingProxyType
@@ -157,12 +156,24 @@ def failures_table(records: Sequence[Record]) -> Table | None:
 
 def unsupported_table(records: Sequence[Record]) -> Table | None:
     """The scenes that a method does not take, with its reason; these runs are no failures."""
-    refused = Counter(
-        (r.integrator, r.problem, r.message) for r in records if r.status == UNSUPPORTED
-    )
-    rows = [[*names, str(runs), why or "no message"] for (*names, why), runs in refused.items()]
-    head = ["integrator", "scene", "runs", "reason"]
-    return Table("Scenes that a method does not support", head, rows, code=(0, 1)) if rows else None
+    refused = [r for r in records if r.status == UNSUPPORTED]
+    return _by_reason("Scenes that a method does not support", "reason", refused)
+
+
+def notes_table(records: Sequence[Record]) -> Table | None:
+    """The runs that reached the end and have a note: they may be wrong."""
+    noted = [r for r in records if r.status == "ok" and r.message]
+    return _by_reason("Runs that reached the end with a note", "note of the first", noted)
+
+
+def _by_reason(title: str, column: str, records: Sequence[Record]) -> Table | None:
+    """A row for each integrator and scene, with the number of runs and the first message."""
+    runs: dict[tuple[str, str], list[Record]] = {}
+    for r in records:
+        runs.setdefault((r.integrator, r.problem), []).append(r)
+    rows = [[*names, str(len(own)), own[0].message or "no message"] for names, own in runs.items()]
+    head = ["integrator", "scene", "runs", column]
+    return Table(title, head, rows, code=(0, 1)) if rows else None
 
 
 def timing_table(series: Sequence[Series]) -> Table | None:

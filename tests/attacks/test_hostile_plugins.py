@@ -76,7 +76,7 @@ def command(folder: Path, *arguments: object, mark: str) -> tuple[int, str]:
         cwd=folder,
         stdin=subprocess.DEVNULL,
         capture_output=True,
-        timeout=3000,
+        timeout=580,
         check=False,
     )
     output = (done.stdout + done.stderr).decode(errors="replace")
