@@ -43,12 +43,8 @@ def computed_seconds() -> float:
     XLA computes most of a program in a thread of its own, also where it has only one: a clock of
     the calling thread misses up to 99 % of a run.
     """
-    try:
-        import resource
-    except ImportError:  # a system that tells nothing of other programs
-        return time.process_time()
-    others = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + others.ru_utime + others.ru_stime
+    others = os.times()
+    return time.process_time() + others.children_user + others.children_system
 
 
 def idle_seconds(before: Usage, after: Usage, passed: float) -> float:

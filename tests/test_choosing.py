@@ -181,7 +181,8 @@ def test_a_winner_is_named_where_time_and_operations_agree():
     # Scenes with one verdict are together, those with a common winner first.
     assert both(s=two, t=one, u=one, w=two) == (
         "a by time and operations on t and u; "
-        "a by time (2.1 times and 2.1 times), b by operations (1.3 times and 1.3 times) on s and w."
+        "a by time (2.1 times), b by operations (1.3 times) on s; "
+        "a by time (2.1 times), b by operations (1.3 times) on w."
     )
     swapped = {"a": (2.0, 3.0), "b": (1.0, 1.0)}
     assert both(r=swapped, s=one, t=one) == (

@@ -26,8 +26,8 @@ SILENT_NOTE = (
 #: Energies that change by less than this change by rounding.
 _ROUNDING = 1e-12
 _NUMBER = re.compile(r"\d[\d.]*(?:e-?\d+)?")
-#: Text whose number may be another one in the same answer: a step or tolerance, or an accuracy.
-_FREE = re.compile(r"(?: at )?(?:h|rtol)=|\d\S* in |The winners hold ")
+#: Text whose number may be another one in the same answer: an accuracy.
+_FREE = re.compile(r"\d\S* in |The winners hold ")
 
 
 def on_scenes(scenes: Sequence[str]) -> Sentence:
@@ -46,44 +46,40 @@ def by_both(found: Answer, words: Words) -> list[Sentence]:
     Named is who is the cheapest, or cannot be told apart from it, by this cost and the one beside
     it. Where nobody is, those of each cost are, with the multiple of it that the others take.
     """
-    costs = {COSTS[a.question.cost].words: a for a in (found, found.beside) if a}
-    where: dict[tuple[tuple[str, ...], ...], dict[str, list[list[RankEntry]]]] = {}
-    for scene in found.scenes:
-        winners = _winners([answer.scenes[scene] for answer in costs.values()])
-        labels = tuple(tuple(entry.label for entry in own) for own in winners)
-        if any(labels):
-            where.setdefault(labels, {})[scene] = winners
-    said: Sentence = []
-    for labels, own in sorted(where.items(), key=lambda pair: (len(pair[0]), -len(pair[1]))):
-        by = [" and ".join(costs)] if len(labels) == 1 else [*costs]
-        parts: Sentence = []
-        for k, (cost, answer) in enumerate(zip(by, costs.values(), strict=False)):
-            first = [entry for winners in own.values() for entry in winners[k]]
-            parts += [", " if parts else "", *words.solvers(first), f" by {cost}"] if first else []
-            others = own if first and len(labels) > 1 else {}
-            near = [_least(answer.scenes[s], winners[1 - k]) for s, winners in others.items()]
-            times = [[words.run(e.run, e.multiple)] for e in near if e and e.run]
-            parts += [" (", *listed(times, len(times)), ")"] if times else []
-        said += ["; " if said else "", *parts, " on "]
-        said += listed(([scene_ref(scene)] for scene in own), len(own))
-    if not said:
+    costs = [answer for answer in (found, found.beside) if answer]
+    by = " and ".join(COSTS[answer.question.cost].words for answer in costs)
+    agreed: dict[tuple[str, ...], list[tuple[str, list[RankEntry]]]] = {}
+    apart: list[Sentence] = []
+    for name in found.scenes:
+        scenes = [answer.scenes[name] for answer in costs]
+        first = [scene.first if scene.votes else [] for scene in scenes]
+        labels = [{entry.label for entry in own} for own in first]
+        if both := [e for e in first[0] if all(e.label in own for own in labels)]:
+            agreed.setdefault(tuple(e.label for e in both), []).append((name, both))
+        elif any(first):
+            apart.append([*_by_each(scenes, first, words), " on ", scene_ref(name)])
+    said = []
+    for own in sorted(agreed.values(), key=len, reverse=True):
+        where = listed(([scene_ref(name)] for name, _ in own), len(own))
+        said.append([*words.solvers(e for _, both in own for e in both), f" by {by} on ", *where])
+    if not (said := [piece for part in [*said, *apart] for piece in ("; ", *part)][1:]):
         return no_rivals(found, words)
     text: Sentence = ["Cheapest to ", *words.accuracy(found.question), ": ", *said, "."]
     return [text, *violating(found, words)]
 
 
-def _winners(scenes: Sequence[SceneAnswer]) -> list[list[RankEntry]]:
-    """Who is first by all costs on a scene; if nobody is, who is by each."""
-    first = [scene.first if scene.votes else [] for scene in scenes]
-    labels = [{entry.label for entry in own} for own in first]
-    agreed = [e for e in first[0] if all(e.label in own for own in labels)]
-    return [agreed] if agreed else first
-
-
-def _least(scene: SceneAnswer, of: Sequence[RankEntry]) -> RankEntry | None:
-    """The cheapest of some integrators on a scene, by its cost."""
-    entries = [scene.entries[e.label] for e in of if scene.entries[e.label].ratio is not None]
-    return min(entries, key=lambda entry: entry.ratio or 0.0, default=None)
+def _by_each(
+    scenes: Sequence[SceneAnswer], first: Sequence[list[RankEntry]], words: Words
+) -> Sentence:
+    """'B by time (2 times), C by operations (3 times)': the cheapest on a scene by each cost."""
+    said: Sentence = []
+    for scene, own, others in zip(scenes, first, reversed(first), strict=True):
+        if own:
+            said += [", " if said else "", *words.solvers(own), f" by {COSTS[scene.cost].words}"]
+            took = [e for o in others if (e := scene.entries[o.label]).run]
+            if took and (run := (near := min(took, key=lambda e: e.value or 0.0)).run):
+                said += [" (", words.run(run, near.multiple), ")"]
+    return said
 
 
 def on_costs(found: Sequence[Answer], words: Words) -> list[list[Sentence]]:

@@ -34,11 +34,9 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
     for name, scene in answers.items():
         first, second = scene.first, scene.second
         best = min(first, key=lambda s: s.value or 0.0)
-        near: Sentence = [scene_ref(name), " ("]
-        if not words.brief:
-            least = cost_text(best.value, question.cost)
-            near += [words.run(best.run, least) if best.run else least, " at "]
-        near += [_resolution(best.run)] if best.run else []
+        least = cost_text(best.value, question.cost)
+        near: Sentence = [scene_ref(name), " (", words.run(best.run, least) if best.run else least]
+        near += [" at ", _resolution(best.run)] if best.run else []
         held = scene.violation(question.target)
         near += [f"; |Φ| up to {held}"] if held else []
         if second and second.run:
