@@ -261,7 +261,9 @@ def test_the_card_of_a_method_tells_its_own_violation():
     scenes = {"s": series_of([won("s"), won("s", "two", cost=300, size=1e-9, error=1e-9)])}
     words = words_of(scenes, {})
     card = [plain(s) for s in card_sentences("one", answer(scenes, FIRST), scenes, words)]
-    assert (f"Cheapest alone: s (|Φ| up to {OFF}; next: two (index 2), 3 times).") in card
+    assert (
+        f"Cheapest alone by operations: s (|Φ| up to {OFF}; next: two (index 2), 3 times)."
+    ) in card
 
 
 @in_chromium

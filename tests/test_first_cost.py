@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from chromium import chromium, in_chromium, waited
-from planted import STEPS, plant, planted
+from planted import STEPS, Document, plant, planted
 from small_stores import a_record
 
 from bench.results.records import Environment
@@ -141,7 +141,14 @@ def test_page_markdown_card_and_terminal_take_the_same_cost_first(folders, tmp_p
     assert card == same
     assert card != write_card(folder, tmp_path / "o.svg", cost=beside).read_text(encoding="utf-8")
     # The integrator's own card: alone on the one scene by this cost.
-    assert any("Cheapest alone: pendulum" in line for line in method_card(folder, winner))
+    words = "time" if cost == "seconds" else cost
+    mine = method_card(folder, winner)
+    assert any(line.startswith(f"Cheapest alone by {words}: pendulum") for line in mine)
+    # ... as do menus of charts that have one.
+    text = next((folder / "report").glob("scene-*.html")).read_text(encoding="utf-8")
+    charts = Document(text).charts.values()
+    menus = [own for chart in charts for own in chart.get("params", []) if own["name"] == "cost"]
+    assert [own["value"] for own in menus] == [cost]
     # A scene's page repeats the cheapest run.
     page = next((folder / "report").glob("scene-*.html")).read_text(encoding="utf-8")
     command = next(line for line in page.splitlines() if "stepbench solve" in line)

@@ -365,14 +365,14 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     reaches = "reaches 1e-4 in acceleration (largest over time) on"
     assert method_card(tmp_path, "good[rho_inf=0.8]") == [
         f"good 0.8 (index 3) {reaches} 2 of 2 scenes tried.",
-        "Cheapest alone: spring mass.",
-        "Dearer than the cheapest: pendulum (1.92 times the cost of adaptive).",
+        "Cheapest alone by operations: spring mass.",
+        "Dearer than the cheapest by operations: pendulum (1.92 times the cost of adaptive).",
         "All of its runs reached the end.",
         "Cost where it reaches it: 9600 operations.",
     ]
     assert method_card(tmp_path, "poor") == [
         f"poor {reaches} 0 of 1 scene tried.",
-        "Cheapest on no scene.",
+        "Cheapest by operations on no scene.",
         "Does not reach it: spring mass (smallest error: 0.00938).",
         "All of its runs reached the end.",
     ]

@@ -137,7 +137,7 @@ def _facts(record: Record) -> list[str]:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
     if record.run_s:
         lines.append(
-            f"time: {record.seconds:.3g} s (median of {len(record.run_s)}), prepared in "
+            f"processor time: {record.seconds:.3g} s (median of {len(record.run_s)}), prepared in "
             f"{formatted(record.compile_s, '.2g')} s"
         )
     return lines

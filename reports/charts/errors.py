@@ -82,7 +82,10 @@ def _panels(
 
 
 def work_precision_with_menus(
-    series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
+    series: Sequence[Series],
+    groups: Sequence[str],
+    styles: Mapping[str, LineStyle],
+    first_cost: str = COST,
 ) -> vl.Spec | None:
     """Error against cost; menus choose group, norm and cost. None if there is nothing to draw."""
     series = [s for s in series if s.ok]
@@ -94,7 +97,10 @@ def work_precision_with_menus(
     if not data.rows:
         return None
     costs = {c: ACROSS[c] for c in _MENU if any(row.get(c) for row in data.rows)}
-    first, cost = "a" if "a" in groups else groups[0], COST if COST in costs else next(iter(costs))
+    first, cost = (
+        "a" if "a" in groups else groups[0],
+        first_cost if first_cost in costs else next(iter(costs)),
+    )
     params = [
         vl.menu("group", first, {name: ERROR_NAMES[name] for name in errors_of}, "error in "),
         vl.menu("norm", NORM, NORMS, " taken "),

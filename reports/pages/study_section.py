@@ -87,7 +87,7 @@ class StudySections:
     """Makes the sections of one scene's studies.
 
     ``read_rows`` reads the sampled values of a record by key, ``ids`` are the anchors of records
-    by key, ``styles`` the line styles by label.
+    by key, ``styles`` the line styles by label, ``cost`` is that of the first question.
     """
 
     name: str
@@ -97,6 +97,7 @@ class StudySections:
     read_rows: Callable[[str], Rows]
     ids: Mapping[str, str]
     interactive: bool
+    cost: str
 
     @property
     def component_names(self) -> Mapping[str, Sequence[str]]:
@@ -160,7 +161,7 @@ class StudySections:
         groups = groups_of(ok_runs(series))
         shown, left_out = self._few(series)
         if self.interactive:
-            chart, where = work_precision_with_menus(series, groups, self.styles), ""
+            chart, where = work_precision_with_menus(series, groups, self.styles, self.cost), ""
         else:
             drawn = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
             chart = work_precision_chart(shown, drawn, self.styles)

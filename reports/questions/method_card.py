@@ -20,9 +20,9 @@ from reports.violations import violation_text
 
 #: What an integrator is on a scene, in the order in which a card tells it.
 _STATES = {
-    "alone": "Cheapest alone: ",
-    "tied": "Tied for the cheapest: ",
-    "dearer": "Dearer than the cheapest: ",
+    "alone": "Cheapest alone by {}: ",
+    "tied": "Tied for the cheapest by {}: ",
+    "dearer": "Dearer than the cheapest by {}: ",
     "single": "With none to compare: ",
     "unknown": "At a cost that is not measured: ",
     "far": "Does not reach it: ",
@@ -35,6 +35,7 @@ def card_sentences(
 ) -> list[Sentence]:
     """The sentences about one integrator; those of which there is nothing to say are left out."""
     me, question = words.method(label), found.question
+    by = COSTS[question.cost].words
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
     if not own:
         return [[me, " was tried on no scene on which this can be judged."]]
@@ -46,7 +47,7 @@ def card_sentences(
     who, goal = words.solvers(entries), words.accuracy(question)
     said: list[Sentence] = [[*who, " reaches ", *goal, count]]
     if any(s.votes for s in own.values()) and not {"alone", "tied"} & {*states.values()}:
-        said.append(["Cheapest on no scene."])
+        said.append([f"Cheapest by {by} on no scene."])
     for state, head in _STATES.items():
         names = [name for name in own if states[name] == state]
         if state == "dearer":  # the dearest first
@@ -55,7 +56,7 @@ def card_sentences(
             [scene_ref(k), *_detail(state, label, own[k], series[k], question, words)]
             for k in names
         ]
-        said += [[head, *listed(where), "."]] if where else []
+        said += [[head.format(by), *listed(where), "."]] if where else []
     return [*said, *_endings(series), *_costs(reached, question)]
 
 
