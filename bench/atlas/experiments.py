@@ -30,9 +30,8 @@ MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "conditi
 TAKES = ("last", "largest", "growth", "slope")
 #: Quantities of which less is better, and a higher power of the step.
 _ONE_SIDED = ("error", "energy", "constraint", "work")
-#: Names that a formula may use.
 _FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
-#: A number, or arithmetic of numbers such as "2*sqrt(3)".
+#: A number, or arithmetic of numbers with functions of `math`, such as "2*sqrt(3)".
 Formula = float | str
 
 
@@ -61,6 +60,9 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     ``take`` makes one number of the sweep's values: the last, the largest, the growth from the
     first to the last, or the slope of a straight line in log-log. ``show`` names a component
     (such as lam1) whose history in the first run is drawn.
+
+    ``basis``, a key of `bench.results.experiments.BASES`, and ``why`` say why a number is expected;
+    ``margin`` is the distance from it that is allowed, absolute of a slope, else relative.
     """
 
     problem: str | None = None
@@ -78,22 +80,12 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     name: str | None = None
     take: str | None = None
     show: str | None = None
-
-
-class Expectation(Settings, kw_only=True, forbid_unknown_fields=True):
-    """Settings, and the reason of the numbers that are expected.
-
-    ``basis`` is a key of `bench.results.experiments.BASES`, and ``why`` the reason in words: of
-    theory with symbols. ``margin`` is the distance from an expected number that is allowed:
-    absolute of a slope, relative of every other number.
-    """
-
     basis: str | None = None
     why: str | None = None
     margin: float | None = None
 
 
-class Case(Expectation, kw_only=True, forbid_unknown_fields=True):
+class Case(Settings, kw_only=True, forbid_unknown_fields=True):
     """One row of a part: an integrator (none for ``condition``) and the number expected of it.
 
     ``expected`` is a number or its bounds, as formulas; None for a method that was added. All other
@@ -110,7 +102,7 @@ class Case(Expectation, kw_only=True, forbid_unknown_fields=True):
         if self.expected is None:
             return None
         ends = self.expected if isinstance(self.expected, tuple) else (self.expected,)
-        low, high = value_of_formula(ends[0]), value_of_formula(ends[-1])
+        low, high = _number(ends[0]), _number(ends[-1])
         if len(ends) == 1:
             far = (self.margin or 0.0) * (1.0 if self.take == "slope" else abs(low))
             low, high = low - far, high + far
@@ -119,7 +111,7 @@ class Case(Expectation, kw_only=True, forbid_unknown_fields=True):
         return Expected((low, high), self.basis or "", formula, why)
 
 
-class Part(Expectation, kw_only=True, forbid_unknown_fields=True):
+class Part(Settings, kw_only=True, forbid_unknown_fields=True):
     """Numbers of one kind; a method whose number is within ``healthy`` is spared.
 
     A quantity of which less is better bounds ``healthy`` above only, its order below only.
@@ -188,21 +180,15 @@ def read_experiment(path: Path) -> Experiment:
     made.name = path.stem[3:]
     for part in made.part:
         for case in part.case:
-            for name in (*Expectation.__struct_fields__, "healthy"):
+            for name in (*Settings.__struct_fields__, "healthy"):
                 if getattr(case, name) is None:
                     setattr(case, name, getattr(part, name))
             _check(case, case.healthy or part.healthy, f"{made.name}, {part.text!r}")
     return made
 
 
-def value_of_formula(formula: Formula) -> float:
-    """Compute a formula.
-
-    Raises
-    ------
-    SpecError
-        If it is more than arithmetic with the functions of `math`.
-    """
+def _number(formula: Formula) -> float:
+    """Compute a formula: arithmetic with the functions of `math`."""
     try:
         code = compile(str(formula), "formula", "eval")
         if not {*code.co_names} <= {*_FUNCTIONS}:

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from bench.atlas.experiments import Case, Expectation, Experiment, Part, Sweep, sweep_of
+from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, sweep_of
 from bench.atlas.measures import (
     component_history,
     conditions,
@@ -158,7 +158,7 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
         method = registry.integrator(case.integrator) if case.integrator else None
         trials.append(_Trial(case, method, sweep_of(case, method, registry)))
     there = {trial.integrator.spec for trial in trials if trial.integrator}
-    settings = {name: getattr(part, name) for name in Expectation.__struct_fields__}
+    settings = {name: getattr(part, name) for name in Settings.__struct_fields__}
     # The condition belongs to the equations: no method can be added.
     for name in added if part.measure != "condition" else ():
         method = registry.integrator(name)
