@@ -5,12 +5,15 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from helpers import reference
 from planted import planted
 
 from bench.plugins.facts import SceneFacts, method_facts
 from bench.plugins.registry import Registry
+from bench.running.errors import constraint_errors
 from bench.running.plan import Cell
-from integrators import Steps
+from integrators import Steps, Tolerances
+from problems.scenes.pendulum import Pendulum
 from reports.names import form_name
 
 #: Methods with their options at the defaults, and changed.
@@ -77,3 +80,25 @@ def test_a_form_is_told_of_constrained_scenes_and_stated_forms_alone():
     assert form("a formulation of my own") == form("") == ""
     # Stores of earlier versions do not tell whether a method on the ODE form projects.
     assert form("ode") == "index 1"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("text", "resolution"),
+    [
+        *((text, Tolerances(1e-4, 1e-6)) for text in ("phem56", "phem56[projection=positions]")),
+        *((f"rodas5p[constraints={c}]", Tolerances(1e-4, 1e-6)) for c in ("index1", "projected")),
+        *((f"radau_iia[formulation={f}]", Tolerances(1e-4, 1e-6)) for f in ("index3", "index2")),
+        ("kvaerno5", Tolerances(1e-4, 1e-6)),
+        ("ali3p", Steps(0.02)),
+        ("generalized_alpha[rho_inf=0.8,formulation=stabilised_index2]", Steps(0.02)),
+    ],
+)
+def test_runs_hold_the_constraints_that_their_form_says(text, resolution):
+    """Positions are held by index 3, GGL and projections, and drift with all others."""
+    known = reference(Pendulum(), 1.35)
+    run = registry().integrator(text).prepare(Pendulum(), 1.35, resolution).measure()
+    violation = constraint_errors(run, known).errors["constraint"]["max"]
+    name = form(formulation(text))
+    holds = name in ("index 3", "GGL") or name.endswith(" projected")
+    assert violation < 1e-9 if holds else 1e-8 < violation < 1e-2

@@ -13,7 +13,7 @@ from bench.results.quantities import COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, milliseconds, number, order_text
-from reports.names import BUILT_IN
+from reports.names import BUILT_IN, form_name
 from reports.questions.answers import Answer
 from reports.questions.method_card import card_sentences
 from reports.questions.words import Words
@@ -100,7 +100,7 @@ def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tup
     pairs = [
         ("Full name", series.label),
         ("Options", options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"),
-        ("Formulation", facts.formulation if facts else ""),
+        ("Formulation", form_name(series.ok) or (facts.formulation if facts else "")),
         ("Orders claimed", claimed),
         ("Steps", steps),
         ("Source", facts.source if facts else ""),

@@ -17,6 +17,7 @@ from reports.formatting import (
     number,
     text_range,
 )
+from reports.names import form_name
 from reports.series import (
     Series,
     groups_of,
@@ -136,7 +137,7 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
         "Constraint residuals and energy drift",
         ["integrator", "formulation", "finest run", *known],
         [
-            [s.label, run.formulation, run.resolution, *map(number, cells)]
+            [s.label, form_name([run]) or run.formulation, run.resolution, *map(number, cells)]
             for (s, run), *cells in zip(runs, *known.values(), strict=True)
         ],
         note="Largest over time; the energy relative to the motion's largest kinetic energy.",
