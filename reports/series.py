@@ -38,11 +38,6 @@ class Series:
         return (self.ok or self.records)[-1]
 
     @property
-    def formulations(self) -> str:
-        """The formulations of the runs (one, as a rule)."""
-        return ", ".join(dict.fromkeys(r.formulation for r in self.records))
-
-    @property
     def statuses(self) -> str:
         """The endings of the runs with counts: '6 ok', '4 ok, 2 newton_failed'."""
         counts = Counter(r.status for r in self.records)

@@ -205,6 +205,8 @@ def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints()
         f"Constraints are violated by more than 1e-4: one on s3 (|Φ| up to {OFF})."
     )
     assert said(*held, free, *rivals)[2] == "The winners hold the constraints to 1e-4."
+    # Of the constraints themselves that is the question.
+    assert not any("winners hold" in t for t in said(*held, free, *rivals, question=HELD))
     worse = won("s2", size=0.1, error=1.0)
     assert said(*held[:2], worse, off, *rivals)[2].startswith(
         "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, relative 1: 1e+04 "

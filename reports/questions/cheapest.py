@@ -29,8 +29,7 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
 
     The answers are those on scenes on which somebody reaches the accuracy.
     """
-    where: dict[tuple[str, ...], list[Sentence]] = {}
-    members: dict[tuple[str, ...], list[RankEntry]] = {}
+    where: dict[tuple[str, ...], list[tuple[Sentence, list[RankEntry]]]] = {}
     for name, scene in answers.items():
         first, second = scene.first, scene.second
         best = min(first, key=lambda s: s.value or 0.0)
@@ -46,18 +45,16 @@ def on_each(question: Question, answers: Mapping[str, SceneAnswer], words: Words
             near.append("; none to compare")
         elif len(first) == 1 and not scene.unknown:
             near.append("; no other reaches it")
-        labels = tuple(s.label for s in first)
-        where.setdefault(labels, []).append([*near, ")"])
-        members.setdefault(labels, []).extend(first)
+        where.setdefault(tuple(s.label for s in first), []).append(([*near, ")"], first))
     said: Sentence = [*words.aim(question), ", "]
     for k, labels in enumerate(
         sorted(where, key=lambda labels: (len(labels) > 1, -len(where[labels])))
     ):
         tie, cost = len(labels) > 1, COSTS[question.cost]
-        said += [*(["; "] if k else []), *words.solvers(members[labels])]
+        said += [*(["; "] if k else []), *words.solvers(s for _, own in where[labels] for s in own)]
         verb = "tie for" if tie else f"{cost.verb}s"
         said.append(f" {verb} the {cost.least}" if not k else " tie" if tie else "")
-        said += [" on ", *listed(where[labels])]
+        said += [" on ", *listed(near for near, _ in where[labels])]
     return [*said, "."]
 
 
@@ -118,20 +115,20 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
 def violating(found: Answer, words: Words) -> list[Sentence]:
     """The winners that violate constraints by more than the accuracy; by the cost beside, too."""
     target, asked = found.question.target, found.question.accuracy
-    answers = [found, *([found.beside] if found.beside else [])]
-    voting = [(k, s) for own in answers for k, s in own.scenes.items() if s.votes]
-    runs = {s.run.key: (k, s, s.run) for k, own in voting for s in own.first if s.run}
-    told = [(k, s, r) for k, s, r in runs.values() if "constraint" in r.errors]
-    if found.question.group == "constraint" or not told:
-        return []
+    both = [found, *([found.beside] if found.beside else [])]
+    voting = [(k, s) for answer in both for k, s in answer.scenes.items() if s.votes]
+    # A run that wins by both costs is told once.
+    runs = {e.run.key: (k, e.label, e.run) for k, s in voting for e in s.first if e.run}
+    known = [own for own in runs.values() if "constraint" in own[2].errors]
     beyond = [
-        [words.method(s.label), " on ", scene_ref(k), f" (|Φ| up to {violation_text([r], target)})"]
-        for k, s, r in sorted(told, key=lambda own: -excess(own[2], target))
-        if excess(r, target) > 1
+        [words.method(label), " on ", scene_ref(k), f" (|Φ| up to {violation_text([run], target)})"]
+        for k, label, run in sorted(known, key=lambda own: -excess(own[2], target))
+        if excess(run, target) > 1
     ]
-    if not beyond:
-        return [[f"The winners hold the constraints to {asked}."]]
-    return [[f"Constraints are violated by more than {asked}: ", *listed(beyond), "."]]
+    if beyond:
+        return [[f"Constraints are violated by more than {asked}: ", *listed(beyond), "."]]
+    tells = known and found.question.group != "constraint"
+    return [[f"The winners hold the constraints to {asked}."]] if tells else []
 
 
 def _compared(found: Answer, most: int) -> str:

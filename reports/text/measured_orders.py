@@ -151,5 +151,5 @@ def _explained(s: Series, group: str, fit: Fit, transient: bool) -> str:
     if transient:
         return TRANSIENT
     stuck = fit.verdict == _STUCK and group in ("a", "lam")
-    steady = s.controls == "step" and s.formulations.startswith("index3")
+    steady = s.controls == "step" and s.records[0].formulation.startswith("index3")
     return UNDAMPED if stuck and steady else ""
