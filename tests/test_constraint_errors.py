@@ -206,7 +206,12 @@ def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints()
     )
     assert said(*held, free, *rivals)[2] == "The winners hold the constraints to 1e-4."
     # Of the constraints themselves that is the question.
-    assert not any("winners hold" in t for t in said(*held, free, *rivals, question=HELD))
+    exact = [won(f"s{k}", size=1e-12, error=1e-12) for k in range(4)]
+    found = said(*exact, *rivals, question=HELD)
+    assert found[0].startswith(
+        "To 1e-4 in constraints (largest over time), one (index 2) takes the"
+    )
+    assert not any("winners hold" in text for text in found)
     worse = won("s2", size=0.1, error=1.0)
     assert said(*held[:2], worse, off, *rivals)[2].startswith(
         "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, relative 1: 1e+04 "
