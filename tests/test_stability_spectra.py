@@ -13,6 +13,9 @@ from bench.stability.matrices import matrices
 from bench.stability.spectra import eigenvalues, places_near, radii, spectrum
 from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
 from integrators.adapters.diffrax_methods import Dopri8, ImplicitEuler, Kvaerno5
+from integrators.methods.bdf2 import BDF2
+from integrators.methods.early_structural import Houbolt, Park
+from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha
 from integrators.methods.generalized_alpha import (
     HHT,
     WBZ,
@@ -74,6 +77,26 @@ def test_the_radius_at_infinity_is_rho_inf(member, rho_inf):
     if member is GeneralizedAlpha and 0 < rho_inf < 1:
         (root, times) = found.roots_at_infinity[0]
         assert (times, root) == (3, pytest.approx(-rho_inf, abs=1e-9))
+
+
+@pytest.mark.parametrize(
+    ("method", "radius"),
+    # Multiple roots come to their limit like (omega h)^(-2/k): at 1e6 to 5e-3 for the six of Park.
+    [(BDF2(), 0.0), (Park(), 0.0), (Houbolt(), 0.0), (Newmark(), 1.0), (Newmark(beta=0), math.inf)],
+)
+def test_the_radius_at_infinity_is_a_limit(method, radius):
+    found = spectrum(method)
+    assert found.radius_at_infinity == pytest.approx(radius, abs=1e-13)
+    assert (found.roots_at_infinity == []) == math.isinf(radius)
+
+
+@pytest.mark.parametrize("rho_b", [0.0, 0.5, 0.9])
+def test_the_explicit_generalized_alpha_has_its_radius_where_its_roots_turn_real(rho_b):
+    method = ExplicitGeneralizedAlpha(rho_b=rho_b)
+    found = spectrum(method).bifurcation  # Hulbert & Chung (1996); 1.8371 for rho_b = 0.5
+    assert found == pytest.approx((1 + rho_b) * math.sqrt(2 - rho_b), rel=1e-9)
+    # Three roots are equal there, so that 11 digits of the step leave three of them.
+    assert radius_of(method, [found]) == pytest.approx(rho_b, abs=2e-3)
 
 
 def test_average_acceleration_keeps_amplitudes_and_lengthens_periods():
@@ -209,6 +232,8 @@ def test_the_relaxation_of_the_controller():
     assert trapezoidal == pytest.approx(np.abs((1 - at / 2) / (1 + at / 2)), rel=1e-10)
     limit = radius_of(GeneralizedAlpha(rho_inf=0.7), [1e6], Relaxation())[0]
     assert limit == pytest.approx(0.7, abs=5e-3)
+    found = spectrum(GeneralizedAlpha(rho_inf=0.7), Relaxation())
+    assert found.radius_at_infinity == pytest.approx(0.7, abs=1e-13)
 
 
 @pytest.mark.long
@@ -217,7 +242,7 @@ def test_runge_kutta_methods_by_running_them():
     assert found.integrator == "kvaerno5[steps=constant]"
     assert found.order == 5
     assert found.limit == math.inf
-    assert found.radius_at_infinity < 1e-4
+    assert found.radius_at_infinity == 0
     assert found.overshoot_orders == (0, 0)
     euler = spectrum(ImplicitEuler(steps="constant"))
     assert euler.radius == pytest.approx((1 + euler.omega_h**2) ** -0.5, rel=1e-7)

@@ -24,15 +24,17 @@ if TYPE_CHECKING:
 
 #: omega h of the charts, 30 to a decade.
 OMEGA_H = np.geomspace(1e-2, 1e4, 181)
-#: Taken for infinite: the effect of the finite frequency is below rounding in a mean of roots.
-INFINITY = 1e6
+#: From here on coefficients of the characteristic polynomial are their limits and two powers of
+#: 1/(omega h), which three multiples of it tell apart.
+INFINITY, _MULTIPLES = 1e6, np.array([1.0, 2.0, 4.0])
 #: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
 GROWTH = 1e-9
 #: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
-#: the k-th root of rounding, and like 1/INFINITY.
-ONE_ROOT = 1e-3
-#: A pair whose imaginary part is below this is real.
-_REAL = 1e-7
+#: the k-th root of rounding. A coefficient below the second is rounding of zero.
+ONE_ROOT, _ZERO = 1e-3, 1e-9
+#: A pair whose imaginary part is below this is real; roots whose sizes differ by less than the
+#: second part are equally large.
+_REAL, _LARGER = 1e-7, 1e-6
 #: Number of first steps in which the overshoot is sought.
 FIRST_STEPS = 10
 _ORDER_STEPS = 2.0 ** -np.arange(8.0)
@@ -59,7 +61,7 @@ class Spectrum:
     unsolved
         Ranges of omega h in which Newton's method did not converge; all numbers are NaN there.
     bifurcation
-        omega h where the principal pair turns real; None if it does not.
+        omega h where the largest root turns real; None if it does not.
     order
         Order of the principal root.
     overshoot_orders
@@ -117,7 +119,7 @@ def spectrum(
     """
     method, system = steppable(method), system or Oscillator()
     at = np.union1d(OMEGA_H, np.asarray(omega_h, dtype=float))
-    every = np.concatenate([at, _ORDER_STEPS, [INFINITY]])
+    every = np.concatenate([at, _ORDER_STEPS, INFINITY * _MULTIPLES])
     found = matrices(method, system, every, pattern)
     roots, count = eigenvalues(found.a), len(at)
     sizes = radii(roots)
@@ -128,12 +130,12 @@ def spectrum(
     ends = [0.0] * bool(grows[0]) + [*edges(grows, _grows)] + [math.inf] * bool(grows[-1])
     if isinstance(system, Oscillator):
         damping, period = oscillation(roots[:count], at, system.zeta)
-        order = order_of(roots[count:-1], system.zeta)
-        real = _is_real(roots[:count]) & np.isfinite(roots[:count]).all(axis=1)
+        order = order_of(roots[count:-3], system.zeta)
+        real = _is_real(roots[:count])
         bifurcation = None if real[0] else next(edges(real, _is_real), None)
         q, v = overshoot(found, system)
         powers = _powers(at, q, v)
-    at_infinity = multiple(roots[-1], ONE_ROOT)
+    at_infinity = roots_at_infinity(roots[-3:])
     return Spectrum(
         integrator=method.spec,
         system=system.spec,
@@ -175,6 +177,20 @@ def roots_of(
 ) -> Complex[np.ndarray, "k n"]:
     """Return the eigenvalues of a method's `matrices`."""
     return eigenvalues(matrices(method, system, steps, pattern).a)
+
+
+def roots_at_infinity(roots: Complex[np.ndarray, "3 n"]) -> list[tuple[complex, int]]:
+    """Return the limits of roots with their multiplicities; none if one grows without bound.
+
+    ``roots`` are those at `INFINITY`, and at twice and four times that. A multiple root approaches
+    its limit like a fractional power of 1/(omega h), the coefficients of the characteristic
+    polynomial like whole ones: their limits are those of Richardson's extrapolation.
+    """
+    sizes = radii(roots)
+    if not np.isfinite(roots).all() or sizes[2] > max(1.0, 1.5 * sizes[0]):
+        return []
+    limits = np.array([1.0, -6.0, 8.0]) / 3 @ np.array([np.poly(row) for row in roots])
+    return multiple(np.roots(np.where(np.abs(limits) < _ZERO, 0.0, limits)), ONE_ROOT)
 
 
 def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
@@ -241,7 +257,10 @@ def _grows(roots: np.ndarray) -> np.ndarray:
 
 
 def _is_real(roots: np.ndarray) -> np.ndarray:
-    return ~np.any(np.imag(roots) > _REAL, axis=1)
+    """Whether the largest root is real; a NaN is not."""
+    sizes, single = np.abs(roots), np.abs(np.imag(roots)) <= _REAL
+    pairs, singles = (np.where(those, sizes, 0.0).max(axis=1) for those in (~single, single))
+    return singles > (1 + _LARGER) * pairs
 
 
 def unsolved(at: np.ndarray, sizes: np.ndarray) -> list[tuple[float, float]]:

@@ -51,7 +51,7 @@ def _facts(found: _Found) -> Table:
         "What was found",
         rows,
         note="Order: that of the principal root. Growth: a radius above 1 by more than 1e-9. "
-        "Bifurcation: where the principal pair turns real. A root with a times sign is multiple; "
+        "Bifurcation: where the largest root turns real. A root with a times sign is multiple; "
         "on the unit circle it has to be simple."
         + " Not solved: Newton's method did not converge, and there are no numbers."
         * lost,
