@@ -77,7 +77,7 @@ def _panels(
         for group in groups:
             panel = error_panel(series, data, group, name, options, first=not panels)
             panels += [panel] if panel else []
-    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
+    columns = {1: 1, 2: 2, 4: 2, 8: 4}.get(len(panels), 3)
     return vl.arrange(panels, [data], columns, params=options.norm_buttons)
 
 
