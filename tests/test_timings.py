@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from types import SimpleNamespace
 
 import pytest
@@ -75,6 +77,32 @@ def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     assert counts == dict.fromkeys(counts, 7) | {long: 2, known: 4}
     assert [n for _, n, _ in taken] == sorted(n for _, n, _ in taken)
     assert [n for task, n, _ in taken if task.label == known] == [2, 4, 5, 6]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="the system cannot do it")
+def test_a_sample_has_one_processor_and_no_old_garbage_to_look_through():
+    whole, seen = os.sched_getaffinity(0), []
+    stop = Event()
+    thread = Thread(target=stop.wait)
+    thread.start()
+
+    def execute():
+        compute()
+        seen.append((os.sched_getaffinity(0), os.sched_getaffinity(thread.native_id)))
+        seen.append(gc.get_freeze_count() > 1000)
+
+    worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+    worker.prepared[cell.key] = SimpleNamespace(execute=execute)
+    try:
+        worker.time(cell)
+        after = os.sched_getaffinity(0), os.sched_getaffinity(thread.native_id)
+    finally:
+        stop.set()
+        thread.join()
+    assert seen[::2] == [({min(whole)}, {min(whole)})] * (len(seen) // 2)
+    assert all(seen[1::2])
+    assert after == (whole, whole)
+    assert gc.get_freeze_count() == 0
 
 
 def sleep():
