@@ -301,17 +301,19 @@ class _Counter(Follower[int]):
     def _branch(
         self, step: Step, given: list[int], values: dict[int, int], scope: str
     ) -> list[int]:
-        """The results of the dearest branch."""
+        """The results of the dearest branch; of all, if a run counts their turns."""
         outside, name = self._turns, self._new_turns(scope)
         self._turns = (*outside, name) if name else outside
-        dearest, found = -1.0, list[int]()
+        found: list[tuple[float, list[int]]] = []
         for body in step.bodies:
             first = len(self._steps)
             results = self.run(body, [], values, scope)
             size = sum(cost.operations for cost in self.total(results, first))
-            dearest, found = max((dearest, found), (size, results), key=lambda one: one[0])
+            found.append((size, results))
         self._turns = outside
-        return [self.new([*given, one]) for one in found]
+        taken = found if name else [max(found, key=lambda one: one[0])]
+        rows = (results for _, results in taken)
+        return [self.new([*given, *some]) for some in zip(*rows, strict=True)]
 
     def _loop(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
         (condition, turn), outside = step.bodies, self._turns

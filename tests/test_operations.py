@@ -115,11 +115,11 @@ class AlphaByHand(PendulumByHand):
     """Generalized-alpha on index 3: three unknowns, a and lam in groups of their own."""
 
     n = 3
-    #: Full Newton: pivots 1, 2 and 3, each with its inverse; one factor, right-hand side (2) and
-    #: change for both of the first, a difference in the second, a test of the third's size (2).
-    factorisation = (1 + 1 + 2 + 1) + (1 + 1 + 2 + 1 + 1) + (1 + 2)
-    #: x3, then two differences and products; and b - A x beside |b| + |A x| in three colours.
-    solve = 1 + 3 + 3 + (9 + 9 + 9 + 3)
+    #: Full Newton: pivots 1, 2 and 3, each with its inverse; a factor and a change for both of the
+    #: first, a difference in the second, a test of the third's size (2).
+    factorisation = (1 + 1 + 1) + (1 + 1 + 1 + 1) + (1 + 2)
+    #: Two differences; x3, then two more; and b - A x beside |b| + |A x| in three colours.
+    solve = (2 + 2) + (1 + 3 + 3) + (9 + 9 + 9 + 3)
     #: Modified Newton: Gauss-Jordan, whose n turns divide a row and change a matrix.
     inverse, by_inverse = n * (n + 2 * n**2), n * (2 * n - 1)
     #: u - du; a bound (4), a size and a noise of both groups; what is left (3), and three factors.

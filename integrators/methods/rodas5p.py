@@ -18,9 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
+from integrators.native import small_matrices
 from integrators.native.own_values import (
     DriftHandling,
     FreeSteps,
@@ -160,32 +162,36 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
             return rows(there._replace(q=advance(scene, z.q, change.q)), rate)
 
         solution = work.factorised(moved, jnp.zeros(layout.size))
-        residual, along = jax.linearize(lambda z: rows(z, still), z)
+        residual, along, _ = small_matrices.linearised(lambda z: rows(z, still), z)
         changes: list[Variables] = []
 
-        def ahead(weights: Sequence[float], t: Time) -> Variables:
-            """The values at a place of the step."""
-            parts = (w * change.q for w, change in zip(weights, changes, strict=True))
-            return _plus(z, weights, changes)._replace(q=advance(scene, z.q, *parts), t=t)
+        def ahead(s: int, t: Time, changes: list[Variables]) -> Variables:
+            """The values at the place of a stage."""
+            parts = (w * change.q for w, change in zip(_A[s], changes, strict=True))
+            return _plus(z, _A[s], changes)._replace(q=advance(scene, z.q, *parts), t=t)
 
-        for s, (over_h, place, of_time) in enumerate(
-            zip(_C_OVER_H, _PLACES, _OF_TIME, strict=True)
-        ):
-            there = ahead(_A[s], z.t + place * h)
-            if s:
-                residual = rows(there, still)
-            known = _plus(jax.tree.map(jnp.zeros_like, z), [c / h for c in over_h], changes)
+        def begun(s: int, changes: list[Variables]) -> tuple[Variables, Array]:
+            """The changes of a stage as far as they are known, and the residual that is left."""
+            there = ahead(s, z.t + _PLACES[s] * h, changes)
+            weights = [c / h for c in _C_OVER_H[s]]
+            known = _plus(jax.tree.map(jnp.zeros_like, z), weights, changes)
             v = g * (there.a + known.v)
             base = Variables(
                 g * (there.v + known.q + v), v, 0.0 * z.a, 0.0 * z.lam, g * known.x, 0.0 * z.y,
-                of_time * h,
+                _OF_TIME[s] * h,
             )  # fmt: skip
-            a, lam, _, rate, y = layout.split(-solution(residual + along(base)))
+            return base, (rows(there, still) if s else residual) + along(base)
+
+        for s in range(len(_PLACES)):
+            # Each by itself: XLA would compute what a stage hands on anew for all that follow.
+            stage = partial(begun, s)
+            base, r = small_matrices.unfused(stage, changes) if s else stage(changes)
+            a, lam, _, rate, y = layout.split(-solution(r))
             changes.append(
-                Variables(base.q + g**2 * a, v + g * a, a, lam, base.x + g * rate, y, 0.0 * t)
+                Variables(base.q + g**2 * a, base.v + g * a, a, lam, base.x + g * rate, y, 0.0 * t)
             )
         work.count(residuals=len(_PLACES))
-        end, last = ahead(_A[-1], t), changes[-1]
+        end, last = ahead(-1, t, changes), changes[-1]
         if self.projects(scene):
             end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still

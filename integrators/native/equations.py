@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from integrators.lowering.programs import lowered
-from problems.runtime import Array, Bool, Float, jax, jnp
+from problems.runtime import Array, Bool, jax, jnp
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr
@@ -99,13 +99,11 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
     return entries
 
 
-def with_constants(
-    program: ClosedJaxpr, constants: Sequence[Array], u: Float[Array, " n"]
-) -> Array:
+def with_constants(program: ClosedJaxpr, constants: Sequence[Array], *u: Array) -> Array:
     """The result of a program with other constants."""
     from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-    return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(u)[0]
+    return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(*u)[0]
 
 
 def traced_constants(program: ClosedJaxpr) -> tuple[list[bool], list[tuple[Any, Any]]]:

@@ -45,6 +45,14 @@ class Pivot(NamedTuple):
     columns: tuple[int, ...]
 
 
+class Factors(NamedTuple):
+    """A matrix that was eliminated in a fixed order, and its inverse if this is not ``sound``."""
+
+    triangle: Any
+    inverse: Any
+    sound: Any
+
+
 @dataclass(frozen=True, eq=False)
 class EliminationPlan:
     """Elimination of the matrices of one pattern.
@@ -80,23 +88,53 @@ class EliminationPlan:
         elimination with pivots, else 0."""
         # Each stage stands unfused, and values between them are numbers: XLA computes a number anew
         # for each array that it goes into.
-        with part("factorisations"):
-            triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
-        with part("solves"):
-            x = jnp.stack(small_matrices.unfused(self._backward, triangle, right))
-            a = jnp.stack(products)
-            solved = reliable & small_matrices.unfused(self._solved, a, b, x)
+        triangle, reliable = self._triangle(products)
+        x, a = self._solution(triangle, b), jnp.stack(products)
+        solved = reliable & self._is_solved(a, b, x)
         with turns(PIVOTS):
             x = jax.lax.cond(solved, lambda a, b, x: x, self._by_pivots, a, b, x)
         return x, jnp.where(solved, 0, 1)
+
+    def factorised(self, products: Sequence[Float[Array, " n"]]) -> Factors:
+        """Factorise a matrix, given its products with the seeds; a trial tells whether it serves
+        for any right-hand side."""
+        triangle, reliable = self._triangle(products)
+        # The seeds sum to a vector of ones.
+        a, b = jnp.stack(products), reduce(add, products)
+        sound = reliable & self._is_solved(a, b, self._solution(triangle, b))
+        with turns(PIVOTS):
+            inverse = jax.lax.cond(sound, lambda a: jnp.zeros_like(self._full(a)), self._inverse, a)
+        return Factors(triangle, inverse, sound)
+
+    def solve_by(
+        self, factors: Factors, b: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Int[Array, ""]]:
+        """Solve a x = b for a matrix that was factorised; return x, and 1 if it took pivots."""
+        x = self._solution(factors.triangle, b)
+        with turns(PIVOTS):
+            by_inverse = small_matrices.product
+            x = jax.lax.cond(factors.sound, lambda *_: x, by_inverse, factors.inverse, b)
+        return x, jnp.where(factors.sound, 0, 1)
+
+    def _triangle(self, products: Sequence[Any]) -> tuple[_Numbers, Array]:
+        with part("factorisations"):
+            return small_matrices.unfused(self._eliminated, products)
+
+    def _solution(self, triangle: _Numbers, b: Array) -> Array:
+        with part("solves"):
+            return jnp.stack(small_matrices.unfused(self._substituted, triangle, b))
+
+    def _is_solved(self, a: Array, b: Array, x: Array) -> Array:
+        with part("solves"):
+            return small_matrices.unfused(self._solved, a, b, x)
 
     def solve_many(
         self, products: Sequence[Sequence[Float[Array, " k"]]], b: Sequence[Float[Array, " k"]]
     ) -> Float[Array, "n k"]:
         """Solve a x = b for k matrices side by side, given number by number; what one of them needs
         changes no other."""
-        triangle, right, reliable = small_matrices.unfused(self._forward, products, b)
-        x = small_matrices.unfused(self._backward, triangle, right)
+        triangle, reliable = small_matrices.unfused(self._eliminated, products)
+        x = small_matrices.unfused(self._substituted, triangle, b)
         solved = reliable & small_matrices.unfused(self._all_solved, products, b, x)
         # Members that have failed have no numbers, and wait for the others.
         a = self._numbers(products)
@@ -132,10 +170,10 @@ class EliminationPlan:
             solved &= jnp.abs(gap) <= _BACKWARD * size
         return solved
 
-    def _forward(self, products: Sequence[Any], b: Any) -> tuple[_Numbers, list[Array], Array]:
-        """Rows of the triangle with inverted pivots, right-hand sides, and whether each pivot is
-        more than rounding of the terms that it is the sum of."""
-        w, right, reliable = self._numbers(products), list(b), []
+    def _eliminated(self, products: Sequence[Any]) -> tuple[_Numbers, Array]:
+        """Rows of the triangle with inverted pivots, factors in the place of what they eliminate,
+        and whether each pivot is more than rounding of the terms that it is the sum of."""
+        w, reliable = self._numbers(products), []
         terms: dict[tuple[int, int], list[Array]] = {
             (one.row, one.column): [] for one in self.pivots
         }
@@ -145,16 +183,20 @@ class EliminationPlan:
                 reliable.append(jnp.abs(w[i, j]) > _BACKWARD * size)
             w[i, j] = 1 / w[i, j]
             for r in rows:
-                factor = w.pop((r, j)) * w[i, j]
-                right[r] = right[r] - factor * right[i]
+                w[r, j] = w[r, j] * w[i, j]
                 for c in columns:
-                    change = factor * w[i, c]
+                    change = w[r, j] * w[i, c]
                     w[r, c] = w[r, c] - change if (r, c) in w else -change
                     if (r, c) in terms:
                         terms[r, c].append(change)
-        return w, right, reduce(and_, reliable, jnp.asarray(True))
+        return w, reduce(and_, reliable, jnp.asarray(True))
 
-    def _backward(self, triangle: _Numbers, right: list[Array]) -> list[Array]:
+    def _substituted(self, triangle: _Numbers, b: Any) -> list[Array]:
+        """The solution, forward and backward."""
+        right = list(b)
+        for i, j, rows, _ in self.pivots:
+            for r in rows:
+                right[r] = right[r] - triangle[r, j] * right[i]
         x = list(right)
         for i, j, _, columns in reversed(self.pivots):
             x[j] = reduce(lambda s, c: s - triangle[i, c] * x[c], columns, right[i])
@@ -172,8 +214,13 @@ class EliminationPlan:
         return jnp.all(jnp.abs(gap) <= _BACKWARD * size)
 
     def _by_pivots(self, products: Array, b: Array, _: Array) -> Array:
-        a = jnp.where(self.entries, products[self.colours].T, 0.0)
-        return small_matrices.solve(a, b)
+        return small_matrices.solve(self._full(products), b)
+
+    def _inverse(self, products: Array) -> Array:
+        return small_matrices.inverse(self._full(products))
+
+    def _full(self, products: Array) -> Float[Array, "n n"]:
+        return jnp.where(self.entries, products[self.colours].T, 0.0)
 
 
 def planned(entries: Bool[np.ndarray, "n n"]) -> EliminationPlan | None:

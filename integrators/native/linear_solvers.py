@@ -27,7 +27,7 @@ from integrators.native.equations import (
     traced_constants,
     with_constants,
 )
-from integrators.native.fixed_elimination import EliminationPlan, planned
+from integrators.native.fixed_elimination import EliminationPlan, Factors, planned
 from problems import runtime
 from problems.named_equations import part
 from problems.runtime import Array, Bool, Float, jax, jnp
@@ -58,6 +58,19 @@ class LinearSolver(ABC):
     @abstractmethod
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
         """The update by the tangent at u: tangent^-1 residual(u)."""
+
+    def factorised(
+        self, residual: Residual, u: Float[Array, " n"], kept: Array
+    ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
+        """What replaces ``kept``, and the function of a right-hand side that is the update by the
+        tangent at u."""
+        kept = self.renewed(residual, u, kept)
+
+        def update(r: Array) -> Once:
+            with part("solves"):
+                return Once(self.update(kept, r))
+
+        return kept, update
 
     @abstractmethod
     def nothing_kept(self, size: int) -> Array:
@@ -128,6 +141,35 @@ class DenseSolver(LinearSolver):
 
         return alone(u, *program.consts)
 
+    def factorised(
+        self, residual: Residual, u: Float[Array, " n"], kept: Array
+    ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
+        program = jax.make_jaxpr(residual)(u)
+        order = _order(program, len(u)) if self.joins else None
+        if order is None:
+            return super().factorised(residual, u, kept)
+
+        def in_order(u: Array, *constants: Array) -> Factors:
+            residual = partial(with_constants, program, constants)
+            return order.factorised(_linearised(residual, u, order.seeds)[1])
+
+        alone = jax.custom_batching.custom_vmap(small_matrices.without_products(in_order))
+
+        @alone.def_vmap
+        def _(size: int, batched: list[bool], *args: Array) -> tuple[Factors, Factors]:
+            def inverse(u: Array, *constants: Array) -> Array:
+                return self.renewed(partial(with_constants, program, constants), u, kept)
+
+            # Many runs side by side take the inverse.
+            axes = [0 if one else None for one in batched]
+            first = (x[0] if one else x for x, one in zip(args, batched, strict=True))
+            none = jax.tree.map(jnp.zeros_like, jax.eval_shape(in_order, *first))
+            found = none._replace(inverse=jax.vmap(inverse, in_axes=axes)(*args))
+            return found, jax.tree.map(lambda _: False, none)._replace(inverse=True)
+
+        factors = alone(u, *program.consts)
+        return kept, lambda r: Once(*order.solve_by(factors, r))
+
     def nothing_kept(self, size: int) -> Array:
         return jnp.full((size, size), jnp.nan)
 
@@ -162,18 +204,10 @@ def _linearised(
     residual: Residual, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
 ) -> tuple[Float[Array, " n"], list[Float[Array, " n"]]]:
     """The residual at u, and the products of its tangent with the seeds."""
-    programs: list[ClosedJaxpr] = []
-
-    def coefficients(u: Array) -> tuple[Array, list[Array]]:
-        r, linear = jax.linearize(residual, u)
-        programs.append(jax.make_jaxpr(linear)(u))
-        return r, list(programs[-1].consts)
-
     with part("residuals"):
-        r, constants = small_matrices.unfused(coefficients, u)
-    product = partial(with_constants, programs[-1], constants)
+        r, product, size = small_matrices.linearised(residual, u)
     with part("Jacobians"):
-        if len(seeds) * len(programs[-1].eqns) > _MOST_WRITTEN_OUT:
+        if len(seeds) * size > _MOST_WRITTEN_OUT:
             return r, list(jax.vmap(product)(jnp.asarray(seeds)))
         return r, [product(jnp.asarray(seed)) for seed in seeds]
 

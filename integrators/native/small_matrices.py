@@ -13,7 +13,7 @@ from math import prod
 from operator import add
 from typing import Any
 
-from integrators.native.equations import bound, evaluated, is_program
+from integrators.native.equations import bound, evaluated, is_program, with_constants
 from problems import runtime
 from problems.named_equations import part
 from problems.runtime import Array, Float, jax, jnp
@@ -121,6 +121,24 @@ def unfused(function: Callable, *args: Any) -> Any:
 
     first = jnp.real(jnp.ravel(jax.tree.leaves(args)[0])[0])
     return jax.lax.cond(jnp.isnan(first) | (first <= jnp.inf), function, otherwise, *args)
+
+
+def linearised(function: Callable, *at: Any) -> tuple[Array, Callable[..., Array], int]:
+    """The value of a function at some arguments, its derivative along changes of them, of which all
+    that does not depend on the changes is computed once, and the number of steps of this."""
+    programs: list[Any] = []
+
+    def coefficients(*at: Any) -> tuple[Array, list[Array]]:
+        value, linear = jax.linearize(function, *at)
+        programs.append(jax.make_jaxpr(linear)(*at))
+        return value, list(programs[-1].consts)
+
+    value, constants = unfused(coefficients, *at)
+
+    def product(*changes: Any) -> Array:
+        return with_constants(programs[-1], constants, *jax.tree.leaves(changes))
+
+    return value, product, len(programs[-1].eqns)
 
 
 def _eliminated(k: int, w: Array) -> Array:

@@ -14,7 +14,7 @@ from integrators.native.linear_solvers import DENSE, LinearSolver, Residual
 from integrators.native.newton import Bounds, newton
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_records import COUNTS, PIVOTS, Scalar, StepReport
-from problems.named_equations import part, turns
+from problems.named_equations import turns
 from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
 Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
@@ -173,15 +173,15 @@ class StepWork:
         """
         k, self._calls = self._calls, self._calls + 1
         assert self._before is not None
-        solver = self._solvers(k)
-        kept = solver.renewed(residual, u, self._before[k])
+        kept, update = self._solvers(k).factorised(residual, u, self._before[k])
         self.kept.append(kept)
         self.count(jacobians=1, factorisations=1)
 
         def solution(r: Array) -> Array:
             self.count(solves=1)
-            with part("solves"):
-                return solver.update(kept, r)
+            found = update(r)
+            self._add(StepReport(turns={PIVOTS: found.repeated}))
+            return found.update
 
         return solution
 

@@ -126,4 +126,4 @@ def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method):
     assert counted <= declared
     bill = run.bill(run.measure())
     # Three unknowns in a fixed order (`tests/test_operations.py`).
-    assert (bill["factorisations"], bill["solves"]) == (steps * 14, steps * 37)
+    assert (bill["factorisations"], bill["solves"]) == (steps * 10, steps * 41)
