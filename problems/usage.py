@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -49,26 +50,26 @@ def computed_seconds() -> float:
 
 
 @contextmanager
-def one_processor() -> Iterator[None]:
-    """Keep all threads of this process on one processor for a while, where the system can.
+def undisturbed() -> Iterator[None]:
+    """Keep all threads on one processor, and old objects out of the search for garbage, meanwhile.
 
     XLA hands programs over between two threads. On two processors these wait for each other by
     computing, now and then, and a short program takes up to three times its time.
     """
-
-    def keep_to(processors: set[int]) -> None:
-        for thread in (_PROC / "self/task").iterdir():
-            with suppress(OSError):  # it has just ended
-                os.sched_setaffinity(int(thread.name), processors)
-
     allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    if allowed:
-        keep_to({min(allowed)})
+    _keep_to(sorted(allowed)[:1])
+    gc.freeze()
     try:
         yield
     finally:
-        if allowed:
-            keep_to(allowed)
+        gc.unfreeze()
+        _keep_to(allowed)
+
+
+def _keep_to(processors: Collection[int]) -> None:
+    for thread in (_PROC / "self/task").iterdir() if processors else ():
+        with suppress(OSError):  # it has just ended
+            os.sched_setaffinity(int(thread.name), processors)
 
 
 def idle_seconds(before: Usage, after: Usage, passed: float) -> float:

@@ -14,7 +14,7 @@ from small_stores import a_record
 
 from bench.results.records import Environment
 from bench.results.store import Store
-from bench.results.timings import REPEATABLE, interval_width, repeatability
+from bench.results.timings import REPEATABLE, Repeatability, interval_width, repeatability
 from reports.pages.card import write_card
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
@@ -26,6 +26,7 @@ from reports.questions.question import FIRST, Question
 from reports.questions.sentences import sentences
 from reports.scenes import stored_runs
 from reports.series import series_of
+from reports.text.measurement import times_sentence
 
 #: The samples of a run, relative to the first.
 QUIET, NOISY = (1.0, 1.01, 1.02, 1.03, 1.04, 1.05), (1.0, 1.05, 1.1, 1.2, 1.25, 1.3)
@@ -177,6 +178,14 @@ def test_the_sentence_beside_is_about_the_same_scenes():
     assert found.beside.question == Question("a", 1e-4, "seconds")
     assert [*found.beside.scenes] == [*found.scenes] == ["pendulum"]
     assert Question("a", 1e-4, "residuals").beside is None
+
+
+def test_times_of_two_machines_are_said_not_to_compare():
+    said = times_sentence(Repeatability(0.05, 3, 2))
+    assert said.endswith("cannot be compared, so this report ranks by operations first.")
+    none = times_sentence(Repeatability(None, 0, 1))
+    assert none.startswith("No run has the 6 timing samples")
+    assert none.endswith("so this report ranks by operations first.")
 
 
 @in_chromium

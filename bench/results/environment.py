@@ -23,9 +23,6 @@ LIBRARIES = (
     *("numpy", "klujax", "asdex", "scipy_dae", "exudyn", "mujoco"),
 )
 
-#: Time of the samples that `bench.running.worker.Worker.time` takes.
-CLOCK = "processor time of the process, all of its threads together"
-
 
 def environment() -> Environment:
     """Describe this machine, its versions and the command in work."""
@@ -40,7 +37,7 @@ def environment() -> Environment:
         versions={"python": platform.python_version()}
         | _versions(("stepbench",))
         | library_versions(),
-        clock=CLOCK,
+        clock="processor time of the process, all of its threads together",
     )
 
 

@@ -37,7 +37,7 @@ from problems.reference import Reference
 from problems.runtime import check_runtime, jax, one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-from problems.usage import computed_seconds, one_processor
+from problems.usage import computed_seconds, undisturbed
 
 #: Processor time in s for which a timing sample repeats short runs; longer ones warm their caches
 #: themselves. Beside busy processes, seven samples of 1 ms spread by 30 %, those of 10 ms by 12 %.
@@ -246,25 +246,18 @@ class Worker:
             self.notify(PREPARING, "tracing and compiling")
             self.run(cell)
             self.notify(RUNNING, "running")
-        gc.freeze()  # a search for garbage would look through all that JAX has made
-        try:
-            with one_processor():
-                self._seconds[cell.key] = self._sample(cell)
-        finally:
-            gc.unfreeze()
-        return self._seconds[cell.key]
-
-    def _sample(self, cell: Cell) -> float:
         run = self.prepared[cell.key]
-        if self._seconds.get(cell.key, 0.0) < SAMPLE_SECONDS:
-            run.execute()  # warms caches after whatever ran in between
-        repeats, seconds, begun, before = 0, 0.0, time.monotonic(), computed_seconds()
-        # A run that waits for something else uses no processor time.
-        while seconds < SAMPLE_SECONDS and time.monotonic() - begun < TIMING_SECONDS:
-            run.execute()
-            repeats += 1
-            seconds = computed_seconds() - before
-        return seconds / repeats
+        with undisturbed():
+            if self._seconds.get(cell.key, 0.0) < SAMPLE_SECONDS:
+                run.execute()  # warms caches after whatever ran in between
+            repeats, seconds, begun, before = 0, 0.0, time.monotonic(), computed_seconds()
+            # A run that waits for something else uses no processor time.
+            while seconds < SAMPLE_SECONDS and time.monotonic() - begun < TIMING_SECONDS:
+                run.execute()
+                repeats += 1
+                seconds = computed_seconds() - before
+        self._seconds[cell.key] = seconds / repeats
+        return self._seconds[cell.key]
 
     def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
         """Make the record of a scene; without a reference if ``lacking`` says why."""

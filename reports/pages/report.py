@@ -64,9 +64,7 @@ class Report:
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
         self.missing = [
             *filter(None, [set_aside_text(store.set_aside())]),
-            *missing_data(
-                plan, stored.scenes_by_key, stored.records, [*stored.titles], stored.environments
-            ),
+            *missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles]),
         ]
         first = stored.first
         answered = answers(series, [first.group], [first.target])

@@ -8,7 +8,6 @@ from bench.results.orders import SPREAD
 from bench.results.quantities import COST, COSTS
 from bench.results.records import (
     TIMING_SECONDS,
-    Environment,
     Plan,
     Record,
     SceneRecord,
@@ -21,7 +20,6 @@ from bench.results.timings import (
     LEAST_QUOTIENT,
     REPEATABLE,
     Repeatability,
-    repeatability,
 )
 from reports.formatting import number
 
@@ -38,7 +36,6 @@ def missing_data(
     scenes: Mapping[tuple[str, float], SceneRecord],
     records: Mapping[str, Record],
     keys: Sequence[tuple[str, float]],
-    environments: Mapping[int, Environment],
 ) -> list[str]:
     """Sentences about missing plans, runs, scenes, errors and times."""
     planned = _planned_keys(plan)
@@ -49,7 +46,6 @@ def missing_data(
     # Long runs are timed less often on purpose.
     short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
     not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
-    used = {r.environment for r in ok if r.run_s}
     sentences = {
         "The store holds no plan: all runs of a scene are shown together.": plan is None,
         f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in work, "
@@ -64,11 +60,6 @@ def missing_data(
         f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
         f"{short} runs have fewer than the {samples} timing samples planned.": short,
         "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
-        "The times come from different machines, clocks or versions (environments "
-        f"{', '.join(map(str, sorted(used)))}): do not compare them.": repeatability(
-            ok, environments
-        ).machines
-        > 1,
     }
     return [sentence for sentence, holds in sentences.items() if holds]
 
@@ -79,7 +70,8 @@ def times_sentence(times: Repeatability) -> str:
     if times.width is None:
         return f"No run has the {FEWEST} timing samples that an interval takes, {first}."
     if times.machines > 1:
-        return f"Times were taken on {times.machines} machines or versions, {first}."
+        of = f"{times.machines} different machines, clocks or versions"
+        return f"Times were taken on {of} and cannot be compared, {first}."
     of = f"median width of the intervals of {counted(times.runs, 'run')}"
     limit = "" if times.cost == "seconds" else f"; at most {100 * REPEATABLE:g} % is asked for"
     return f"Times were repeatable to {100 * times.width:.2g} % ({of}{limit}), {first}."
@@ -104,8 +96,6 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Work is counted where it happens; any difference of counts counts. A "
         "count that a library does not give is 'not counted'.",
-        f"Seconds rank integrators first if the intervals of the medians have a median width of at "
-        f"most {100 * REPEATABLE:g} %, operations first if they are wider or not known.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
         f"finest steps, as many as have slopes within {SPREAD:g} of each other; fewer than three "
         "points give 'not determined'.",
