@@ -160,6 +160,7 @@ def bill(
     jacobians: Operations = NOTHING,
     factorisations: float = 0.0,
     solves: float = 0.0,
+    own: float = 0.0,
 ) -> dict[str, float]:
     """Operations of a run by part.
 
@@ -169,21 +170,25 @@ def bill(
         Operations of all those in the run.
     factorisations, solves
         Operations of those of the method itself.
+    own
+        All others of the method itself.
 
     Returns
     -------
     dict
         "residuals", "Jacobians", "inner solves" (linear algebra within the first two: an ODE form
-        solves for accelerations), "factorisations" and "solves"; parts of zero are left out.
+        solves for accelerations), "factorisations", "solves" and "method"; parts of zero are left
+        out.
     """
     both = evaluations.plus(jacobians)
     turns = _index1_turns(scene, run) if both.arithmetic_per_turn else 0.0
     parts = {
-        "residuals": evaluations.of_scene(turns),
+        RESIDUALS: evaluations.of_scene(turns),
         "Jacobians": jacobians.of_scene(turns),
-        "inner solves": both.inner(turns),
+        INNER: both.inner(turns),
         "factorisations": factorisations,
         "solves": solves,
+        OWN: own,
     }
     return {name: value for name, value in parts.items() if value}
 

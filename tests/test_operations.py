@@ -22,6 +22,7 @@ from integrators.adapters import dae, ode
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
+from integrators.adapters.vector_work import EXPLICIT, IMPLICIT, VECTOR_WORK
 from integrators.contract import Work
 from integrators.lowering.operators import ELEMENTARY
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -244,7 +245,31 @@ def test_the_bill_of_a_run_is_that_of_a_hand_count(method, scene, hand):
     assert run.status == "ok"
     bill = prepared.bill(run)
     assert set(bill) <= set(PARTS)
+    assert bill.pop("method") > 0
     assert sum(bill.values()) == pytest.approx(by_hand(method, scene, hand, run.work), rel=WITHIN)
+
+
+@pytest.mark.parametrize(
+    ("solver", "k", "attempt", "iteration", "matrix"),
+    [
+        # Sums of 3 differences for y (2) and y' (3); 4 norms, 3 of them of a sum; 3 differences.
+        (VECTOR_WORK["IDA"], 2, 2 + 3 + (4 * 3 + 3) + 3 + 3, 1 + 2 + 2 + 3, 0),
+        # Pascal's triangle of 3 columns, 3 corrections, 2 norms, one of a multiple; weights.
+        (VECTOR_WORK["CVODE"], 2, 3 + 3 * 2 + (2 * 3 + 1) + 3, 2 + 2 + 2 + 3, 2 * 100),
+        # Cubics at 3 places less y; TI Z0; E Z / h and a norm; y, f + E Z, 2 scales; Z P.
+        (VECTOR_WORK["Radau"], 3, 3 * 8 + 15 + 10 + 1 + 4 + 15, 3 + 26 + 9 + 3 + 15, 150),
+        # Predicted, psi, 2 scales; an error, and those beside it; 3 + 1 differences.
+        (VECTOR_WORK["BDF"], 2, 2 + 4 + 4 + 3 * 4 + 4, 3 + 3 + 2, 2 * 100 + 10 * 2 * 9),
+        (EXPLICIT, 3, 2 * (1 + 2) + 2 * (2 * 3) + 6, 0, 0),
+        (IMPLICIT, 3, 2 * 2 * (1 + 2) + 2 * (2 * 3) + 6, 2 + 1 + 1 + 6, 2 * 100),
+    ],
+    ids=["ida", "cvode", "radau", "bdf", "explicit", "implicit"],
+)
+def test_vectors_of_libraries_cost_what_their_formulas_say(solver, k, attempt, iteration, matrix):
+    one = partial(solver.operations, 10, k)
+    assert one(1, 0, 0) == 10 * attempt
+    assert one(0, 1, 0) == 10 * iteration
+    assert one(0, 0, 1) == matrix
 
 
 @pytest.mark.long

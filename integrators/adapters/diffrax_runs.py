@@ -12,6 +12,7 @@ import numpy as np
 from integrators.adapters.counting import EVALUATION, LINEARISATION, Counts, run_counted, watch
 from integrators.adapters.ode import packed_columns, packed_projection, packed_rate
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
+from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
 from integrators.kept_rows import kept_rows
 from integrators.operations import bill, dense
@@ -53,6 +54,14 @@ class DiffraxScheme(NamedTuple):
     root_finder: str
     #: Whether each step ends by a projection onto the constraints.
     projects: bool = False
+
+    @property
+    def stages(self) -> int:
+        """The number of stages; one where diffrax has no tableau."""
+        import diffrax
+
+        found = getattr(getattr(diffrax, self.library_class), "tableau", None)
+        return getattr(found, "tableaus", (found,))[0].num_stages if found else 1
 
     def solver(self, template: MechatronicSystem, **options: Any) -> diffrax.AbstractSolver:
         """Make the solver; ``options`` holds a root finder, or nothing for diffrax's default."""
@@ -121,6 +130,9 @@ class DiffraxRun(PreparedRun):
         projection = packed_projection(key[0]).operations.times(attempts * self._scheme.projects)
         algebra = dense(state_layout(self._scene.sizes).size)
         iterations = run.work.newton or 0  # each with a Jacobian, which gives the value on the way
+        size, stages = state_layout(self._scene.sizes).size, self._scheme.stages
+        solver = EXPLICIT if self._scheme.root_finder == "none" else IMPLICIT
+        own = solver.operations(size, stages, attempts, iterations, iterations)
         return bill(
             self._scene,
             run,
@@ -128,6 +140,7 @@ class DiffraxRun(PreparedRun):
             jacobian.times(iterations),
             iterations * algebra.factorisation,
             iterations * algebra.solve,
+            own,
         )
 
 

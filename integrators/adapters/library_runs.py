@@ -14,6 +14,7 @@ import numpy as np
 
 from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.trajectories import early_end_message
+from integrators.adapters.vector_work import VECTOR_WORK
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
@@ -288,6 +289,8 @@ class LibraryRun(PreparedRun):
         self.given, self._method, self._t_end = given, method, float(t_end)
         self._name, self._algebra = type(method).__name__, algebra
         self.functions = given.bound()
+        #: Orders of the steps that were measured last.
+        self._orders: list[float] = []
         #: Why the equations are not called in C; empty if they are.
         self.why = "callbacks=python was asked for"
         if method.callbacks == "compiled":
@@ -313,7 +316,8 @@ class LibraryRun(PreparedRun):
 
         Its methods are ``whole()``, which solves to the end, ``step()``, which returns time and
         unknowns after one step of its own, and ``work(steps)``; they raise `EarlyEnd` where the run
-        ends. ``counts`` tells whether counts that cost time are wanted.
+        ends. ``order`` is that of the last step, or its number of stages. ``counts`` tells whether
+        counts that cost time are wanted.
         """
 
     def execute(self) -> Any:
@@ -323,6 +327,7 @@ class LibraryRun(PreparedRun):
     def measure(self) -> Trajectory:
         # The steps of ``execute``, one by one: a failure loses none of them.
         given, end, work, h = self.given, None, Work(steps=0), 0.0
+        self._orders = []
         kept = RowKeeper(width_of(given.scene.sizes), given.start[:2], self._t_end)
         try:
             with self._solver(counts=True) as solver:
@@ -331,6 +336,7 @@ class LibraryRun(PreparedRun):
                         time, unknowns = solver.step()
                         h = time - kept.last[0]
                         kept.add((time, unknowns))
+                        self._orders.append(solver.order)
                 finally:
                     work = solver.work(kept.steps)
         except EarlyEnd as early_end:
@@ -353,7 +359,14 @@ class LibraryRun(PreparedRun):
     def bill(self, run: Trajectory) -> dict[str, float]:
         if run.work.factorisations is None:
             return {}
-        factorisations, solves = self._linear_algebra(run.work)
+        work, (factorisations, solves) = run.work, self._linear_algebra(run.work)
+        attempts = (work.steps or 0) + (work.rejected or 0)
+        # Of solvers through Python that do not tell it, an iteration is a residual.
+        iterations = (work.residuals if work.newton is None else work.newton) or 0
+        own = VECTOR_WORK[self._name].operations(
+            self.given.size, float(np.mean(self._orders or [0.0])), attempts, iterations,
+            work.factorisations,
+        )  # fmt: skip
         return bill(
             self.given.scene,
             run,
@@ -361,6 +374,7 @@ class LibraryRun(PreparedRun):
             self.given.jacobian.operations.times(run.work.jacobians or 0),
             factorisations * self._algebra.factorisation,
             solves * self._algebra.solve,
+            own,
         )
 
     def _linear_algebra(self, work: Work) -> tuple[int, int]:

@@ -161,6 +161,11 @@ class _ScipySolver:
         self._run.after_step(solver, equations)
         return float(solver.t), solver.y
 
+    @property
+    def order(self) -> int:
+        """The order of the last step of BDF, or Radau's number of stages."""
+        return getattr(self._solver, "order", 3)
+
     def work(self, steps: int) -> Work:
         return self._equations.work(steps)
 

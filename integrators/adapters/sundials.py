@@ -60,6 +60,7 @@ _OF_BOTH: dict[str, tuple[Any, ...]] = {
     "SetMaxOrd": (c_int, c_void_p, c_int),
     "SetMaxNumSteps": (c_int, c_void_p, c_long),
     "SetStopTime": (c_int, c_void_p, c_double),
+    "GetLastOrder": (c_int, c_void_p, POINTER(c_int)),
     "GetNumJacEvals": (c_int, c_void_p, POINTER(c_long)),
     "GetNumLinSolvSetups": (c_int, c_void_p, POINTER(c_long)),
     "GetNumErrTestFails": (c_int, c_void_p, POINTER(c_long)),

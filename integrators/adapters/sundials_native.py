@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 from abc import ABC, abstractmethod
-from ctypes import byref, c_double, c_int64, c_long, c_void_p
+from ctypes import byref, c_double, c_int, c_int64, c_long, c_void_p
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -229,6 +229,13 @@ class NativeSolver(ABC):
         """Take one step of the solver's own; return the time and the unknowns."""
         self._solve(_ONE_STEP)
         return self._t.value, self._values.copy()
+
+    @property
+    def order(self) -> int:
+        """The order of the last step."""
+        number = c_int()
+        self._do("GetLastOrder", byref(number))
+        return number.value
 
     def work(self, steps: int) -> Work:
         """The counts of the run: steps, residuals and Jacobians by us, the others by SUNDIALS."""

@@ -107,6 +107,8 @@ class _PythonSolver:
         self, run: SundialsRun, solver: Any, equations: CountedEquations, t_end: float
     ) -> None:
         self._run, self._solver, self._equations, self._t_end = run, solver, equations, t_end
+        #: The highest one: scikit-sundae does not tell that of a step.
+        self.order = run.options["max_order"]
 
     def whole(self) -> Any:
         # It stops exactly at the end, so that nothing is interpolated.
