@@ -194,7 +194,7 @@ class Worker:
         _add(record, part("Its cautions are not known", cautions, ""))
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
-        """Run a cell; return its trajectory, whatever its end, and the seconds to prepare it."""
+        """Run a cell; return its trajectory, however it ends, and processor seconds to prepare."""
         scene = self.problem(cell.problem)
         integrator = self.registry.integrator(cell.integrator)
         span = scene.interval[0], cell.t_end
@@ -207,9 +207,9 @@ class Worker:
             answers.facts(integrator)
             if reason := answers.refusal(integrator, scene):
                 return Trajectory.failed("unsupported", reason), None
-            started = time.perf_counter()
+            started = computed_seconds()
             run = answers.checked_run(integrator.prepare(scene, cell.t_end, cell.resolution))
-            compile_s = time.perf_counter() - started
+            compile_s = computed_seconds() - started
             self.notify(RUNNING, "running")
             measuring = computed_seconds()
             measured = run.measure()
