@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.quantities import WRONG
 from bench.running.errors import scales
 from integrators.contract import Trajectory
 from problems.exported_programs import exported
@@ -22,10 +21,13 @@ from problems.system import MechatronicSystem
 _SPECTRA = 60
 #: With more states than this there are no eigenvalues: they would cost more than the runs.
 _MOST_STATES = 400
-#: Times at which a run is asked for its fastest vibration.
-_TIMES = 5
+#: Times at which a run is asked for its fastest vibration, if the scene has no more states than
+#: this: every run pays for it.
+_TIMES, _MOST_OF_RUNS = 5, 100
 #: A vibration that weighs less than so many times as much in a as in v is a part of the motion.
 _WEIGHT = 20.0
+#: The part of a that is left to a vibration, from which on a is not controlled.
+_LEFT = 0.05
 #: The fewest linearised steps, a multiple of a block's, and the most times the cube of the states.
 _FEWEST, _MOST_WORK = 480, 4e8
 #: Two numbers of steps tell the growth if they agree up to this part.
@@ -85,12 +87,12 @@ def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) 
 
         weight = omega max|v| / max|dv/dt|
 
-    which is near 1 if the motion itself vibrates at omega. Errors of ``rtol`` in v in each of its
-    N periods are weight N rtol in a. Constant steps (``rtol`` None) of more than half a period
-    leave any part of it.
+    which is near 1 if the motion itself vibrates at omega; sizes of a that the scene states bound
+    the denominator. Errors of ``rtol`` in v in each of its N periods, until it has died out, are
+    weight N rtol in a. Constant steps (``rtol`` None) of more than half a period leave any part.
     """
     t, v = run.t, run.v
-    if state_layout(scene.sizes).size > _MOST_STATES or len(t) < 2:
+    if state_layout(scene.sizes).size > _MOST_OF_RUNS or len(t) < 2:
         return ""
     places = np.searchsorted(t, np.linspace(t[0], t[-1], 2 * _TIMES + 1)[1::2])
     states = np.concatenate([run.q, run.v, run.x], axis=1)
@@ -98,14 +100,16 @@ def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) 
     jacobians = np.asarray(_jacobians(scene.template())(scene.parameters(), t[at], states[at]))
     if not np.isfinite(jacobians).all():
         return ""
-    omega = float(np.median(np.abs(np.linalg.eigvals(jacobians[:_TIMES]).imag).max(axis=1)))
+    fastest = [max(e, key=lambda e: e.imag) for e in np.linalg.eigvals(jacobians[:_TIMES])]
+    decay, omega = -np.median(np.real(fastest)), float(np.median(np.imag(fastest)))
+    stated = [component.scale for component in scene.components("a") if component.scale]
     change = np.linalg.norm(np.diff(v, axis=0), axis=1) / np.diff(t)
-    weight = omega * np.linalg.norm(v, axis=1).max() / (change.max() or np.inf)
-    steps = run.work.steps or len(t) - 1
-    h = float(np.median(np.diff(t)[places - 1])) * (len(t) - 1) / steps
-    periods = omega / (2 * np.pi) * np.array([t[-1] - t[0], h])
+    weight = omega * np.linalg.norm(v, axis=1).max() / min([change.max() or np.inf, *stated])
+    length = t[-1] - t[0]
+    h = float(np.median(np.diff(t)[places - 1])) * (len(t) - 1) / (run.work.steps or len(t) - 1)
+    periods = omega / (2 * np.pi) * np.array([length / max(1.0, decay * length), h])
     left = float(2 * periods[1] > 1) if rtol is None else rtol * periods[0]
-    if weight < _WEIGHT or weight * left < WRONG:
+    if weight < _WEIGHT or weight * left < _LEFT:
         return ""
     return (
         f"Accelerations are not controlled: the fastest vibration, {omega:.3g} rad/s, weighs "
