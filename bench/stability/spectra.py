@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 #: omega h of the charts, 30 to a decade.
 OMEGA_H = np.geomspace(1e-2, 1e4, 181)
-#: From here on coefficients of the characteristic polynomial are their limits and two powers of
-#: 1/(omega h), which three multiples of it tell apart.
-INFINITY, _MULTIPLES = 1e6, np.array([1.0, 2.0, 4.0])
+#: Nearly here coefficients of the characteristic polynomial are their limits and two powers of
+#: 1/(omega h), which three parts of it tell apart.
+INFINITY, _PARTS = 1e6, np.array([0.25, 0.5, 1.0])
 #: A radius above 1 by more than this is growth; multiple roots lose digits, growth has few zeros.
 GROWTH = 1e-9
 #: Roots at infinity that are closer than this count as one multiple root: k-fold ones scatter like
 #: the k-th root of rounding. A coefficient below the second is rounding of zero.
-ONE_ROOT, _ZERO = 1e-3, 1e-9
+ONE_ROOT, _ZERO = 2e-3, 1e-9
 #: A pair whose imaginary part is below this is real; roots whose sizes differ by less than the
 #: second part are equally large.
 _REAL, _LARGER = 1e-7, 1e-6
@@ -119,7 +119,7 @@ def spectrum(
     """
     method, system = steppable(method), system or Oscillator()
     at = np.union1d(OMEGA_H, np.asarray(omega_h, dtype=float))
-    every = np.concatenate([at, _ORDER_STEPS, INFINITY * _MULTIPLES])
+    every = np.concatenate([at, _ORDER_STEPS, INFINITY * _PARTS])
     found = matrices(method, system, every, pattern)
     roots, count = eigenvalues(found.a), len(at)
     sizes = radii(roots)
@@ -182,15 +182,26 @@ def roots_of(
 def roots_at_infinity(roots: Complex[np.ndarray, "3 n"]) -> list[tuple[complex, int]]:
     """Return the limits of roots with their multiplicities; none if one grows without bound.
 
-    ``roots`` are those at `INFINITY`, and at twice and four times that. A multiple root approaches
-    its limit like a fractional power of 1/(omega h), the coefficients of the characteristic
-    polynomial like whole ones: their limits are those of Richardson's extrapolation.
+    ``roots`` are those at a quarter and a half of `INFINITY`, and there. A k-fold root comes to its
+    limit like the k-th root of 1/(omega h), but coefficients of the characteristic polynomial and
+    means of roots like 1/(omega h): their limits are those of Richardson's extrapolation.
     """
-    sizes = radii(roots)
-    if not np.isfinite(roots).all() or sizes[2] > max(1.0, 1.5 * sizes[0]):
+    sizes, weights = radii(roots), np.array([1.0, -6.0, 8.0]) / 3
+    solved = ~np.isnan(sizes)
+    if not solved.any() or np.isinf(roots).any() or sizes[2] > max(1.0, 1.5 * sizes[0]):
         return []
-    limits = np.array([1.0, -6.0, 8.0]) / 3 @ np.array([np.poly(row) for row in roots])
-    return multiple(np.roots(np.where(np.abs(limits) < _ZERO, 0.0, limits)), ONE_ROOT)
+    if not solved.all():
+        roots = roots[[int(solved.argmax())] * 3]
+    limits = np.abs(weights @ np.array([np.poly(row) for row in roots]))
+    others = int(np.flatnonzero(limits > _ZERO)[-1])  # so many roots are not zero
+    rows = np.array([sorted(row, key=abs, reverse=True)[:others] for row in roots])
+    groups = multiple(rows[2], ONE_ROOT)
+    centres = np.array([centre for centre, _ in groups])
+    found = []
+    for k, (_, times) in enumerate(groups):
+        own = [row[np.abs(row[:, None] - centres).argmin(axis=1) == k] for row in rows]
+        found.append((complex(weights @ [part.mean() for part in own]), times))
+    return found + [(0j, len(limits) - 1 - others)] * (others < len(limits) - 1)
 
 
 def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
