@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
-from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS
+from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, parts
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.formatting import times
@@ -142,14 +142,14 @@ def rank(
     """
     series = [s for s in all_series if any(r.status not in NOT_TRIED for r in s.records)]
     runs, firsts = ok_runs(series), contestants(series)
-    present = groups_of(runs, ASKED)
+    present = {*groups_of(runs, ASKED)}
     costs = {
         s.label: [(r, {cost: r.cost(cost) for cost in RANKED_COSTS}) for r in s.ok]
         for s in series
         if s.label == firsts[s.label]
     }
     found = {}
-    for group in (g for g in groups if g in present):
+    for group in (g for g in groups if present.issuperset(parts(g))):
         trusted = trusted_error(runs, group, NORM)
         ladders, *later = [
             {label: _Ladder(own, group, start) for label, own in costs.items()}
@@ -163,14 +163,15 @@ def rank(
 class _Ladder:
     """The runs of an integrator from accurate to coarse, and the cheapest up to each of them.
 
-    ``start`` is the number of the later start of which the errors count, 0 for none. A run without
-    later starts has its own errors there.
+    ``start`` is the number of the later start of which the errors count, 0 for none.
     """
 
     def __init__(
         self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str, start: int
     ) -> None:
-        judged = [(e, r, costs) for r, costs in runs if (e := _error(r, group, start)) is not None]
+        judged = [
+            (e, r, costs) for r, costs in runs if (e := r.error(group, NORM, start)) is not None
+        ]
         judged.sort(key=itemgetter(0))
         self.errors = [error for error, *_ in judged]
         self.cheapest: dict[str, list[tuple[float, Record] | None]] = {}
@@ -192,12 +193,6 @@ class _Ladder:
         """The cost and the run of the cheapest that reaches the target, if its cost is known."""
         able = self.reaching(question.target)
         return self.cheapest[question.cost][able - 1] if able else None
-
-
-def _error(record: Record, group: str, start: int) -> float | None:
-    if 0 < start <= len(record.later):
-        return record.later[start - 1].get(group)
-    return record.error(group, NORM)
 
 
 def _cheapest(

@@ -8,6 +8,7 @@ from pathlib import Path
 from bench.results.records import Record, Rows, SceneRecord
 from bench.results.store import Store
 from problems.spec import SpecError, suggest
+from reports.names import named_labels
 from reports.series import Series, label_of, series_of
 
 
@@ -108,18 +109,6 @@ def _one_scene(
 
 def _chosen(records: Sequence[Record], integrators: Sequence[str]) -> list[Record]:
     known = list(dict.fromkeys(label_of(r) for r in records))
-    wanted: dict[str, None] = {}
-    for text in integrators:
-        name = text.strip()
-        found = [
-            label_of(r)
-            for r in records
-            if name in (label_of(r), r.integrator, r.integrator.partition("[")[0])
-        ]
-        if not found:
-            raise SpecError(
-                f"There is no integrator {name!r} in the store; {suggest(name, known)}."
-            )
-        wanted |= dict.fromkeys(found)
+    wanted = dict.fromkeys(label for text in integrators for label in named_labels(text, known))
     order = list(wanted) or known
     return [r for label in order for r in records if label_of(r) == label]

@@ -17,7 +17,7 @@ from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.history import History, history
 from bench.results.merge import merge
-from bench.results.quantities import ASKED, RANKED_COSTS
+from bench.results.quantities import ASKED, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import flatten
 from bench.results.store import Store
 from bench.results.table import Table
@@ -279,6 +279,54 @@ def card_(folder: Path, out: Path | None, **question: Any) -> None:
       stepbench card --group lam --target 1e-6 --cost seconds --scenes constrained
     """
     _draw("card", folder, out or Path("card.svg"), question)
+
+
+@click.command("versus")
+@click.argument("first", metavar="A")
+@click.argument("second", metavar="B")
+@options.with_results
+@click.option(
+    "--group",
+    metavar="|".join(ASKED),
+    help="Quantity whose error counts; a,lam asks for both at once; a if not given.",
+)
+@click.option("--norm", metavar="|".join(NORMS), help=f"Norm of the error; {NORM} if not given.")
+@click.option(
+    "--target",
+    "targets",
+    type=float,
+    multiple=True,
+    help="Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if not given.",
+)
+@click.option("--cost", metavar="|".join(COSTS), help="seconds if times repeat, else operations.")
+@options.with_as_json
+@options.with_file("Page that ends in .html, or figure in .svg, .png, .pdf or .json (Vega-Lite).")
+def versus_(
+    first: str, second: str, folder: Path, as_json: bool, out: Path | None, **question: Any
+) -> None:
+    """Compare integrators A and B at equal error.
+
+    Costs at equal error are interpolated between the runs in FOLDER, scene by scene. An interval
+    has the spread over later starts of the motion and that of times; over the scenes, the sign test
+    says whether one of the two is cheaper.
+
+    \b
+    Examples:
+      stepbench versus newmark ida
+      stepbench versus my_method "generalized_alpha[rho_inf=0.8]" --group a,lam --target 1e-4
+      stepbench versus my_method ida stepbench-results --cost seconds -o versus.pdf
+    """
+    from bench.commands.terminal import show
+
+    asked = {name: value for name, value in question.items() if value}
+    found = view("versus")(first, second, folder, **asked)
+    options.tell_set_aside(folder)
+    if as_json:
+        click.echo(msgspec.json.format(msgspec.json.encode(found.plain).decode(), indent=2))
+    else:
+        show(*found.sentences, found.table)
+    if out:
+        click.echo(f"Written: {found.write(out)}", err=as_json)
 
 
 def _draw(kind: str, folder: Path, out: Path, question: Mapping[str, Any], *more: str) -> None:

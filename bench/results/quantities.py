@@ -27,6 +27,31 @@ def whole(group: str) -> str:
     return f"|{group}|"
 
 
+def parts(group: str) -> list[str]:
+    """The groups of a question; "a,lam" asks for the larger error of both."""
+    return group.split(",")
+
+
+def quantity(group: str) -> str:
+    """The groups of a question in words, without their letters: "acceleration and multiplier"."""
+    return " and ".join(ERROR_NAMES[part].rpartition(" ")[0] for part in parts(group))
+
+
+def checked_group(group: str) -> str:
+    """Return the groups of a question, such as "a" or "a,lam".
+
+    Raises
+    ------
+    SpecError
+        If there is no such group.
+    """
+    names = [part.strip() for part in parts(group)]
+    for name in names:
+        if name not in ASKED:
+            raise SpecError(f"There is no group {name!r}; {suggest(name, ASKED)}.")
+    return ",".join(dict.fromkeys(names))
+
+
 def error_note(group: str) -> str:
     """Name of the note of a run's rows that holds the error of a group at each: "error_q"."""
     return f"error_{group}"

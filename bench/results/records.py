@@ -19,6 +19,7 @@ from bench.results.quantities import (
     PARTS,
     VIOLATIONS,
     WRONG,
+    parts,
     whole,
 )
 
@@ -133,21 +134,30 @@ class Record(msgspec.Struct, kw_only=True):
         """The step and its pattern, or the tolerances, in words."""
         if self.controls == "tolerance":
             return f"rtol={self.rtol:g}, atol={self.atol:g}"
-        parts = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
-        return f"h={self.h:.6g}{parts}"
+        pattern = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
+        return f"h={self.h:.6g}{pattern}"
 
     @property
     def seconds(self) -> float | None:
         """Median of the timing samples in s."""
         return median(self.run_s)
 
-    def error(self, group: str, norm: str) -> float | None:
-        """Return a relative error, or None if the run has none."""
-        return self.errors.get(group, {}).get(norm)
+    def error(self, group: str, norm: str, start: int = 0) -> float | None:
+        """Return a relative error, or None if the run has none; of "a,lam" the larger one.
+
+        ``start`` is the number of the later start, 0 for none. Those have errors in the norm `NORM`
+        alone; a run without them has its own errors there.
+        """
+        if 0 < start <= len(self.later) and norm == NORM:
+            found = [self.later[start - 1].get(part) for part in parts(group)]
+        else:
+            found = [self.errors.get(part, {}).get(norm) for part in parts(group)]
+        known = [error for error in found if error is not None]
+        return max(known) if len(known) == len(found) else None
 
     def floor(self, group: str, norm: str) -> float:
         """Return the reference's own error."""
-        return self.reference_error.get(group, {}).get(norm, 0.0)
+        return max(self.reference_error.get(part, {}).get(norm, 0.0) for part in parts(group))
 
     @property
     def notes(self) -> list[str]:
@@ -322,10 +332,10 @@ def endings(records: Iterable[Record]) -> str:
     statuses = Counter(record.status for record in records)
     ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))
     noted = sum(record.status == "ok" and record.message != "" for record in records)
-    parts = [f"{ok} ok{f' ({noted} with a note)' if noted else ''}"]
-    parts += [f"{unsupported} not supported"] if unsupported else []
-    parts += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
-    return ", ".join(filter(None, parts))
+    said = [f"{ok} ok{f' ({noted} with a note)' if noted else ''}"]
+    said += [f"{unsupported} not supported"] if unsupported else []
+    said += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
+    return ", ".join(filter(None, said))
 
 
 def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from bench.results.quantities import COST, COSTS
@@ -20,6 +20,8 @@ FEWEST = 6
 #: Times are told apart from this quotient on. With fewer samples than `FEWEST` there is no
 #: interval, and only a large quotient counts.
 LEAST_QUOTIENT, LEAST_OF_FEW = COSTS["seconds"].tie, 2.0
+#: Timing samples in s by invocation and round.
+Samples = Mapping[Hashable, float]
 #: Integrators are ranked by seconds if the median `interval_width` of their runs is at most this.
 REPEATABLE = 0.2
 
@@ -53,7 +55,8 @@ class Quotient(NamedTuple):
     @property
     def differs(self) -> bool:
         """Whether one of the two is faster: the interval is on one side of 1, far enough."""
-        return max(self.value, 1 / self.value) > self.least and not self.low <= 1.0 <= self.high
+        close = 1 / self.least <= self.value <= self.least
+        return not close and not self.low <= 1.0 <= self.high
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float]:
@@ -94,12 +97,17 @@ def quotient(one: Record, two: Record) -> Quotient | None:
 
     None if a short run has a single sample.
     """
-    if not (_precise(one.run_s) and _precise(two.run_s)):
+    return quotient_by_round(by_round(one), by_round(two))
+
+
+def quotient_by_round(a: Samples, b: Samples) -> Quotient | None:
+    """Time of ``b`` over that of ``a``, as `quotient`."""
+    one, two = [*a.values()], [*b.values()]
+    if not (_precise(one) and _precise(two)):
         return None
-    a, b = _by_round(one), _by_round(two)
     quotients = [b[place] / a[place] for place in a if place in b]
     if len(quotients) < min(len(a), len(b)):
-        return quotient_of_medians(one.run_s, two.run_s)
+        return quotient_of_medians(one, two)
     return Quotient(statistics.median(quotients), *median_interval(quotients), _least(quotients))
 
 
@@ -115,7 +123,7 @@ def quotient_of_medians(one: Sequence[float], two: Sequence[float]) -> Quotient 
     return Quotient(value, c / b, d / a, max(_least(one), _least(two)))
 
 
-def _by_round(record: Record) -> dict[tuple[int, int], float]:
+def by_round(record: Record) -> Samples:
     """Samples by invocation and round; those of a record that no store kept have one of each."""
     rounds = record.rounds or [(record.environment, k) for k in range(len(record.run_s))]
     return dict(zip(rounds, record.run_s, strict=True))

@@ -22,10 +22,10 @@ _THIN: dict[str, Spec] = {
 }
 
 
-def on_paper(panel: Spec, data: Sequence[Dataset]) -> Spec:
+def on_paper(panel: Spec, data: Sequence[Dataset], height: int | Spec = _HEIGHT) -> Spec:
     """A chart as wide as a column from one panel; the panel's lines and points get thinner."""
     for layer in panel["layer"]:
-        layer["encoding"]["y"].get("axis", {}).pop("minExtent", None)
+        layer["encoding"].get("y", {}).get("axis", {}).pop("minExtent", None)
         mark = layer["mark"]
         # A broad line behind the others stays broader.
         mark |= {"strokeWidth": 3} if mark.get("strokeWidth", 0) > 3 else _THIN[mark["type"]]
@@ -36,7 +36,7 @@ def on_paper(panel: Spec, data: Sequence[Dataset]) -> Spec:
         "$schema": _SCHEMA,
         "datasets": datasets(data),
         "width": _WIDTH,
-        "height": _HEIGHT,
+        "height": height,
         "autosize": {"type": "fit-x", "contains": "padding"},
         "padding": 2,
         "config": _config(),

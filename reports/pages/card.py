@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bench.results.quantities import ASKED, COSTS, RANKED_COSTS
+from bench.results.quantities import COSTS, RANKED_COSTS, checked_group
 from problems.spec import SpecError, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
@@ -118,13 +118,11 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
 
 
 def _question(group: str, target: float, cost: str) -> Question:
-    if group not in ASKED:
-        raise SpecError(f"There is no group {group!r}; {suggest(group, ASKED)}.")
     if target not in TARGETS:
         raise SpecError(f"{target:g} is no target; give one of 1e-1, 1e-2 ... 1e-9.")
     if cost not in RANKED_COSTS:
         raise SpecError(f"There is no cost {cost!r}; {suggest(cost, RANKED_COSTS)}.")
-    return Question(group, target, cost)
+    return Question(checked_group(group), target, cost)
 
 
 def _measured(stored: StoredRuns) -> str:

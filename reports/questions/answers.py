@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
-from bench.results.quantities import ASKED, NORM
+from bench.results.quantities import ASKED, NORM, parts
 from bench.results.records import Record
 from reports.formatting import cost_text, named
 from reports.names import form_behind, form_name
@@ -187,7 +187,9 @@ def answers(
     ranked = {name: rank(series, groups, targets) for name, series in scenes.items()}
     found = {}
     for group in groups:
-        having = {k: s for k, s in scenes.items() if group in groups_of(ok_runs(s), ASKED)}
+        having = {
+            k: s for k, s in scenes.items() if {*groups_of(ok_runs(s), ASKED)} >= {*parts(group)}
+        }
         nearest = {name: _nearest(series, group) for name, series in having.items()}
         floors = {k: reference_error(ok_runs(s), group, NORM) for k, s in having.items()}
         for question in questions([group], targets) if having else ():

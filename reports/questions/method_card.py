@@ -7,8 +7,8 @@ from pathlib import Path
 
 from bench.results.quantities import COSTS, NORM
 from bench.results.records import NOT_TRIED
-from problems.spec import SpecError, suggest
 from reports.formatting import cost_text, number, times
+from reports.names import named_labels
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Piece, Sentence, listed, plain
 from reports.questions.question import Question
@@ -104,10 +104,7 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     stored = stored_runs(folder)
     scenes = stored.series
     words = words_of(scenes, {})
-    labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series))
-    chosen = [k for k in labels if integrator in (k, k.partition("[")[0])]
-    if not chosen:
-        raise SpecError(f"There is no integrator {integrator!r}; {suggest(integrator, labels)}.")
+    chosen = named_labels(integrator, words.names)
     found = answer(scenes, stored.first)
     return [plain(sentence) for k in chosen for sentence in card_sentences(k, found, scenes, words)]
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS, RANKED_COSTS
+from bench.results.quantities import (
+    ASKED,
+    COST,
+    ERROR_NAMES,
+    NORM,
+    NORMS,
+    RANKED_COSTS,
+    parts,
+    quantity,
+)
 
 #: Accuracies that can be asked for: relative errors in the norm `NORM`.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
@@ -47,12 +56,12 @@ class Question:
     @property
     def quantity(self) -> str:
         """The group in words, without its letter."""
-        return ERROR_NAMES[self.group].rpartition(" ")[0]
+        return quantity(self.group)
 
     @property
     def text(self) -> str:
         """The accuracy in words, with quantity and norm."""
-        group = ERROR_NAMES[self.group]
+        group = " and the ".join(ERROR_NAMES[part] for part in parts(self.group))
         return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[NORM]})"
 
 

@@ -39,6 +39,7 @@ RIGHT = {
     "figure": ["{store}", "convergence"],
     "card": ["{store}"],
     "choose": ["{store}"],
+    "versus": ["newmark", "ida", "{store}"],
     "stability": ["newmark"],
     "drift": ["pendulum", "newmark"],
     "atlas": ["undamped_index3"],

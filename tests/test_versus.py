@@ -1,0 +1,280 @@
+"""Two methods side by side: planted ratios of cost at equal error are found exactly."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from click.testing import CliRunner
+from planted import STEPS, everything, plant, planted
+
+from bench.commands.main import main
+from bench.results.records import UNSUPPORTED
+from reports.questions.answers import answer
+from reports.questions.question import Question
+from reports.questions.versus import versus
+from reports.ranking import rank
+from reports.series import series_of
+
+EXACT = pytest.approx
+
+
+def line(name, constant, order=2, scene="s", work=1.0, start=(), steps=STEPS, groups="a", **more):
+    """Runs with the error C h^p, at 30 operations per step times ``work``."""
+    found = []
+    for h in steps:
+        own = more | (
+            {"later": [dict.fromkeys(groups.split(","), f * constant * h**order) for f in start]}
+            if start
+            else {}
+        )
+        r = planted(scene, name, {g: (constant, order) for g in groups.split(",")}, h=h, **own)
+        r.operations = {"residuals": 30 * work / h}
+        found.append(r)
+    return found
+
+
+def duels(*records, target=1e-3, group="a", cost="operations", norm="max"):
+    scenes = {}
+    for r in (r for own in records for r in own):
+        scenes.setdefault(r.problem, []).append(r)
+    scenes = {k: series_of(own) for k, own in scenes.items()}
+    names = {"A": "first", "B": "second"}
+    return versus(scenes, ("A", "B"), names, Question(group, target, cost), norm)
+
+
+def one(*records, **more):
+    return duels(*records, **more).duels["s"]
+
+
+def ends(duel):
+    return duel.ratio, duel.low, duel.high
+
+
+@pytest.mark.parametrize("target", [9e-4, 1e-3, 2.5e-3, 7.5e-3])
+def test_the_ratio_of_costs_at_equal_error_is_exact_between_runs(target):
+    # To reach e, A needs h = sqrt(e/3), B at twice the work per step sqrt(e/12).
+    found = one(line("A", 3.0), line("B", 12.0, work=2.0), target=target)
+    assert ends(found) == EXACT((4.0, 4.0, 4.0))
+    assert found.told_apart
+    back = one(line("B", 3.0), line("A", 12.0, work=2.0), target=target)
+    assert ends(back) == EXACT((0.25, 0.25, 0.25))
+
+
+def test_orders_may_differ():
+    found = one(line("A", 100.0, order=4), line("B", 1.0, order=2), target=1e-3)
+    assert found.ratio == EXACT(1e-3**-0.5 / 1e-5**-0.25)
+
+
+def test_the_interval_has_the_spread_over_later_starts():
+    # B's error grows by 4, 9 and 1/4: its cost by 2, 3 and 1/2, that of the run itself is 2.
+    a, b = line("A", 3.0, start=[1, 1, 1]), line("B", 12.0, start=[4, 9, 0.25])
+    found = one(a, b, target=2e-3)
+    assert ends(found) == EXACT((3.0, 1.0, 6.0))
+    assert not found.told_apart
+    assert ends(one(a, b, norm="end")) == EXACT((2.0, 2.0, 2.0))  # starts have errors in max only
+    luck = line("B", 12.0, start=[4, 4, 1e9])
+    assert ends(one(a, luck)) == EXACT((4.0, 2.0, math.inf))  # from one start B does not get there
+
+
+def test_times_are_compared_within_rounds():
+    busy = [1.0, 2.0, 5.0, 3.0, 1.5, 1.2, 7.0]
+    a, b = line("A", 3.0), line("B", 12.0)
+    slower = [1.0, 1.0, 1.0, 1.0, 1.0, 1.2, 0.9]
+    for runs, factors in ((a, [1.0] * 7), (b, slower)):
+        for r in runs:
+            r.run_s = [1e-4 * f * x / r.h for f, x in zip(factors, busy, strict=True)]
+    assert ends(one(a, b, cost="seconds")) == EXACT((2.0, 2.0 * 0.9, 2.0 * 1.2))
+    for r in b:  # of another invocation: no common rounds
+        r.rounds = [(2, k) for k in range(7)]
+    low, high = min(busy), max(busy)
+    found = one(a, b, cost="seconds")
+    assert found.ratio == EXACT(2.0 * 2.0 / 2.0)
+    assert (found.low, found.high) == EXACT((2 * low / high, 2 * max(7 * 0.9, 1.44) / low))
+    assert not found.told_apart
+    b[2].rounds = [(3, k) for k in range(7)]  # neighbours without common rounds
+    assert one(a, b, cost="seconds").ratio == EXACT(2.0)
+
+
+def test_costs_within_the_tie_are_not_told_apart():
+    a = line("A", 3.0)
+    assert not one(a, line("B", 3.0, work=1.09)).told_apart
+    assert one(a, line("B", 3.0, work=1.11)).told_apart
+    assert not one(a, line("B", 3.0, work=1 / 1.09)).told_apart
+    assert one(a, line("B", 3.0, work=1 / 1.11)).told_apart
+
+
+def test_a_run_that_is_better_already_bounds_the_cost():
+    # A's coarsest run has the error 3e-4: the cost at 1e-3 is at most its own 300.
+    a, b = line("A", 0.03), line("B", 12.0)
+    found = one(a, b)
+    assert ends(found) == EXACT((12000**0.5 / 10, 12000**0.5 / 10, math.inf))
+    assert (found.told_apart, found.text(" times")) == (True, "at least 11 times")
+    back = one(line("A", 12.0), line("B", 0.03))
+    assert ends(back) == EXACT((10 / 12000**0.5, 0.0, 10 / 12000**0.5))
+    assert (back.told_apart, back.text()) == (True, "at most 0.0913")
+    assert not one(a, line("B", 0.0301), target=1e-2).told_apart
+    # A run exactly as good as asked is no bound.
+    assert one(a, b, target=a[0].error("a", "max")).high < math.inf
+
+
+def test_a_duel_without_two_costs_says_why():
+    a, never = line("A", 3.0), line("B", 1.0, order=0)
+    only = duels(a, never)
+    assert (only.duels["s"].ratio, only.shown("s")) == (math.inf, "only first")
+    assert only.duels["s"].told_apart
+    other = duels(line("A", 1.0, order=0), line("B", 3.0))
+    assert (other.duels["s"].ratio, other.shown("s")) == (0.0, "only second")
+    both = line("A", 0.01), line("B", 0.02)
+    single = line("A", 3.0, run_s=[1e-3]), line("B", 3.0, run_s=[1e-3])
+    vague = {"reference_error": {"a": {"max": 2e-5}}}
+    for records, more, why in (
+        ((line("A", 1.0, order=0), never), {}, "neither"),
+        (both, {}, "coarsest runs"),
+        ((line("A", 3.0, **vague), line("B", 3.0)), {}, "not judged"),
+        ((line("A", 3.0), line("B", 3.0)), {"cost": "solves"}, "cost unknown"),
+        ((line("A", 3.0), line("B", 3.0)), {"cost": "seconds"}, "cost unknown"),
+        (single, {"cost": "seconds"}, "single samples"),
+    ):
+        found = duels(*records, **more)
+        assert (found.duels["s"].ratio, found.shown("s")) == (None, why)
+        assert found.sentence == (
+            f"Nothing can be compared at 1e-3 in acceleration (largest over time): {why} on s."
+        )
+
+
+def test_scenes_on_which_one_was_not_tried_are_left_out():
+    records = [line("A", 3.0), line("B", 12.0), line("A", 3.0, scene="t")]
+    assert list(duels(*records).duels) == ["s"]
+    skipped = line("B", 12.0, scene="t", status=UNSUPPORTED)
+    assert list(duels(*records, skipped).duels) == ["s"]
+    failed = line("B", 12.0, scene="t", status="newton_failed")
+    assert duels(*records, failed).shown("t") == "only first"
+
+
+def test_both_groups_at_once_are_judged_by_the_larger_error():
+    a = line("A", 3.0, groups="a,lam")
+    b = line("B", 3.0, groups="a,lam")
+    for r in b:
+        r.errors["lam"]["max"] = 48 * r.h**2
+    assert one(a, b).ratio == EXACT(1.0)
+    assert one(a, b, group="lam").ratio == EXACT(4.0)
+    assert one(a, b, group="a,lam").ratio == EXACT(4.0)
+    for r in b:
+        r.errors["lam"]["max"], r.errors["a"]["max"] = 3 * r.h**2, 12 * r.h**2
+    assert one(a, b, group="a,lam").ratio == EXACT(2.0)
+    free = line("A", 3.0, scene="t"), line("B", 3.0, scene="t")
+    assert list(duels(a, b, *free, group="a,lam").duels) == ["s"]
+    assert rank(series_of([*free[0], *free[1]]), ["a,lam"], [1e-3]) == {}
+    question = Question("a,lam", 1e-3, "operations")
+    found = answer({"s": series_of([*a, *b]), "t": series_of([*free[0], *free[1]])}, question)
+    assert (list(found.scenes), found.unjudged) == (["s"], {})
+    runs = {k: e.run.h for k, e in found.scenes["s"].entries.items()}
+    assert runs == {"A": 0.1 / 8, "B": 0.1 / 16}
+    assert question.text.startswith(
+        "a relative error in the acceleration a and the multiplier λ of"
+    )
+
+
+def over(*factors):
+    """A scene for each factor by which B costs more."""
+    pairs = [
+        (line("A", 3.0, scene=f"s{k}"), line("B", 3.0, scene=f"s{k}", work=f))
+        for k, f in enumerate(factors)
+    ]
+    return duels(*(own for pair in pairs for own in pair))
+
+
+def test_the_sign_test_over_the_scenes_is_that_of_the_binomial_distribution():
+    assert over(2, 2, 2, 2, 2, 2).p_value == 2 / 64
+    assert over(2, 2, 2, 2, 2).p_value == 2 / 32
+    assert over(2, 2, 2, 2, 2, 0.5, 1.05).p_value == 2 * 7 / 64
+    assert over(2, 0.5).p_value == 1.0
+    assert over(1.0).p_value == 1.0
+
+
+def test_the_sentence_tells_size_scenes_and_significance():
+    goal = "by operations at 1e-3 in acceleration (largest over time)"
+    assert over(1.5, 1.6, 1.7, 1.8, 1.9, 2.1).sentence == (
+        f"first is 1.75 times (1.5 to 2.1) cheaper than second {goal}, the median of 6 scenes; "
+        "first wins beyond doubt on 6 and second on 0 of 6 scenes; "
+        "significant over the scenes (sign test: p = 0.031)."
+    )
+    assert over(0.5, 0.8, 1.05).sentence == (
+        f"second is 1.25 times (0.952 to 2) cheaper than first {goal}, the median of 3 scenes; "
+        "first wins beyond doubt on 0 and second on 2 of 3 scenes; "
+        "not significant over the scenes (sign test: p = 0.5)."
+    )
+    assert over(2.0).sentence == (
+        f"first is 2 times cheaper than second {goal}, s0; "
+        "first wins beyond doubt on 1 and second on 0 of 1 scene."
+    )
+
+
+# ---- the command -------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return plant(tmp_path_factory.mktemp("planted"), everything())
+
+
+def asked(*given):
+    return CliRunner().invoke(main, ["versus", *map(str, given)])
+
+
+def test_the_command_prints_what_is_in_its_json(folder):
+    pair = "good[rho_inf=0.8]", "poor"
+    (found,) = json.loads(asked(*pair, folder, "--target", "2e-2", "--json").output)
+    # The errors 3 h^2 and 3 h: sqrt(150) against 150 steps.
+    assert found["scenes"]["spring_mass"]["ratio"] == EXACT(150**0.5)
+    assert (found["first"], found["second"], found["group"]) == (*pair, "a")
+    shown = " ".join(asked(*pair, folder, "--target", "2e-2").output.split())
+    assert found["sentence"] in shown
+    assert "Cost of poor as a multiple of that of good 0.8" in shown
+    (other,) = json.loads(
+        asked(
+            "good 0.8", "good 0.5", folder, "--group", "a,lam", "--target", "0.05", "--json"
+        ).output
+    )
+    assert other["group"] == "a,lam"
+    assert other["scenes"]["pendulum"]["ratio"] == EXACT(1.0)
+
+
+@pytest.mark.parametrize("name", ["versus.svg", "versus.html", "versus.json"])
+def test_a_file_has_the_scenes_and_the_accuracies(folder, tmp_path, name):
+    more = "--target", "1e-1", "--target", "2e-2"
+    result = asked("good[rho_inf=0.8]", "poor", folder, *more, "-o", tmp_path / name)
+    assert f"Written: {tmp_path / name}" in result.output.replace("\n", "")
+    content = (tmp_path / name).read_text(encoding="utf-8")
+    for said in ("spring mass", "1e-1", "2e-2", "cost of poor / cost of good 0.8"):
+        assert said in content
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (
+            ["goodd", "poor"],
+            "There is no integrator 'goodd' in the store; known: adaptive, fragile, good",
+        ),
+        (["good", "poor"], "'good' are several; name one of good[rho_inf=0.8], good[rho_inf=0.5]"),
+        (["poor", "adaptive"], "poor and adaptive have no scene in common"),
+        (["good 0.8", "poor", "--group", "a,b"], "There is no group 'b'"),
+        (["good 0.8", "poor", "--norm", "most"], "There is no norm 'most'"),
+        (["good 0.8", "poor", "--cost", "second"], "There is no cost 'second'"),
+        (["good 0.8", "poor", "--target", "2"], "2 is no accuracy; give one between 0 and 1"),
+        (["good 0.8", "poor", "-o", "v.txt"], "v.txt is no page or figure"),
+        (["good 0.8", "poor", "--target", "1e-9", "-o", "v.svg"], "There is nothing to draw"),
+    ],
+)
+def test_wrong_input_is_refused_in_a_sentence(folder, tmp_path, monkeypatch, given, reason):
+    monkeypatch.chdir(tmp_path)
+    result = asked(*given[:2], folder, *given[2:])
+    assert (result.exit_code, result.exception.__class__) == (1, SystemExit)
+    assert reason in " ".join(result.output.split())
+
+
+def test_a_folder_without_results_is_refused_in_a_sentence(tmp_path):
+    result = asked("a", "b", tmp_path)
+    assert result.exit_code == 1
+    assert result.output.count("\n") == 1
