@@ -40,6 +40,7 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/start_up.py
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/families.py
+	$(BIN)/python tests/benchmarks/ranks.py
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/callbacks.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json

@@ -355,11 +355,12 @@ class _Counter(Follower[int]):
         NotCounted
             If they are not known.
         """
-        algebra = self._algebra(step)
-        amount, part = algebra, part_of(scope)
-        if algebra is None:
-            amount, part = float(_arithmetic(step)), part or (OWN, RESIDUALS)[EQUATIONS in scope]
-        elif not part or EQUATIONS in scope:
+        outside, equations, within = scope.partition(EQUATIONS)
+        algebra, part = self._algebra(step), part_of(outside)
+        amount = float(_arithmetic(step)) if algebra is None else algebra
+        if algebra is None and not part_of(within):
+            part = part or (RESIDUALS if equations else OWN)
+        elif equations or not part:
             part = INNER
         name, inner = "", False
         for turns in reversed(loops):

@@ -200,7 +200,9 @@ def algebraic_residual(
     return jnp.concatenate(rows)
 
 
-def _solution(residual: Callable, guess: Float[Array, " n"], linear: bool) -> Array:
+def _solution(
+    residual: Callable, guess: Float[Array, " n"], linear: bool, solve: Callable
+) -> Array:
     """The solution of the index-1 equations; NaN where Newton's method fails.
 
     The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
@@ -208,20 +210,20 @@ def _solution(residual: Callable, guess: Float[Array, " n"], linear: bool) -> Ar
     method, and differentiated by the implicit function theorem.
     """
     if linear:
-        return -jnp.linalg.solve(*_jacobian_and_residual(residual, guess))
+        return -solve(*_jacobian_and_residual(residual, guess))
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
-        return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
+        return solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
 
     def root(guess: Array) -> Array:
         return jax.lax.custom_root(
-            residual, guess, lambda *given: _newton(*given)[0], tangent_solve
+            residual, guess, lambda *given: _newton(*given, solve)[0], tangent_solve
         )
 
     return jitted(EQUATIONS, root)(guess)
 
 
-def _newton(residual: Callable, guess: Float[Array, " n"]) -> tuple[Array, Array]:
+def _newton(residual: Callable, guess: Float[Array, " n"], solve: Callable) -> tuple[Array, Array]:
     """The solution by Newton's method, NaN where it fails, and the number of iterations."""
 
     def is_open(carry: tuple) -> Array:
@@ -230,7 +232,7 @@ def _newton(residual: Callable, guess: Float[Array, " n"]) -> tuple[Array, Array
 
     def iterate(carry: tuple) -> tuple:
         u, _, k = carry
-        du = jnp.linalg.solve(*_jacobian_and_residual(residual, u))
+        du = solve(*_jacobian_and_residual(residual, u))
         return u - du, jnp.max(jnp.abs(du)) / (1e-3 + jnp.max(jnp.abs(u - du))), k + 1
 
     loop = jitted(INDEX1, lambda *start: jax.lax.while_loop(is_open, iterate, start))
@@ -252,7 +254,11 @@ def algebraic_iterations(
 ) -> Int[Array, ""]:
     """Count the iterations of Newton's method in `complete`, for a scene with outputs."""
     guess = jnp.zeros(algebraic_layout(scene.sizes).size)
-    return _newton(lambda u: algebraic_residual(scene, u, q, v, x, t), guess)[1]
+
+    def residual(u: Array) -> Array:
+        return algebraic_residual(scene, u, q, v, x, t)
+
+    return _newton(residual, guess, jnp.linalg.solve)[1]
 
 
 @equation
@@ -263,8 +269,14 @@ def complete(
     x: Float[Array, " nx"],
     t: Float[Array, ""],
     baumgarte: Baumgarte | None = None,
+    solve: Callable | None = None,
 ) -> tuple[Variables, Float[Array, " nx"]]:
     """Solve for all other variables at a state.
+
+    Parameters
+    ----------
+    solve
+        Solver of linear equations, by default that of `jnp.linalg`.
 
     Returns
     -------
@@ -276,7 +288,8 @@ def complete(
     def residual(u: Array) -> Array:
         return algebraic_residual(scene, u, q, v, x, t, baumgarte)
 
-    u = _solution(residual, jnp.zeros(layout.size), linear=not scene.sizes.ny)
+    solve = solve or jnp.linalg.solve
+    u = _solution(residual, jnp.zeros(layout.size), not scene.sizes.ny, solve)
     a, lam, y = layout.split(u)
     z = Variables(q, v, a, lam, x, y, t)
     return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
+from integrators.native import small_matrices
 from integrators.native.own_values import OwnValues
 from integrators.native.step_method import StepMethod
 from integrators.native.step_records import Reading, Time
@@ -41,7 +42,7 @@ def evaluate_and_count(
 ) -> tuple[Variables, Array]:
     """Return all variables and xdot at q, v and x, and count the work."""
     work.count(residuals=1)
-    return complete(scene, q, v, x, t)
+    return complete(scene, q, v, x, t, solve=small_matrices.solve)
 
 
 class ExplicitAlphaState(NamedTuple):

@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluate_and_count
 from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
+from integrators.native import small_matrices
 from integrators.native.own_values import OwnValues, rho_inf_option
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork
@@ -110,7 +111,9 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         implicit = p.gamma * h * damping + p.beta * h**2 * stiffness
         whole = mass + implicit
         part = (1 - p.alpha_m) * mass + (1 - p.alpha_f) * implicit
-        return Integration(h, jnp.linalg.solve(whole, mass), jnp.linalg.solve(part, whole))
+        # Not LAPACK's: a call of a library would take the time loop apart.
+        inverse = small_matrices.inverse
+        return Integration(h, inverse(whole) @ mass, inverse(part) @ whole)
 
     def step(
         self, scene: MechatronicSystem, state: ModelState, t: Time, h: Time, work: StepWork

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from integrators.contract import Integrator, option
+from integrators.native import small_matrices
 from integrators.native.guesses import Guess
 from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Reading, Time
@@ -61,7 +62,7 @@ class OwnValues(NativeMethod):
             Counter of the step; None at the start, where all values are consistent.
         """
         if work is not None and self.values == "equations":
-            z, xdot = complete(scene, z.q, z.v, z.x, z.t)
+            z, xdot = complete(scene, z.q, z.v, z.x, z.t, solve=small_matrices.solve)
             work.count(residuals=1)
         return Reading.of(z, xdot)
 
