@@ -6,8 +6,12 @@ import pytest
 from planted import STEPS, planted
 
 from bench.commands import studies
+from bench.plugins.registry import Registry
 from bench.results.records import Study
 from bench.results.store import Store
+from bench.running.profiles import read_profile
+from integrators.methods.hht_i3 import HHTI3
+from problems.dependence import mass_varies
 from problems.spec import SpecError
 from reports.series import series_of
 from reports.text.order_table import order_table
@@ -93,3 +97,11 @@ def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
     assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
     again = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path, "--markdown")
     assert "| BDF2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
+
+
+def test_the_suite_has_a_constrained_scene_whose_mass_depends_on_q():
+    """Two rods have a constant mass, and hide the order that HHT-I3 loses as published."""
+    _, profile = read_profile("orders")
+    scenes = [Registry([]).problem(p) for study in profile.study for p in study.problems]
+    top = next(s for s in scenes if s.has("constraint") and mass_varies(s))
+    assert HHTI3(mixed="forces").claims(top)["q"] < HHTI3().claims(top)["q"]
