@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,8 @@ from bench.results.records import Environment, Plan, Record, SceneRecord, scene_
 from bench.results.store import Store
 from bench.results.timings import Repeatability, repeatability
 from reports.questions.question import FIRST, Question
+from reports.questions.words import Words, words_of
+from reports.questions.wrong import Wrong, wrong_on
 from reports.series import Series, series_of
 from reports.text.measurement import state_sentence
 
@@ -23,7 +25,7 @@ class StoredRuns:
     """The runs of a store: ``series`` and ``scenes`` by the titles of the scenes.
 
     ``state`` counts runs planned, measured and ended; ``titles`` has those of all scenes by key, in
-    the order of the plan.
+    the order of the plan. ``experiments`` are the names of those of the failure atlas.
     """
 
     title: str
@@ -34,6 +36,7 @@ class StoredRuns:
     plan: Plan | None = None
     records: Mapping[str, Record] = field(default_factory=dict)
     titles: Mapping[Key, str] = field(default_factory=dict)
+    experiments: Collection[str] = ()
 
     @property
     def scenes_by_key(self) -> dict[Key, SceneRecord]:
@@ -44,6 +47,20 @@ class StoredRuns:
     def tags(self) -> dict[str, list[str]]:
         """The tags of the scenes that the store describes."""
         return {title: scene.tags for title, scene in self.scenes.items()}
+
+    @cached_property
+    def words(self) -> Words:
+        """Names, tags and experiments as sentences write them."""
+        return words_of(self.series, self.tags, self.experiments)
+
+    def wrong(self, group: str, label: str = "") -> dict[str, list[Wrong]]:
+        """The wrong runs in a group by scene, of one integrator or of all."""
+        return {
+            scene: [
+                wrong_on(s, group, self.scenes.get(scene)) for s in own if label in ("", s.label)
+            ]
+            for scene, own in self.series.items()
+        }
 
     @cached_property
     def times(self) -> Repeatability:
@@ -74,6 +91,7 @@ class StoredRuns:
             plan=plan,
             records=records,
             titles=titles,
+            experiments=[*store.experiments()],
         )
 
 

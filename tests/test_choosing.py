@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from planted import STEPS, edited, everything, plant, planted
+from planted import edited, everything, plant, planted
 
 from bench.results.records import Environment, Record, SceneRecord, endings
 from bench.running.scene_records import scene_record
 from problems.scenes.pendulum import Pendulum
 from reports.pages.choosing import choosing_in_markdown, heading_anchor, measured_with, sections
-from reports.questions.advice import by_both, on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.advice import by_both, on_costs, on_energy, on_scenes
 from reports.questions.answers import answers
 from reports.questions.kinds import KINDS, scenes_of_kind
 from reports.questions.phrases import plain
@@ -233,31 +233,12 @@ def test_nothing_is_recommended_where_nobody_reaches_it(store):
         "No integrator reaches 1e-2, 1e-4 and 1e-6 in acceleration" in text for text in texts
     )
     assert not any("heapest" in text for text in texts)
-    assert any("Silent failures" in text and "0.5" in text for text in texts)
+    assert any(
+        "Every run wrong in acceleration without warning" in text and "0.5" in text
+        for text in texts
+    )
     table = advice(folder, "constrained-a").tables[0]
     assert {row[1] for row in table.rows[1:]} == {"far", "newton_failed"}
-
-
-def test_silent_errors_are_those_of_every_run_that_ended():
-    def runs(name, *errors):
-        return [
-            planted("s", name, {}, h=h, errors={"a": {"max": e}})
-            for h, e in zip(STEPS, errors, strict=False)
-        ]
-
-    failed = planted("s", "open", {}, h=0.1, status="diverged")
-    series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
-    words = words_of({"s": series}, {})
-    (sentence,) = on_silent_errors("a", {"s": series}, words)
-    assert plain(sentence) == "Silent failures in acceleration: wrong (s: 0.2)."
-    assert on_silent_errors("lam", {"s": series}, words) == []
-    series[0].records[0].message = "It may be wrong."
-    (sentence,) = on_silent_errors("a", {"s": series}, words)
-    assert plain(sentence).startswith("Silent failures")  # one run of them says nothing
-    for record in series[0].records:
-        record.message = "It may be wrong."
-    (sentence,) = on_silent_errors("a", {"s": series}, words)
-    assert plain(sentence) == "Wrong with a note in acceleration: wrong (s: 0.2)."
 
 
 def test_energies_that_change_by_rounding_tie():

@@ -13,8 +13,9 @@ from planted import planted
 from bench.atlas.experiments import built_in_experiments
 from bench.results.orders import fit_order, fit_orders
 from bench.results.records import IntegratorFacts
+from reports.explanations import PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.series import series_of
-from reports.text.measured_orders import PATTERN, TRANSIENT, UNDAMPED, lost_orders_table
+from reports.text.measured_orders import lost_orders_table
 from reports.text.observations import observations
 from reports.text.ranking_tables import integrators_table
 
@@ -204,7 +205,7 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
 
 
 def test_the_experiments_that_explain_losses_exist():
-    for name in (PATTERN, TRANSIENT, UNDAMPED):
+    for name in (PATTERN, STIFF, TRANSIENT, UNDAMPED):
         assert name in built_in_experiments()
 
 

@@ -375,6 +375,8 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
         "Cheapest by operations on no scene.",
         "Does not reach it: spring mass (smallest error: 0.00938).",
         "All of its runs reached the end.",
+        "Wrong without warning: 2 of 6 runs that reached the end "
+        "(error in acceleration above 0.1, largest over time).",
     ]
     assert method_card(tmp_path, "fragile")[2:] == [
         "Fails: pendulum (2 newton failed).",

@@ -176,7 +176,7 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
 
     def view(name):
         assert name == "method_card"
-        return lambda folder, integrator: [f"{integrator} wins in {folder.name}."]
+        return lambda folder, integrator: [f"{integrator or 'All'} wins in {folder.name}."]
 
     monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
     monkeypatch.setattr("bench.commands.suite.write_reports", lambda folder: None)
@@ -186,7 +186,8 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
     assert asked == ["wbz[rho_inf=0.8]"]
     assert "wbz[rho_inf=0.8] wins in out.\n" in result.stdout
     assert "1 cell: 1 ok, 0 failed with a reason; 1 measured now" in result.stdout
-    assert "wins" not in stepbench("run", "--out", tmp_path / "out").stdout
+    assert "All wins in out.\n" in result.stdout
+    assert "] wins" not in stepbench("run", "--out", tmp_path / "out").stdout
     for name in ("", "wbzz"):
         wrong = stepbench("run", "--mine", name)
         assert wrong.exit_code == 1

@@ -157,10 +157,11 @@ def run_(
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
-    if planned.plan.mine:  # where it wins, loses and fails, and what it costs
-        from bench.commands.terminal import say
+    # Runs that are wrong without warning; and where one's own integrator wins, loses and fails.
+    from bench.commands.terminal import say
 
-        for line in view("method_card")(out, planned.plan.mine):
+    for integrator in dict.fromkeys(("", planned.plan.mine)):
+        for line in view("method_card")(out, integrator):
             say(line)
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")

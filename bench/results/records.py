@@ -17,6 +17,7 @@ from bench.results.quantities import (
     NORM,
     NORMS,
     PARTS,
+    TRUST,
     VIOLATIONS,
     WRONG,
     parts,
@@ -159,6 +160,14 @@ class Record(msgspec.Struct, kw_only=True):
         """Return the reference's own error."""
         return max(self.reference_error.get(part, {}).get(norm, 0.0) for part in parts(group))
 
+    def wrong(self, group: str) -> bool:
+        """Whether it reached the end with nothing right in the group, as far as can be judged.
+
+        It is so without warning if it has no ``message``.
+        """
+        error, least = self.error(group, NORM), max(WRONG, TRUST * self.floor(group, NORM))
+        return self.status == "ok" and error is not None and error > least
+
     @property
     def notes(self) -> list[str]:
         """Sentences on a run that reached the end and is wrong, or may be; a failed one has none.
@@ -167,7 +176,7 @@ class Record(msgspec.Struct, kw_only=True):
         """
         if self.status != "ok":
             return []
-        wrong = {g: e for g in GROUPS if (e := self.error(g, NORM) or 0.0) > WRONG}
+        wrong = {g: self.errors[g][NORM] or 0.0 for g in GROUPS if self.wrong(g)}
         group, error = next(iter(wrong.items()), ("", 0.0))
         why = (
             f"the error of {group} is {error / self.rtol:.2g} times rtol"

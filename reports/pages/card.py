@@ -25,13 +25,14 @@ from reports.questions.answers import Answer, answer
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters
 from reports.questions.sentences import sentences
-from reports.questions.words import words_of
+from reports.questions.wrong import wrong_sentences
 from reports.scenes import StoredRuns, stored_runs
 
 WIDTH, HEIGHT = 1200, 630
 _MARGIN = 48
 _SENTENCES = Box(_MARGIN, 172, 540, 376)
 _CHART = Box(640, 172, WIDTH - _MARGIN - 640, 376)
+#: Sentences of the answer; one counts the runs that are wrong without warning.
 _MOST_SENTENCES = 3
 _GREY = "#5a6675"
 
@@ -90,8 +91,11 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     scenes
         These scenes in a word: all, stiff.
     """
-    words = words_of(stored.series, stored.tags)
-    said = sentences(found, words)[:_MOST_SENTENCES]
+    words, group = stored.words, found.question.group
+    wrong = {
+        k: own for k, own in stored.wrong(group).items() if k in (found.scenes | found.unjudged)
+    }
+    said = [*sentences(found, words)[:_MOST_SENTENCES], *wrong_sentences(group, wrong, words)[:1]]
     told = [plain(sentence) for sentence in said]
     if not found.scenes:
         raise SpecError(f"There is nothing to show on a card: {' '.join(told)}")

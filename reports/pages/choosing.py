@@ -12,12 +12,13 @@ from bench.results.quantities import GROUP_NAMES, NORM, NORMS
 from bench.results.records import Environment, counted
 from bench.results.table import Table
 from reports.pages.templating import code, escape_markdown, markdown
-from reports.questions.advice import SILENT_NOTE, on_costs, on_energy, on_scenes, on_silent_errors
+from reports.questions.advice import on_costs, on_energy, on_scenes
 from reports.questions.answers import Answer, answers
 from reports.questions.kinds import KINDS, Kind, scenes_of_kind
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import TABLE_TARGETS, Question
-from reports.questions.words import Words, words_of
+from reports.questions.words import Words
+from reports.questions.wrong import NOTE, never_right, wrong_on
 from reports.scenes import StoredRuns, stored_runs
 from reports.text.choosing_tables import (
     MULTIPLES_NOTE,
@@ -119,7 +120,7 @@ def choosing_in_markdown(folder: Path) -> str:
         sections=sections(stored),
         norm=NORMS[NORM],
         times=_wrapped(times_sentence(stored.times)),
-        silent=_wrapped(SILENT_NOTE),
+        wrong=_wrapped(NOTE),
         note=_wrapped(MULTIPLES_NOTE),
         anchor=heading_anchor,
     )
@@ -127,7 +128,7 @@ def choosing_in_markdown(folder: Path) -> str:
 
 def sections(stored: StoredRuns) -> list[KindAdvice]:
     """Return the advice for every kind of system, from the runs of a store."""
-    words = replace(words_of(stored.series, stored.tags), brief=True)
+    words = replace(stored.words, brief=True)
     groups = dict.fromkeys(group for kind in KINDS for group in kind.groups)
     found = answers(stored.series, [*groups, "q"], TABLE_TARGETS)
     return [_section(kind, stored, found, words) for kind in KINDS]
@@ -161,6 +162,7 @@ def _on_group(
     runs = {name: stored.series[name] for name in scenes if name in having}
     if not runs:
         return None
-    said = [*on_costs(own, words), on_silent_errors(group, runs, words)]
+    wrong = {k: [wrong_on(s, group, stored.scenes.get(k)) for s in own] for k, own in runs.items()}
+    said = [*on_costs(own, words), never_right(group, wrong, words, most=6)]
     by = [own, [answer.beside for answer in own if answer.beside]]
     return Advice(kind, group, said, [multiples_table(one, runs, words) for one in by if one])

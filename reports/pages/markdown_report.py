@@ -68,7 +68,10 @@ def write_markdown_report(folder: Path) -> Path:
         "report.md.j2",
         names,
         report=report,
-        answer=[rendered(s, _escaped, links) for s in sentences(report.answer, report.words)],
+        answer=[
+            rendered(s, _escaped, links)
+            for s in (*sentences(report.answer, report.words), *report.wrong)
+        ],
         standings=standings_table(report.answer),
         scenes=[
             (scene_name(s.name), files[s.name], rendered(said[s.name], _escaped, links))

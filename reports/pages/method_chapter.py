@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from bench.results.experiments import ExperimentResult, spared
-from bench.results.quantities import COSTS, NORM, NORMS
+from bench.results.quantities import COSTS, GROUPS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, milliseconds, number, order_text
 from reports.names import BUILT_IN, form_name
 from reports.questions.answers import Answer
-from reports.questions.method_card import card_sentences
+from reports.questions.method_card import stored_card
 from reports.questions.words import Words
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
@@ -65,7 +65,8 @@ class MethodChapter:
         stability = f'stepbench stability "{name}"{self.plugins}'
         self.command = stability if first.controls == "step" else ""
         self.title = facts.title.rstrip(".") if facts else ""
-        self.card = card_sentences(label, answer, stored.series, words)
+        self.card = stored_card(label, answer, stored)
+        self.wrong = any(r.wrong(group) for r in runs for group in GROUPS)
         self.facts = _facts(name, first, facts)
         self.scenes = _scenes_table(label, by_scene, answer)
         self.orders = _orders_table(by_scene, facts.orders if facts else {})

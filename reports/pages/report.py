@@ -21,7 +21,7 @@ from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
 from reports.questions.answers import Answer, answers
-from reports.questions.words import words_of
+from reports.questions.wrong import wrong_sentences
 from reports.scenes import StoredRuns
 from reports.series import label_of, series_of
 from reports.text.damping_table import damping_table
@@ -59,7 +59,7 @@ class Report:
         self.title, self.mine = stored.title, plan.mine if plan else ""
         self.styles = line_styles(map(label_of, runs))
         self.run_ids = {key: f"run-{i}" for i, key in enumerate(stored.records, 1)}
-        self.words = words_of(series, stored.tags)
+        self.words = stored.words
         self.names = self.words.names
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
         self.missing = [
@@ -70,6 +70,7 @@ class Report:
         answered = answers(series, [first.group], [first.target])
         answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
         self.answer = answered.get(first, Answer(first, {}, {}))
+        self.wrong = wrong_sentences(first.group, stored.wrong(first.group), self.words)
         self.winners = winners_table(answered, self.run_ids, self.names)
         self.overview = [*self._overview(interactive), *self._cost_by_size()]
         self.scenes = list(self._scenes(store, interactive))

@@ -19,6 +19,7 @@ from reports.questions.phrases import Piece, Ref, Sentence
 from reports.questions.profile import Profile, profiles
 from reports.questions.question import TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
+from reports.questions.wrong import wrong_sentences
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
@@ -45,6 +46,7 @@ class SiteData:
         self.families = {s.label: s.family for s in self.series}
         self.places = {label: k for k, label in enumerate(self.families)}
         self.groups = groups_of(ok_runs(self.series), ASKED)
+        self.wrong = {g: report.stored.wrong(g) for g in self.groups}
         self.resolutions: dict[str, int] = {}
         self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
         self.pages = {
@@ -190,7 +192,8 @@ class SiteData:
         its multiple) and ``states``, a list in the order of the methods: the multiple and the place
         of the run, one of `reports.ranking.STATES`, or None of a method that was not tried. There
         are ``verdicts``, a sentence per scene, and per filter ``sentences`` and ``standings``
-        (method, alone, tied, reached, tried).
+        (method, alone, tied, reached, tried). ``wrong`` has by group the sentences on runs that are
+        wrong without warning, per filter and, with verdicts, per scene.
         """
         places: dict[Ref, int] = {}
 
@@ -219,7 +222,22 @@ class SiteData:
                 ],
                 "filters": {} if only else {f.key: part(answer.on(f.scenes)) for f in self.filters},
             }
-        return {"answers": made, "refs": [self._reference(ref) for ref in places]}
+
+        def wrong(group: str, scenes: Sequence[str]) -> list[list[Piece | int]]:
+            own = {k: self.wrong[group][k] for k in scenes}
+            return [plain(said) for said in wrong_sentences(group, own, self.report.words)]
+
+        told = {
+            group: {
+                "filters": {} if only else {f.key: wrong(group, f.scenes) for f in self.filters},
+                "scenes": [
+                    wrong(group, [k] if only in ("", k) else [])
+                    for k in (self.report.series if verdicts else ())
+                ],
+            }
+            for group in dict.fromkeys(q.group for q in found)
+        }
+        return {"answers": made, "wrong": told, "refs": [self._reference(ref) for ref in places]}
 
     def _states(self, scene: str, answer: SceneAnswer) -> dict[str, Any]:
         own, second = {s.label: s for s in self.report.series[scene]}, answer.second
@@ -241,6 +259,7 @@ class SiteData:
 
     def _reference(self, ref: Ref) -> dict[str, str]:
         pages = {"method": method_page, "scene": scene_page, "run": self.pages.__getitem__}
+        pages["atlas"] = "atlas.html#atlas-{}".format
         page = pages[ref.kind](ref.key) if ref.kind in pages else f"glossary.html#term-{ref.key}"
         return {"kind": ref.kind, "key": ref.key, "text": ref.text, "page": page}
 

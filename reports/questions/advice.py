@@ -1,11 +1,11 @@
-"""Sentences of a guide on the scenes of one kind: costs, silent errors, energy."""
+"""Sentences of a guide on the scenes of one kind: costs, energy."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM, WRONG
+from bench.results.quantities import COSTS
 from reports.formatting import number
 from reports.questions.answers import Answer, SceneAnswer
 from reports.questions.cheapest import violating
@@ -14,15 +14,9 @@ from reports.questions.question import Question
 from reports.questions.sentences import no_rivals, remarks
 from reports.questions.words import Words, scene_ref
 from reports.ranking import RankEntry
-from reports.series import Series
 
 #: Numbers of scenes of which nothing general is said.
 _FEW = {1: "One scene is", 2: "Two scenes are"}
-#: The meaning of silent failures.
-SILENT_NOTE = (
-    "Silent failures are integrators whose every run that reaches the end has an error above "
-    f"{WRONG:g}, without a note of its own; the smallest error stands in brackets."
-)
 #: Energies that change by less than this change by rounding.
 _ROUNDING = 1e-12
 _NUMBER = re.compile(r"\d[\d.]*(?:e-?\d+)?")
@@ -128,29 +122,6 @@ def _joined_part(parts: Sequence[Piece]) -> Piece | None:
     shown = (dict.fromkeys(own) if len({*own}) == 1 else own for own in numbers)
     said = (plain(listed(([number] for number in own), len(texts))) for own in shown)
     return _NUMBER.sub(lambda _: next(said), texts[0])
-
-
-def on_silent_errors(
-    group: str, runs: Mapping[str, Sequence[Series]], words: Words
-) -> list[Sentence]:
-    """The methods whose runs reach the end, and are all wrong by more than a tenth.
-
-    Those that say so by a note in each run stand apart.
-    """
-    where: dict[bool, dict[str, list[Sentence]]] = {False: {}, True: {}}
-    for scene, series in runs.items():
-        for s in series:
-            errors = [(e, r) for r in s.ok if (e := r.error(group, NORM)) is not None]
-            if errors and (best := min(errors, key=lambda pair: pair[0]))[0] > WRONG:
-                error, run = best
-                near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]
-                where[all(r.message for _, r in errors)].setdefault(s.label, []).append(near)
-    quantity, said = GROUP_NAMES[group].rpartition(" ")[0], []
-    for noted, found in where.items():
-        lead = "Wrong with a note" if noted else "Silent failures"
-        who = listed(([words.method(k), " (", *listed(own), ")"] for k, own in found.items()), 6)
-        said += [[f"{lead} in {quantity}: ", *who, "."]] if found else []
-    return said
 
 
 def on_energy(

@@ -12,9 +12,10 @@ from reports.names import named_labels
 from reports.questions.answers import Answer, SceneAnswer, answer
 from reports.questions.phrases import Piece, Sentence, listed, plain
 from reports.questions.question import Question
-from reports.questions.words import Words, scene_ref, words_of
+from reports.questions.words import Words, scene_ref
+from reports.questions.wrong import wrong_sentences
 from reports.ranking import RankEntry
-from reports.scenes import stored_runs
+from reports.scenes import StoredRuns, stored_runs
 from reports.series import Series
 from reports.violations import violation_text
 
@@ -91,10 +92,18 @@ def _detail(
     return [f" ({own.statuses.replace('_', ' ')})"] if state == "failed" else []
 
 
+def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]:
+    """The sentences about one integrator, and how many of its runs are wrong without warning."""
+    group, words = found.question.group, stored.words
+    said = card_sentences(label, found, stored.series, words)
+    return [*said, *wrong_sentences(group, stored.wrong(group, label), words)]
+
+
 def method_card(folder: Path, integrator: str) -> list[str]:
     """The card of an integrator in plain text, from the store of a run folder.
 
-    It is named as it is printed, or without options for all of its variants.
+    It is named as it is printed, or without options for all of its variants. Without a name it is
+    that of the run: how many runs are wrong without warning.
 
     Raises
     ------
@@ -102,11 +111,13 @@ def method_card(folder: Path, integrator: str) -> list[str]:
         If the store has no such integrator.
     """
     stored = stored_runs(folder)
-    scenes = stored.series
-    words = words_of(scenes, {})
-    chosen = named_labels(integrator, words.names)
-    found = answer(scenes, stored.first)
-    return [plain(sentence) for k in chosen for sentence in card_sentences(k, found, scenes, words)]
+    scenes, words, first = stored.series, stored.words, stored.first
+    if not integrator:
+        return [
+            plain(said) for said in wrong_sentences(first.group, stored.wrong(first.group), words)
+        ]
+    chosen, found = named_labels(integrator, words.names), answer(scenes, first)
+    return [plain(sentence) for k in chosen for sentence in stored_card(k, found, stored)]
 
 
 def _endings(series: Mapping[str, Series]) -> list[Sentence]:

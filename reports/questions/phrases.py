@@ -11,11 +11,11 @@ from typing import Literal
 class Ref:
     """Text that stands for something a page can lead to.
 
-    ``key`` is the label of a method, the name of a scene, the key of a run, or the term of the
-    glossary.
+    ``key`` is the label of a method, the name of a scene, the key of a run, the term of the
+    glossary, or the name of an experiment of the failure atlas.
     """
 
-    kind: Literal["method", "scene", "run", "term"]
+    kind: Literal["method", "scene", "run", "term", "atlas"]
     key: str
     text: str
 

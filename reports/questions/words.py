@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import Record
 from reports.names import form_behind, form_name, scene_name, short_names
-from reports.questions.phrases import Ref, Sentence, listed
+from reports.questions.phrases import Piece, Ref, Sentence, listed
 from reports.questions.question import Question
 from reports.ranking import RankEntry
 from reports.series import Series
@@ -16,7 +16,7 @@ from reports.series import Series
 
 @dataclass(frozen=True)
 class Words:
-    """Names of the report's integrators, and tags of its scenes.
+    """Names of the report's integrators, tags of its scenes, and its experiments of the atlas.
 
     ``brief`` is for a page that says the norm of its errors once, and has costs and integrators in
     a table beside the sentences.
@@ -25,6 +25,7 @@ class Words:
     names: Mapping[str, str]
     tags: Mapping[str, Sequence[str]]
     brief: bool = False
+    experiments: Collection[str] = ()
 
     def method(self, label: str) -> Ref:
         """A reference to an integrator."""
@@ -33,6 +34,11 @@ class Words:
     def run(self, record: Record, text: str) -> Ref:
         """A reference to a run."""
         return Ref("run", record.key, text)
+
+    def experiment(self, name: str) -> Piece:
+        """The command of an experiment; a reference to it if the report has it."""
+        command = f"stepbench atlas {name}"
+        return Ref("atlas", name, command) if name in self.experiments else command
 
     def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
         """References to integrators as a list."""
@@ -61,9 +67,14 @@ class Words:
         return ["To ", *self.accuracy(question)]
 
 
-def words_of(scenes: Mapping[str, Sequence[Series]], tags: Mapping[str, Sequence[str]]) -> Words:
-    """The words of a report: short names of all its integrators, and the tags of its scenes."""
-    return Words(short_names(s.label for series in scenes.values() for s in series), tags)
+def words_of(
+    scenes: Mapping[str, Sequence[Series]],
+    tags: Mapping[str, Sequence[str]],
+    experiments: Collection[str] = (),
+) -> Words:
+    """The words of a report: short names of its integrators, tags of its scenes, experiments."""
+    names = short_names(s.label for series in scenes.values() for s in series)
+    return Words(names, tags, experiments=experiments)
 
 
 def scene_ref(scene: str) -> Ref:

@@ -8,14 +8,12 @@ from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
+from reports.explanations import STUCK, lost_order
 from reports.formatting import named, number, order_text, text_range
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance
 
 #: An order is lost that falls short of the claimed one by this much.
 _LOSS = 0.5
-_STUCK = "does not converge"
-#: Experiments of the failure atlas that explain a loss.
-PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
 
 
 def orders_measured(series: Sequence[Series]) -> str:
@@ -41,7 +39,7 @@ def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float
     """Fitted orders over the scenes, and the scenes on which the error does not converge."""
     fits = [(s.records[0].problem, s.fit(group, norm)) for s in series if s.controls == "step"]
     orders = sorted(f.order for _, f in fits if f.verdict == "converges" and f.order is not None)
-    return orders, [problem for problem, f in fits if f.verdict == _STUCK]
+    return orders, [problem for problem, f in fits if f.verdict == STUCK]
 
 
 def fitted_orders_table(series: Sequence[Series], first: str) -> Table | None:
@@ -94,10 +92,10 @@ def lost_orders_table(
                 if not _is_lost(fit, claimed):
                     continue
                 transient = settled.order is not None and not _is_lost(settled, claimed)
-                found = _ends(s, group) if fit.verdict == _STUCK else order_text(fit.order or 0.0)
+                found = _ends(s, group) if fit.verdict == STUCK else order_text(fit.order or 0.0)
                 if transient:
                     found += f"; after the start transient {order_text(settled.order or 0.0)}"
-                why = _explained(s, group, fit, transient)
+                why = lost_order(s, group, transient)
                 alike.setdefault((str(claimed or "none"), found, why), []).append(group)
             for (claim, found, why), groups in alike.items():
                 if why in experiments:
@@ -129,7 +127,7 @@ def _claims(s: Series, known: Mapping[str, IntegratorFacts]) -> Mapping[str, int
 
 def _is_lost(fit: Fit, claimed: int | None) -> bool:
     """Whether errors do not converge, or with less than the claimed order."""
-    if fit.verdict == _STUCK:
+    if fit.verdict == STUCK:
         return True
     return claimed is not None and fit.order is not None and claimed - fit.order >= _LOSS
 
@@ -142,14 +140,3 @@ def _ends(s: Series, group: str) -> str:
         for r in (s.ok[0], s.ok[-1])
     ]
     return f"none: error {', '.join(ends)}"
-
-
-def _explained(s: Series, group: str, fit: Fit, transient: bool) -> str:
-    """The experiment with the same setting and the same symptom; none if there is none."""
-    if len(s.records[0].pattern) > 1:
-        return PATTERN
-    if transient:
-        return TRANSIENT
-    stuck = fit.verdict == _STUCK and group in ("a", "lam")
-    steady = s.controls == "step" and s.records[0].formulation.startswith("index3")
-    return UNDAMPED if stuck and steady else ""

@@ -85,7 +85,7 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["letters", "columns", "resolutions", "answers", "refs", "profiles"]) data[name] = rest[name];
+      for (const name of ["letters", "columns", "resolutions", "answers", "wrong", "refs", "profiles"]) data[name] = rest[name];
       data.runs_of = named(rest.runs_of);
       data.complete = true;
       follow();
@@ -95,6 +95,9 @@
       follow();
     },
     answer: () => data.answers[["group", "target", "cost"].map((name) => stepbench.question[name]).join("|")],
+    // Sentences on runs that reach the end and are wrong, as paragraphs.
+    wrong: (of, which) => (stepbench.data.wrong[stepbench.question.group]?.[of][which] || []).map(
+      (parts) => stepbench.html("p", { class: "wrong" }, ...parts.map(stepbench.part))),
     chosen: () => data.filters.find((filter) => filter.id === stepbench.question.scenes).scenes,
     // The address of a page; one file that holds all pages has anchors instead.
     page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : data.root + encodeURI(file) + (file.includes("#") ? "" : address()),

@@ -8,7 +8,8 @@
 
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const said = stepbench.answer()?.verdicts?.[place.dataset.verdict];
-    place.replaceChildren(...(said || [stepbench.unjudged(Number(place.dataset.verdict), question)]).map(stepbench.part));
+    const verdict = (said || [stepbench.unjudged(Number(place.dataset.verdict), question)]).map(stepbench.part);
+    place.replaceChildren(html("p", {}, ...verdict), ...stepbench.wrong("scenes", place.dataset.verdict));
   });
 
   const row = (scene, index, state, question) => {

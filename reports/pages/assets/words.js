@@ -65,6 +65,7 @@
     card.replaceChildren(...(own ? own.sentences.map((parts) => html("p", {}, ...parts.map(part)))
       : [html("p", {}, data.complete
         ? "No run here can be judged by this question." : "The other answers are being read.")]));
+    card.append(...stepbench.wrong("filters", question.scenes));
     card.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
     const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
     standings(own ? own.standings : [], judged);

@@ -1,0 +1,47 @@
+"""Experiments of the failure atlas that explain what a run shows, by its symptoms."""
+
+from __future__ import annotations
+
+import math
+
+from bench.results.quantities import NORM
+from bench.results.records import Record, SceneRecord
+from reports.series import Series
+
+#: Names of experiments.
+PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
+STIFF = "spurious_acceleration"
+#: The verdict of a fit on errors that never fall.
+STUCK = "does not converge"
+
+
+def lost_order(s: Series, group: str, transient: bool) -> str:
+    """The experiment with the same setting and the same loss of order; none if there is none.
+
+    ``transient`` says whether the order is there after the start transient.
+    """
+    if len(s.records[0].pattern) > 1:
+        return PATTERN
+    if transient:
+        return TRANSIENT
+    steady = s.controls == "step" and s.records[0].formulation.startswith("index3")
+    return UNDAMPED if steady and _felt(group) and s.fit(group, NORM).verdict == STUCK else ""
+
+
+def wrong_runs(s: Series, group: str, best: Record, scene: SceneRecord | None) -> str:
+    """The experiment that shows why all runs are wrong in a group; none if there is none.
+
+    Where positions are wrong, too, or another group than accelerations and multipliers is, the
+    accuracy is too low for the motion itself, which no experiment explains.
+    """
+    if not _felt(group) or best.wrong("q"):
+        return ""
+    steps, fastest = best.work.get("steps"), ((scene and scene.rates) or {}).get("oscillation")
+    if steps and fastest and fastest * (best.t_end - best.t0) / steps > math.pi:
+        return STIFF  # a step takes more than half a period
+    return lost_order(s, group, transient=False)
+
+
+def _felt(group: str) -> bool:
+    """Whether the group holds second derivatives of the motion."""
+    return group in ("a", "lam")

@@ -1,0 +1,150 @@
+"""Runs that reach the end and are wrong: the rule, its sentences, and where they are told."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from planted import STEPS, edited, everything, plant, planted
+
+from bench.results.quantities import TRUST, WRONG
+from bench.results.records import SceneRecord
+from reports.explanations import STIFF, TRANSIENT, UNDAMPED, wrong_runs
+from reports.pages.card import card_svg
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.questions.answers import answer
+from reports.questions.method_card import method_card
+from reports.questions.phrases import Ref, plain
+from reports.questions.words import words_of
+from reports.questions.wrong import wrong_on, wrong_sentences
+from reports.scenes import stored_runs
+from reports.series import series_of
+
+#: A vibration of 100 rad/s in an interval of 1 s.
+FAST = SceneRecord(problem="s", t_end=1.0, t0=0.0, rates={"oscillation": 100.0})
+
+
+def runs(name, *errors, scene="s", **changes):
+    return [
+        planted(scene, name, {}, h=h, errors={"a": {"max": e}}, **changes)
+        for h, e in zip(STEPS, errors, strict=False)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "wrong"),
+    [
+        ({}, True),
+        ({"errors": {"a": {"max": WRONG}}}, False),
+        ({"errors": {"a": {"max": None}}}, False),
+        ({"errors": {"q": {"max": 9.0}, "a": {"max": 0.0, "end": 9.0}}}, False),
+        ({"status": "diverged"}, False),
+        ({"reference_error": {"a": {"max": 0.3 / TRUST}}}, False),  # cannot be judged
+        ({"reference_error": {"a": {"max": 0.1 / TRUST}}}, True),
+        ({"message": "It may be wrong."}, True),
+    ],
+)
+def test_a_run_is_wrong_that_ends_well_with_a_large_error(changes, wrong):
+    run = planted("s", "m", {}, h=0.1, **{"errors": {"a": {"max": 0.2}}, **changes})
+    assert run.wrong("a") == wrong
+    assert any("Errors above" in note for note in run.notes) == (wrong or run.wrong("q"))
+
+
+def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
+    failed = planted("s", "open", {}, h=0.1, status="diverged")
+    series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
+    words = words_of({"s": series}, {})
+
+    def said(group="a"):
+        found = {"s": [wrong_on(s, group) for s in series]}
+        return [plain(sentence) for sentence in wrong_sentences(group, found, words)]
+
+    head = (
+        "Wrong without warning: {} of 4 runs that reached the end "
+        "(error in acceleration above 0.1, largest over time){}."
+    )
+    assert said() == [
+        head.format(3, ""),
+        "Every run wrong in acceleration without warning: wrong (s: 0.2).",
+    ]
+    assert said("lam") == []
+    series[0].records[0].message = "It may be wrong."  # one run of them says nothing
+    assert said() == [
+        head.format(2, "; with a warning: 1"),
+        "Every run wrong in acceleration without warning: wrong (s: 0.2).",
+    ]
+    for record in (*series[0].records, *series[1].records):
+        record.message = "It may be wrong."
+    assert said() == [
+        head.format("none", "; with a warning: 3"),
+        "Every run wrong in acceleration with a warning: wrong (s: 0.2).",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("group", "error", "changes", "scene", "why"),
+    [
+        ("a", 9.0, {}, FAST, STIFF),
+        ("a", 9.0, {"work": {"steps": 32}}, FAST, ""),
+        ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
+        ("v", 9.0, {}, FAST, ""),
+        ("a", 9.0, {}, None, ""),
+        ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
+        ("a", 9.0, {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}, None, ""),
+        ("a", 9.0, {"pattern": (0.3, 0.7)}, None, "variable_steps"),
+    ],
+)
+def test_the_cause_follows_from_the_symptoms(group, error, changes, scene, why):
+    made = [planted("s", "m", {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
+    for run in made:
+        run.errors = {group: {"max": error}, "q": {"max": run.h**2}}
+    (s,) = series_of(made)
+    assert wrong_runs(s, group, s.finest, scene) == why
+    s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
+    assert wrong_runs(s, group, s.finest, scene) == ""
+
+
+def test_an_experiment_is_a_link_where_the_report_has_it():
+    words = words_of({}, {}, [STIFF])
+    assert words.experiment(STIFF) == Ref("atlas", STIFF, f"stepbench atlas {STIFF}")
+    assert words.experiment(TRANSIENT) == f"stepbench atlas {TRANSIENT}"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Runs of which one integrator is never right, and another one says so itself."""
+
+    def spoil(r):
+        if r.problem == "pendulum" and r.integrator.startswith(("ringing", "good[rho_inf=0.5]")):
+            r.errors["a"]["max"], r.errors["lam"]["max"] = 9.0, r.h**2
+            r.formulation = "index3"
+            r.message = "" if r.integrator.startswith("ringing") else "It may be wrong."
+
+    folder = plant(tmp_path_factory.mktemp("wrong") / "results", everything())
+    return edited(folder, "spoilt", spoil)
+
+
+def test_pages_card_and_terminal_say_the_same(store):
+    (count, silent, warned, why) = method_card(store, "")
+    assert count.startswith("Wrong without warning: ")
+    assert silent == "Every run wrong in acceleration without warning: ringing 1 (pendulum: 9)."
+    assert warned == "Every run wrong in acceleration with a warning: good 0.5 (pendulum: 9)."
+    assert why == f"Why: stepbench atlas {UNDAMPED} (pendulum)."
+    write_html_report(store)
+    write_markdown_report(store)
+    front = (store / "report.html").read_text(encoding="utf-8")
+    found = re.search(
+        r'<script type="application/json" id="stepbench-data"[^>]*>(.*?)</script>', front, re.S
+    )
+    data = json.loads(found.group(1))
+    assert data["wrong"]["a"]["filters"]["all"][0] == [count]
+    for page in ("report.md", "report/failures.html"):
+        assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
+    stored = stored_runs(store)
+    card = card_svg(stored, answer(stored.series, stored.first), "all")
+    assert count in card.partition("</desc>")[0]
+    own = method_card(store, "ringing[rho_inf=1]")
+    assert "Wrong without warning: 6 of 6 runs" in " ".join(own)
+    assert "without warning" not in " ".join(method_card(store, "adaptive"))
