@@ -58,7 +58,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     words = words_of({"s": series}, {})
 
     def said(group="a"):
-        found = {"s": [wrong_on(s, group) for s in series]}
+        found = {"s": [wrong_on(s, group) for s in series], "t": []}
         return [plain(sentence) for sentence in wrong_sentences(group, found, words)]
 
     head = (
@@ -104,6 +104,13 @@ def test_the_cause_follows_from_the_symptoms(group, error, changes, scene, why):
     assert wrong_runs(s, group, s.finest, scene) == why
     s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
     assert wrong_runs(s, group, s.finest, scene) == ""
+
+
+def test_on_one_scene_its_name_is_left_out():
+    (s,) = series_of(runs("m", 9.0, 8.0))
+    words = words_of({"s": [s]}, {})
+    *_, said = wrong_sentences("a", {"s": [wrong_on(s, "a")]}, words)
+    assert plain(said) == "Every run wrong in acceleration without warning: m (8)."
 
 
 def test_an_experiment_is_a_link_where_the_report_has_it():

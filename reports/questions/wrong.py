@@ -85,7 +85,8 @@ def never_right(
         for w in own:
             if w.least:
                 error, run, cause = w.least
-                near: Sentence = [scene_ref(scene), ": ", words.run(run, number(error))]
+                near: Sentence = [scene_ref(scene), ": "] if len(found) > 1 else []
+                near.append(words.run(run, number(error)))
                 kind = where["without" if w.silent else "with a"]
                 kind.setdefault(w.label, []).append(near)
                 if cause:
@@ -95,7 +96,10 @@ def never_right(
         lead = f"Every run wrong in {_quantity(group)} {warning} warning: "
         who = ([words.method(k), " (", *listed(own), ")"] for k, own in labels.items())
         said += [[lead, *listed(who, most), "."]] if labels else []
-    why = ([words.experiment(k), " (", *listed(own.values()), ")"] for k, own in causes.items())
+    why = (
+        [words.experiment(k), *([" (", *listed(own.values()), ")"] if len(found) > 1 else [])]
+        for k, own in causes.items()
+    )
     return [*said, ["Why: ", *listed(why, len(causes)), "."]] if causes else said
 
 
