@@ -15,13 +15,16 @@ STIFF = "spurious_acceleration"
 STUCK = "does not converge"
 
 
-def lost_order(s: Series, group: str, transient: bool) -> str:
-    """The experiment with the same setting and the same loss of order; none if there is none.
+def explained(s: Series, group: str, scene: SceneRecord | None, transient: bool = False) -> str:
+    """The experiment with the same setting and symptom; none if there is none.
 
-    ``transient`` says whether the order is there after the start transient.
+    The symptom is an order that is lost, or errors that never fall. ``transient`` says whether the
+    order is there after the start transient.
     """
     if len(s.records[0].pattern) > 1:
         return PATTERN
+    if _felt(group) and _unresolved(s.finest, scene):
+        return STIFF
     if transient:
         return TRANSIENT
     steady = s.controls == "step" and s.records[0].formulation.startswith("index3")
@@ -34,12 +37,13 @@ def wrong_runs(s: Series, group: str, best: Record, scene: SceneRecord | None) -
     Where positions are wrong, too, or another group than accelerations and multipliers is, the
     accuracy is too low for the motion itself, which no experiment explains.
     """
-    if not _felt(group) or best.wrong("q"):
-        return ""
-    steps, fastest = best.work.get("steps"), ((scene and scene.rates) or {}).get("oscillation")
-    if steps and fastest and fastest * (best.t_end - best.t0) / steps > math.pi:
-        return STIFF  # a step takes more than half a period
-    return lost_order(s, group, transient=False)
+    return explained(s, group, scene) if _felt(group) and not best.wrong("q") else ""
+
+
+def _unresolved(run: Record, scene: SceneRecord | None) -> bool:
+    """Whether a step takes more than half a period of the scene's fastest vibration."""
+    steps, fastest = run.work.get("steps"), ((scene and scene.rates) or {}).get("oscillation")
+    return bool(steps and fastest and fastest * (run.t_end - run.t0) / steps > math.pi)
 
 
 def _felt(group: str) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bench.results.orders import Fit, fit_orders
-from bench.results.quantities import GROUPS, TRUST
+from bench.results.quantities import GROUPS, NORM, TRUST
 from bench.results.records import Record
 from reports.formatting import number, text_range
 
@@ -50,6 +50,11 @@ class Series:
         name = "h" if self.controls == "step" else "rtol"
         values = [step_or_tolerance(r) for r in self.records]
         return f"{name}={text_range(map(number, values))} ({len(values)})"
+
+    def never_right(self, group: str) -> bool:
+        """Whether every run that reached the end and has the error is wrong in a group."""
+        known = [r for r in self.ok if r.error(group, NORM) is not None]
+        return known != [] and all(r.wrong(group) for r in known)
 
     def fit(self, group: str, norm: str) -> Fit:
         """The fitted order of one group in one norm."""

@@ -14,8 +14,9 @@ from bench.atlas.experiments import built_in_experiments
 from bench.results.orders import fit_order, fit_orders
 from bench.results.records import IntegratorFacts
 from reports.explanations import PATTERN, STIFF, TRANSIENT, UNDAMPED
+from reports.pages.method_chapter import _orders_table
 from reports.series import series_of
-from reports.text.measured_orders import lost_orders_table
+from reports.text.measured_orders import claims_text, lost_orders_table, order_cell, orders_measured
 from reports.text.observations import observations
 from reports.text.ranking_tables import integrators_table
 
@@ -178,8 +179,10 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     ]
     assert table.links == {(1, 5): ["atlas-undamped_index3"]}  # the other is not on the page
     row = integrators_table(held, known).rows[0]
-    assert row[2] == "q 2, a 2, lam 2"
-    assert row[3] == ("q 2.00; a 1.00, after the start transient 2.00; lam none on pendulum")
+    assert row[2] == "q 2; a 2; lam 2"
+    assert row[3] == (
+        "q 2.00; a 1.00, after the start transient 2.00; lam none on pendulum, every run wrong"
+    )
     # Uneven steps have an experiment of their own; without constraints there is none.
     for changes, why in (
         ({"pattern": (0.3, 0.7)}, "stepbench atlas variable_steps"),
@@ -202,6 +205,49 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     assert [r[2] for r in lost_orders_table(held, {}).rows] == ["lam"]
     good = [planted("s", "m", SECOND, h=h) for h in OF_RUNS]
     assert lost_orders_table({"s": series_of(good)}, known) is None
+
+
+def test_claims_are_those_of_the_scenes_and_say_where_they_differ():
+    facts = IntegratorFacts(title="A method.", orders={"q": 2, "a": 2, "lam": 2})
+
+    def own(scene, claims, groups=("q", "a")):
+        runs = [planted(scene, "m", dict.fromkeys(groups, (1.0, 2)), h=h) for h in OF_RUNS]
+        for run in runs:
+            run.claims = claims
+        return series_of(runs)[0]
+
+    free, held = own("free", {"q": 2, "a": 2}), own("held", {"q": 2}, ("q", "a", "lam"))
+    other = own("other", {"q": 2, "a": 2, "lam": 2})
+    assert claims_text([held], facts) == "q 2; a none; lam none"
+    assert claims_text([free, held, other], facts) == "q 2; a 2, none on held; lam none"
+    # A run that failed early holds none; an old store has the claim in general.
+    assert claims_text([own("early", None), held], facts) == claims_text([held], facts)
+    assert claims_text([own("early", None)], facts) == "q 2; a 2; lam 2"
+    assert claims_text([own("early", None)], None) == ""
+    (row,) = integrators_table({"held": [held]}, {"m": facts}).rows
+    assert row[2] == "q 2; a none; lam none"
+
+
+def test_an_order_is_the_same_everywhere_and_says_if_no_run_is_right():
+    runs = ringing("m")
+    for k, run in enumerate(runs):
+        run.errors["a"]["max"] = 400.0 * 0.5**k
+    (s,) = series_of(runs)
+    assert order_cell(s.fit("a", "max")) == "1.00"
+    assert order_cell(s.fit("lam", "max")) == "none"
+    assert order_cell(s.fit("x", "max")) == "–"  # noqa: RUF001
+    said = orders_measured([s])
+    assert "a 1.00, after the start transient 2.00, every run wrong;" in said
+    assert said.endswith("lam none on pendulum, every run wrong")
+    (good,) = series_of([planted("s", "m", SECOND, h=h) for h in OF_RUNS])
+    assert "a 1.00 to 2.00, after the start transient 2.00, every run wrong on pendulum;" in (
+        orders_measured([s, good])
+    )
+    runs[-1].errors["a"]["max"] = 0.1
+    assert "a 1.00, every run wrong" not in orders_measured(series_of(runs))
+    table = _orders_table({"pendulum": s}, None)
+    assert table.head == ["scene", "claimed", "q", "a", "lam"]
+    assert table.rows == [["pendulum", "", "2.00", "1.00", "none *"]]
 
 
 def test_the_experiments_that_explain_losses_exist():

@@ -356,7 +356,7 @@ def test_each_integrator_is_described_by_claims_and_measurements():
     }
     known = {"slow": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
     rows = {row[0]: row for row in integrators_table(series, known).rows}
-    assert rows["slow"][1:] == ["A method", "q 2, a 2", "q 2.00; a 1.00 to 2.00", "me"]
+    assert rows["slow"][1:] == ["A method", "q 2; a 2", "q 2.00; a 1.00 to 2.00", "me"]
 
 
 def test_an_integrator_ties_by_its_own_cheapest_run_alone():

@@ -40,6 +40,15 @@ def test_a_method_far_from_the_median_is_told_with_its_own_reason():
         "finest runs (2 ns): its loop is Python."
     }
     assert told(*usual, run("near", 0.01, 2.0 * 2.9, "its loop is Python")) == {}
+    # What integrators on both sides of the median state explains neither.
+    compiled = "its loop is compiled"
+    both = run("slow", 0.01, 9.0, compiled), run("fast", 0.01, 0.4, compiled)
+    slow, fast = told(*usual, *both).values()
+    assert slow.endswith("no cause is known; faster ones state the same (its loop is compiled).")
+    assert fast.endswith("no cause is known; slower ones state the same (its loop is compiled).")
+    for own, median in zip(both, (2.0, 2.0), strict=True):
+        (text,) = told(*usual, own).values()
+        assert text.endswith(f"({median:g} ns): its loop is compiled.")
     (text,) = told(*usual, run("fast", 0.01, 2.0 / 4)).values()
     assert "takes 0.25 times the median" in text
     assert "does not state how it calls" in text

@@ -11,7 +11,9 @@ from typing import Any
 #: The sign for "no value".
 NO_VALUE = "–"  # noqa: RUF001
 #: A number as pages and commands write it, with a mark of doubt or a sign for no number.
-_NUMBER = re.compile(rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|{NO_VALUE}|-|not counted|not determined|)")
+_NUMBER = re.compile(
+    rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|(none|{NO_VALUE})( \*)?|-|not counted|not determined|)"
+)
 
 _WHOLE = re.compile(r"[-+]?\d+(?=[.e ])")
 

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from bench.results.experiments import ExperimentResult, spared
-from bench.results.quantities import COSTS, GROUPS, NORM, NORMS
+from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, milliseconds, number, order_text
+from reports.formatting import milliseconds, number
 from reports.names import BUILT_IN, form_name
 from reports.questions.answers import Answer
 from reports.questions.method_card import stored_card
@@ -20,6 +20,7 @@ from reports.questions.words import Words
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.text.damping_table import damping_table
+from reports.text.measured_orders import claims_text, order_cell
 from reports.text.run_tables import failures_table, notes_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
@@ -67,9 +68,9 @@ class MethodChapter:
         self.title = facts.title.rstrip(".") if facts else ""
         self.card = stored_card(label, answer, stored)
         self.wrong = any(r.wrong(group) for r in runs for group in GROUPS)
-        self.facts = _facts(name, first, facts)
+        self.facts = _facts(name, first, facts, claims_text([*by_scene.values()], facts))
         self.scenes = _scenes_table(label, by_scene, answer)
-        self.orders = _orders_table(by_scene, facts.orders if facts else {})
+        self.orders = _orders_table(by_scene, facts)
         self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
         self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
         self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
@@ -90,14 +91,15 @@ def _own(table: Table | None, caption: str) -> Table | None:
     return replace(table, caption=caption) if table else None
 
 
-def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tuple[str, str]]:
+def _facts(
+    name: str, series: Series, facts: IntegratorFacts | None, claimed: str
+) -> list[tuple[str, str]]:
     """Pairs (name, text): options, formulation, claimed orders, choice of steps, source."""
     options = re.search(r"\[(.*)\]$", name)
     steps = "at constant steps" if series.controls == "step" else "chosen by the method"
     pattern = series.records[0].pattern
     if len(pattern) > 1:
         steps = f"in the pattern {'/'.join(f'{f:g}' for f in pattern)}"
-    claimed = ", ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
     pairs = [
         ("Full name", series.label),
         ("Options", options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"),
@@ -145,18 +147,20 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
     return Table.from_dicts("Its runs, scene by scene", rows, note=note)
 
 
-def _orders_table(series: Mapping[str, Series], claimed: Mapping[str, int]) -> Table | None:
-    """Fitted orders by scene, with the claimed ones in the first row; None without any."""
+def _orders_table(series: Mapping[str, Series], facts: IntegratorFacts | None) -> Table | None:
+    """Fitted orders by scene beside the claims for it; None without any."""
     fixed = {scene: s for scene, s in series.items() if s.controls == "step" and len(s.ok) > 1}
     groups = groups_of(r for s in fixed.values() for r in s.ok)
     if not groups:
         return None
-    rows = [["claimed", *(str(claimed.get(g, NO_VALUE)) for g in groups)]] if claimed else []
+    rows = []
     for scene, s in fixed.items():
-        fits = [s.fit(g, NORM) for g in groups]
-        rows.append([scene, *(NO_VALUE if f.order is None else order_text(f.order) for f in fits)])
-    note = f"Fitted to the errors, {NORMS[NORM]}, of the finest steps."
-    return Table("Orders measured, scene by scene", ["scene", *groups], rows, note=note)
+        cells = [order_cell(s.fit(g, NORM)) + (" *" if s.never_right(g) else "") for g in groups]
+        rows.append([scene, claims_text([s], facts), *cells])
+    note = f"Fitted to the errors, {NORMS[NORM]}, of the finest steps; none: the error does not "
+    note += f"converge. * every run has an error above {WRONG:g}."
+    head = ["scene", "claimed", *groups]
+    return Table("Orders measured, scene by scene", head, rows, note=note)
 
 
 def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:

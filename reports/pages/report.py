@@ -80,7 +80,7 @@ class Report:
         self.damping = damping_table(own, list(stored.scenes.items()))
         self.failures, self.unsupported = failures_table(runs), unsupported_table(runs)
         self.noted = notes_table(runs)
-        self.lost_orders = lost_orders_table(series, facts, {e.name for e in experiments})
+        self.lost_orders = lost_orders_table(series, facts, stored.experiments, stored.scenes)
         self.orders = order_tables(plan, stored.records)
         found = drift_chapter(store.long_runs(), interactive), atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]

@@ -49,7 +49,7 @@ def wrong_on(s: Series, group: str, scene: SceneRecord | None = None) -> Wrong:
     known = with_values(s.ok, lambda r: r.error(group, NORM))
     wrong = [r for _, r in known if r.wrong(group)]
     warned, least = sum(r.message != "" for r in wrong), None
-    if wrong and len(wrong) == len(known):
+    if s.never_right(group):
         error, best = min(known, key=itemgetter(0))
         least = error, best, wrong_runs(s, group, best, scene)
     return Wrong(s.label, len(known), len(wrong) - warned, warned, least)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORMS
-from bench.results.records import IntegratorFacts
+from bench.results.records import IntegratorFacts, SceneRecord
 from bench.results.table import Table
-from reports.explanations import STUCK, lost_order
-from reports.formatting import named, number, order_text, text_range
+from reports.explanations import STUCK, explained
+from reports.formatting import NO_VALUE, named, number, order_text, text_range
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance
 
 #: An order is lost that falls short of the claimed one by this much.
@@ -30,9 +31,44 @@ def orders_measured(series: Sequence[Series]) -> str:
         gained = orders and settled and settled[0] - orders[0] >= _LOSS
         if settled and (gained or len(stuck) > len(still_stuck)):
             parts.append(f"after the start transient {text_range(map(order_text, settled))}")
+        wrong = [s.records[0].problem for s in series if _stepped(s) and s.never_right(group)]
+        if parts and wrong:
+            parts.append(f"every run wrong{f' on {named(wrong)}' if len(series) > 1 else ''}")
         if parts:
             said.append(f"{group} {', '.join(parts)}")
     return "; ".join(said)
+
+
+def claims_text(series: Sequence[Series], facts: IntegratorFacts | None) -> str:
+    """The orders that one integrator claims, per group, over the scenes of its series.
+
+    A claim is that for the scene, which its runs hold; where scenes differ, the less frequent ones
+    name theirs. Without any it is the claim in general.
+    """
+    claims: dict[str, dict[str, list[str]]] = {}
+    for s in series:
+        here = s.finest.claims or {}
+        for group in groups_of(s.ok) if here else ():
+            order = str(here.get(group, "none"))
+            claims.setdefault(group, {}).setdefault(order, []).append(s.records[0].problem)
+    if all(s.finest.claims is None for s in series):
+        return "; ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
+    said = []
+    for group, own in claims.items():
+        most, *others = sorted(own, key=lambda order: (-len(own[order]), order == "none"))
+        said.append(", ".join([f"{group} {most}", *(f"{o} on {named(own[o])}" for o in others)]))
+    return "; ".join(said)
+
+
+def order_cell(fit: Fit) -> str:
+    """An order in a table: a number, none if the error does not converge, or a dash."""
+    if fit.verdict == STUCK:
+        return "none"
+    return NO_VALUE if fit.order is None else order_text(fit.order)
+
+
+def _stepped(s: Series) -> bool:
+    return s.controls == "step"
 
 
 def _orders(series: Sequence[Series], group: str, norm: str) -> tuple[list[float], list[str]]:
@@ -73,10 +109,11 @@ def lost_orders_table(
     scenes: Mapping[str, Sequence[Series]],
     known: Mapping[str, IntegratorFacts],
     experiments: Collection[str] = (),
+    described: Mapping[str, SceneRecord] = MappingProxyType({}),
 ) -> Table | None:
     """Groups that do not converge, or at less than the claimed order; None if there are none.
 
-    ``experiments`` are the names of those that the report shows.
+    ``experiments`` are the names of those that the report shows, ``described`` its scenes.
     """
     rows, links = [], {}
     for scene, series in scenes.items():
@@ -95,7 +132,7 @@ def lost_orders_table(
                 found = _ends(s, group) if fit.verdict == STUCK else order_text(fit.order or 0.0)
                 if transient:
                     found += f"; after the start transient {order_text(settled.order or 0.0)}"
-                why = lost_order(s, group, transient)
+                why = explained(s, group, described.get(scene), transient)
                 alike.setdefault((str(claimed or "none"), found, why), []).append(group)
             for (claim, found, why), groups in alike.items():
                 if why in experiments:

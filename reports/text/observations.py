@@ -55,18 +55,27 @@ def _disagreements(series: Sequence[Series]) -> list[Observation]:
     middle = median([each for _, each in known])
     if middle is None:
         return []
-    far: dict[str, list[tuple[str, float]]] = {}
+    stated: dict[str, list[float]] = {}
+    for s, each in known:
+        stated.setdefault(s.finest.calls, []).append(each)
+    far: dict[tuple[bool, str], list[tuple[str, float]]] = {}
     for s, each in known:
         if not 1 / FAR <= each / middle <= FAR:
-            why = s.finest.calls or "it does not state how it calls the equations"
-            far.setdefault(why, []).append((s.label, each / middle))
+            slow, calls = each > middle, s.finest.calls
+            # What others on the other side of the median state, too, is no cause.
+            other = min(stated[calls]) < middle if slow else max(stated[calls]) > middle
+            why = calls or "it does not state how it calls the equations"
+            if calls and other:
+                beside = "faster" if slow else "slower"
+                why = f"no cause is known; {beside} ones state the same ({calls})"
+            far.setdefault((slow, why), []).append((s.label, each / middle))
     found = [
         Observation(
             tuple(label for label, _ in members),
             f"in its finest run an operation takes {number_range(ratio for _, ratio in members)} "
             f"times the median of the integrators' finest runs ({number(middle * 1e9)} ns): {why}.",
         )
-        for why, members in far.items()
+        for (_, why), members in far.items()
     ]
     short = tuple(s.label for s, _ in known if _mostly_fixed(s))
     if short:

@@ -14,7 +14,7 @@ from reports.formatting import NO_VALUE, number, tie_text
 from reports.questions.answers import Answer, SceneAnswer, answers
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
 from reports.series import Series
-from reports.text.measured_orders import orders_measured
+from reports.text.measured_orders import claims_text, orders_measured
 
 #: Columns of the ranked costs.
 _LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
@@ -137,10 +137,8 @@ def integrators_table(
     rows = []
     for label, series in own.items():
         facts = known.get(series[0].records[0].integrator)
-        title, claims, source = (
-            (facts.title.rstrip("."), facts.orders, facts.source) if facts else ("", {}, "")
-        )
-        claimed = ", ".join(f"{group} {order}" for group, order in claims.items())
+        title, source = (facts.title.rstrip("."), facts.source) if facts else ("", "")
+        claimed = claims_text(series, facts)
         rows.append([label, title, claimed, orders_measured(series), source])
     if not rows:
         return None
@@ -148,6 +146,7 @@ def integrators_table(
         "Integrators",
         ["integrator", "what it is", "orders claimed", "orders measured", "source"],
         rows,
-        note=f"Orders measured: of the relative error, {NORMS[NORM]}, from the smallest to "
-        "the largest over the scenes; at constant steps only. None: the error does not converge.",
+        note="Orders claimed: for the scenes of its runs. Orders measured: of the relative error, "
+        f"{NORMS[NORM]}, from the smallest to the largest over the scenes; at constant steps only. "
+        "None: the error does not converge.",
     )
