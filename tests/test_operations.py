@@ -25,13 +25,17 @@ from integrators.adapters.scipy_ode import Radau
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT, VECTOR_WORK
 from integrators.contract import Work
 from integrators.lowering.operators import ELEMENTARY
-from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
+from integrators.methods.kr_alpha import KRAlpha
+from integrators.methods.lobatto_iiia_iiib import LobattoPair
+from integrators.methods.rodas5p import Rodas5P
 from integrators.native import constant_steps
 from integrators.native.kernel import Form
 from integrators.native.step_operations import loop_costs
 from integrators.native.step_program import _at_rest
-from integrators.operations import NotCounted, dense, operations, sparse
+from integrators.operations import NotCounted, costs_of, dense, operations, sparse
 from problems import jax, jnp
+from problems.named_equations import equation, part, turns
 from problems.scenes.chain import Chain
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum
@@ -272,6 +276,52 @@ def test_vectors_of_libraries_cost_what_their_formulas_say(solver, k, attempt, i
     assert one(0, 0, 1) == matrix
 
 
+def test_each_system_of_a_step_counts_its_own_iterations():
+    scene, method = Pendulum(), LobattoPair()
+    prepared = method.prepare(scene, scene.interval[0] + 1.0, Steps(0.02))
+    run, costs = prepared.measure(), turns_of(method, scene)
+    first = run.work.newton - run.work.steps  # the equations of velocities are linear
+    assert first > 1.5 * run.work.steps
+    systems = first * costs["newton0"] + run.work.steps * costs["newton1"]
+    whole = sum(prepared.bill(run).values())
+    assert whole == pytest.approx(systems + run.work.steps * costs["steps"])
+    alike = run.work.newton / 2 * (costs["newton0"] + costs["newton1"])
+    assert abs(alike - systems) > 0.1 * whole
+
+
+def test_eliminations_that_take_pivots_are_in_the_bill():
+    scene, method = Pendulum(), Newmark()
+    prepared = method.prepare(scene, 1.35, Steps(0.02))
+    run, costs = prepared.measure(), turns_of(method, scene)
+    others = run.work.steps * costs["steps"] + run.work.newton * costs["newton0"]
+    times = (sum(prepared.bill(run).values()) - others) / costs["pivots"]
+    assert costs["pivots"] == AlphaByHand.inverse + AlphaByHand.by_inverse
+    assert times >= 1
+    assert times == pytest.approx(round(times))
+
+
+def test_matrices_of_changing_steps_count_as_often_as_they_are_made():
+    scene, method = Duffing(), KRAlpha()
+    costs, bills = turns_of(method, scene), []
+    for pattern in ((0.5, 0.5), (0.3, 0.7)):
+        prepared = method.prepare(scene, 1.0, Steps(0.1, pattern))
+        bills.append(sum(prepared.bill(prepared.measure()).values()))
+    assert bills[0] == pytest.approx(20 * costs["steps"])
+    assert bills[1] - bills[0] == pytest.approx(19 * costs["branch1"])
+
+
+@pytest.mark.long
+def test_step_control_is_in_the_bill():
+    scene, shares = Pendulum(), []
+    for method, size in ((Rodas5P(steps="constant"), Steps(0.01)), (Rodas5P(), Tolerances(1e-6))):
+        prepared = method.prepare(scene, scene.interval[0] + 1.0, size)
+        run = prepared.measure()
+        steps = run.work.steps + run.work.rejected
+        shares.append(prepared.bill(run)["method"] / steps)
+    # Norms of q and v at both ends and of their errors, and three powers.
+    assert shares[1] - shares[0] > 6 * 3 + 3 * ELEMENTARY
+
+
 @pytest.mark.long
 def test_modified_newton_at_small_steps_costs_fewer_operations_than_full():
     bills = []
@@ -347,6 +397,47 @@ X = np.ones(3)
 )
 def test_operations_of_small_programs(function, count):
     assert operations(function, X) == (count, 0, 0, 0)
+
+
+def nested(x):
+    """Loops and a branch whose turns a run counts, and a value that the branch returns else."""
+
+    def turn(y):
+        with turns("inner"):
+            y = jax.lax.while_loop(lambda y: y[0] < 9, lambda y: y * x + 1, y)
+        return jax.lax.fori_loop(0, 2, lambda _, z: z + x, y) - y
+
+    with turns("outer"):
+        x = jax.lax.while_loop(lambda y: y[1] < 9, turn, x)
+    y = x - 1
+    with turns("branch"):
+        return jax.lax.cond(x[0] > 0, lambda: x * x * x, lambda: y)
+
+
+def test_named_loops_and_branches_are_counted_by_a_turn():
+    found = {cost.turns: cost.operations for cost in costs_of(nested, X) if cost.operations}
+    assert found == {"": 3, "outer": 2 * 3 + 3, "inner": 2 * 3, "branch": 2 * 3}
+    twice = costs_of(lambda x: nested(nested(x)), X)  # as many turns in both places
+    assert {cost.turns: cost.operations for cost in twice if cost.operations} == found | {"": 6}
+
+
+def test_named_parts_are_told_apart():
+    def equations(x):
+        return jnp.linalg.solve(jnp.outer(x, x), x * x)
+
+    def function(x):
+        with part("Jacobians"):
+            x = equation(lambda x: x / 2)(x) + x
+        with part("solves"):
+            x = equation(equations)(x) - x
+        return x * equation(lambda x: 3 * x)(x)
+
+    found = defaultdict(float)
+    for cost in costs_of(function, X):
+        found[cost.part] += cost.operations
+    algebra = dense(3).factorisation + dense(3).solve
+    expected = {"Jacobians": 6, "solves": 15, "inner solves": algebra, "residuals": 3, "method": 3}
+    assert found == pytest.approx(expected)
 
 
 def test_a_solve_counts_by_its_formula_and_not_as_arithmetic():
