@@ -175,7 +175,7 @@ def make_suite(
         raise SpecError(" ".join([reason, *dict.fromkeys(lost)]))
     plan = Plan(
         name=name,
-        title="" if problems or integrators or own_method else profile.title or name,
+        title="" if problems or integrators else profile.title or name,
         samples=profile.samples,
         budget_s=budget_s or profile.budget_s,
         studies=studies,

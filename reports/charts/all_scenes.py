@@ -1,14 +1,17 @@
-"""Still charts over all scenes, of the first question: a heat map of costs, and the profile."""
+"""Charts over all scenes: a heat map of costs, the profile, and one integrator's states."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
+from reports.names import scene_name
 from reports.questions.answers import Answer
+from reports.questions.method_card import state_on
 from reports.questions.profile import profiles
+from reports.series import Series
 
 #: Costs beyond this many times the cheapest are drawn alike.
 _FAR = 100.0
@@ -98,3 +101,65 @@ def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Sp
         },
     }
     return vl.arrange([{"layer": [layer]}], [data], 1)
+
+
+#: Looks of an integrator's states on a scene: title and colour.
+_LOOKS = {
+    "alone": ("cheapest alone", "#1a7f5a"),
+    "tied": ("tied for the cheapest", "#7fc4a3"),
+    "dearer": ("dearer, by this factor", "#d9c26a"),
+    "single": ("reached, with none to compare", "#8fb3d9"),
+    "unknown": ("reached, cost not measured", "#8fb3d9"),
+    "far": ("not reached", "#80808030"),
+    "failed": ("no run reaches the end", "#c0543c"),
+    "wrong": ("runs wrong without a note", "#8e2a6b"),
+}
+
+
+def method_strip(
+    label: str, found: Sequence[Answer], series: Mapping[str, Series]
+) -> vl.Spec | None:
+    """Where an integrator wins, ties, loses and fails: a row per scene, a column per accuracy.
+
+    The last column counts its runs that are wrong without a note.
+    """
+    rows = [
+        {
+            "scene": scene_name(scene),
+            "target": answer.question.accuracy,
+            "state": _LOOKS[state := state_on(label, own)][0],
+            "text": number(float(f"{entry.ratio:.2g}"))
+            if state == "dearer" and entry.ratio
+            else "",
+        }
+        for answer in found
+        for scene, own in answer.scenes.items()
+        if (entry := own.entries.get(label))
+    ]
+    if not rows:
+        return None
+    group = found[0].question.group
+    for scene, s in series.items():
+        wrong = [r for r in s.ok if r.wrong(group) and not r.message]
+        state, text = _LOOKS["wrong"][0], f"{len(wrong)} of {len(s.records)}"
+        cell = {"scene": scene_name(scene), "target": "wrong", "state": state, "text": text}
+        rows += [cell] if wrong else []
+    data = vl.Dataset("strip", rows)
+    used = {row["state"]: None for row in rows}
+    looks = [look for look in _LOOKS.values() if look[0] in used]
+    scale = dict(zip(("domain", "range"), map(list, zip(*looks, strict=True)), strict=True))
+    order = [*(answer.question.accuracy for answer in found), "wrong"]
+    place = {
+        "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),
+        "y": vl.category("scene", title=None, sort=[*map(scene_name, series)]),
+    }
+    color = vl.category("state", scale=scale, legend={"title": None})
+    box = {"mark": {"type": "rect", "stroke": "#80808060"}, "encoding": place | {"color": color}}
+    ink = {"condition": {"test": "datum.target === 'wrong'", "value": "#fff"}, "value": "#1b2430"}
+    text = {
+        "transform": [{"filter": "datum.text"}],
+        "mark": {"type": "text", "fontSize": 11},
+        "encoding": place | {"text": vl.category("text"), "color": ink},
+    }
+    chart: vl.Spec = {"datasets": vl.datasets([data]), "data": data.source, "layer": [box, text]}
+    return chart | {"width": {"step": 50}, "height": {"step": 22}, "config": vl.config()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import COSTS, ERROR_NAMES, NORM, RANKED_COSTS, VIOLATIONS
@@ -21,17 +22,22 @@ def pareto_chart(
     styles: Mapping[str, LineStyle],
     interactive: bool,
     first: Question = FIRST,
+    own: str = "",
 ) -> vl.Spec | None:
     """Error over cost of all runs, a panel per scene, with the Pareto front as a step line.
 
-    Group and cost are those of the ``first`` question, unless a reader chooses others.
+    Group and cost are those of the ``first`` question, unless a reader chooses others. Of an
+    ``own`` integrator there are all runs, joined by a line; of the others the front alone.
     """
     # Those on which more than one integrator reached the end.
     scenes = {
-        name: series for name, series in scenes.items() if sum(bool(s.ok) for s in series) > 1
+        name: series
+        for name, series in scenes.items()
+        if len(ended := [s.label for s in series if s.ok]) > 1 and (not own or own in ended)
     }
-    labels = list(dict.fromkeys(s.label for series in scenes.values() for s in series if s.ok))
-    rows = [row for scene, series in scenes.items() for row in _rows(scene, series)]
+    rows = [row for scene, series in scenes.items() for row in _rows(scene, series, own)]
+    shown = {row["series"] for row in rows}
+    labels = dict.fromkeys(s.label for runs in scenes.values() for s in runs if s.label in shown)
     groups = {g: ERROR_NAMES[g] for g in _GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
     if not groups:
         return None
@@ -50,7 +56,9 @@ def pareto_chart(
         "encoding": {"x": x, "y": y | {"field": "level"}, "order": vl.quantity("across")},
     }  # fmt: skip
     error = vl.quantity("error", title="error", format=".3g")
+    me = f"datum.series === {json.dumps(own)}"
     points: vl.Spec = {
+        "transform": [{"filter": f"datum.on_front || {me}"}] if own else [],
         "mark": {"type": "point", "filled": True},
         "encoding": {
             "x": x,
@@ -61,6 +69,11 @@ def pareto_chart(
             "opacity": options.opacity(),
             "tooltip": vl.run_tooltip(error, *cost_tooltip(RANKED_COSTS)),
         },
+    }
+    line: vl.Spec = {
+        "transform": [{"filter": me}],
+        "mark": {"type": "line", "strokeWidth": 2.5, "order": False},
+        "encoding": {"x": x, "y": y, "color": options.colors()},
     }
     if interactive:
         points["params"] = [vl.pick()]
@@ -93,7 +106,7 @@ def pareto_chart(
             "header": {"labelColor": vl.GREY, "labelFontSize": 12, "labelFontWeight": "bold"},
         },
         "columns": 3,
-        "spec": {"layer": [steps, points], "width": 270, "height": 170},
+        "spec": {"layer": [steps, *([line] if own else []), points], "width": 270, "height": 170},
         "resolve": {"scale": {"x": "independent", "y": "independent"}},
         "config": vl.config(),
     }
@@ -129,16 +142,20 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     return [r for *_, r in front]
 
 
-def _rows(scene: str, series: Sequence[Series]) -> RunRows:
-    """The rows of the runs, with the pairs of group and cost in which they are on the front."""
+def _rows(scene: str, series: Sequence[Series], own: str) -> RunRows:
+    """The rows of the runs, with the pairs of group and cost in which they are on the front.
+
+    With an ``own`` integrator, the front is that of the others, and has no other runs beside.
+    """
+    others = [s for s in series if s.label != own]
     least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in _GROUPS}
     fronts = {
-        f"{group}_{cost}": {(label_of(r), r.resolution) for r in pareto_front(series, group, cost)}
+        f"{group}_{cost}": {(label_of(r), r.resolution) for r in pareto_front(others, group, cost)}
         for group in _GROUPS
         for cost in RANKED_COSTS
     }
-    return [
-        {"scene": scene, **row, **least}
-        | {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
-        for row in run_rows(series, _GROUPS, [NORM], RANKED_COSTS)
-    ]
+    rows = []
+    for row in run_rows(series, _GROUPS, [NORM], RANKED_COSTS):
+        on = {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
+        rows += [{"scene": scene, **row, **least, **on}] if on or own in ("", row["series"]) else []
+    return rows

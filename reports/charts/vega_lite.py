@@ -23,6 +23,7 @@ Spec = dict[str, Any]
 
 GREY = "#808080"
 _TEXT_COLUMNS = {*("series", "norm", "run", "line", "scene", "group", "target", "cost", "text")}
+_TEXT_COLUMNS |= {"state", "only"}
 #: Differences of larger numbers overflow.
 _LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.

@@ -67,8 +67,10 @@ class Report:
             *missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles]),
         ]
         first = stored.first
-        answered = answers(series, [first.group], [first.target])
+        asked = answers(series, [first.group])
+        answered = {q: own for q, own in asked.items() if q.target == first.target}
         answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
+        over = [own for question, own in asked.items() if question.cost == first.cost]
         self.answer = answered.get(first, Answer(first, {}, {}))
         self.wrong = wrong_sentences(first.group, stored.wrong(first.group), self.words)
         self.winners = winners_table(answered, self.run_ids, self.names)
@@ -87,7 +89,9 @@ class Report:
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
         self.method = method_of_measurement(plan)
         self.methods = [
-            MethodChapter(label, stored, damping, self.answer, self.words, experiments)
+            MethodChapter(
+                label, stored, damping, self.answer, self.words, experiments, over, self.styles
+            )
             for label in self.names
         ]
 

@@ -27,7 +27,7 @@ _MEANING = (
     "% interval of the sign test, of fewer than six scenes the ends. 'At least' and 'at most': the "
     "coarsest run of one is better than asked."
 )
-_INK, _MARKS = "#222222", ("circle", "square", "triangle-up", "diamond", "cross")
+_INK, _MARKS = "#666666", ("circle", "square", "triangle-up", "diamond", "cross")
 
 
 class SideBySide:

@@ -41,7 +41,7 @@ def card_sentences(
     if not own:
         return [[me, " was tried on no scene on which this can be judged."]]
     series = {name: s for name in scenes for s in scenes[name] if s.label == label}
-    states = {name: _state(label, answer) for name, answer in own.items()}
+    states = {name: state_on(label, answer) for name, answer in own.items()}
     entries = [s.entries[label] for s in own.values()]
     reached = [e for e in entries if e.reached]
     count = f" on {len(reached)} of {len(own)} scene{'s' * (len(own) > 1)} tried."
@@ -61,7 +61,8 @@ def card_sentences(
     return [*said, *_endings(series), *_costs(reached, question)]
 
 
-def _state(label: str, answer: SceneAnswer) -> str:
+def state_on(label: str, answer: SceneAnswer) -> str:
+    """The state of an integrator on a scene: a key of `_STATES`."""
     entry = answer.entries[label]
     if entry.ratio is None:
         return str(entry.state)
