@@ -53,6 +53,12 @@ class StoredRuns:
         """Names, tags and experiments as sentences write them."""
         return words_of(self.series, self.tags, self.experiments)
 
+    @property
+    def mine(self) -> str:
+        """The label of the person's own integrator (`--mine`), if it was run."""
+        mine = self.plan.mine if self.plan else ""
+        return mine if mine in self.words.names else ""
+
     def wrong(self, group: str, label: str = "") -> dict[str, list[Wrong]]:
         """The wrong runs in a group by scene, of one integrator or of all."""
         return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -13,8 +14,9 @@ from planted import everything, plant
 from test_questions import run, scenes_of
 
 from bench.commands.main import main
-from bench.results.records import Environment
+from bench.results.records import Environment, Plan
 from problems.spec import SpecError
+from reports.charts.line_styles import style_of
 from reports.charts.svg_text import Box, fitted, text_width
 from reports.pages.card import HEIGHT, WIDTH, _paragraphs, card_svg, write_card
 from reports.questions.answers import answer
@@ -115,6 +117,48 @@ def test_many_scenes_are_counted_in_bars():
     unit = own[0] / 12
     assert [round(w / unit) for w in own] == [12, 11, 11, 10, 12, 12, 2, 1, 12, 12]
     check_places(boxes(content))
+
+
+def owned(records, mine, scenes=12):
+    """The card of a run with an integrator of the person's own."""
+    plan = Plan(name="p", title="", samples=1, budget_s=1.0, studies=[], mine=mine)
+    runs = replace(stored(records), plan=plan)
+    return card_svg(runs, answer(runs.series, COUNTS), "all")
+
+
+def test_the_own_integrator_is_named_and_marked():
+    names = [f"m{k:02}" for k in range(10)]
+    records = [run(f"s{k}", n, 10 + j) for k in range(8) for j, n in enumerate(names)]
+    content = owned(records, "m09")
+    shown = [said for said, _ in texts(content)]
+    assert [name for name in shown if "m0" in name][-1] == "► m09"
+    assert ("m06" in shown, "m07" in shown, "2 more" in shown) == (True, False, True)
+    told = " ".join(shown)
+    assert "m09 reaches 1e-4 in acceleration (largest over time) on 8 of 8 scenes tried." in told
+    check_places(boxes(content))
+    first = [said for said, _ in texts(owned(records, "m00"))]
+    assert (first[first.index("► m00") + 1], "m07" in first) == (
+        "first on 8 scenes, reaches 8 of 8", True
+    )  # fmt: skip
+    assert "►" not in owned(records, "")
+    assert "►" not in owned(records, "never_run")
+    few = owned(many(scenes=3), "three")
+    assert "► three" in [said for said, _ in texts(few)]
+    check_places(boxes(few))
+    lines = [e.attrib for e in ElementTree.fromstring(few).iter(f"{SVG}polyline")]
+    own = [e["stroke-width"] for e in lines if e["stroke"] == style_of("three").color]
+    assert own == ["3"] * 3
+
+
+def test_two_groups_at_once_have_a_card(folder, tmp_path):
+    result = CliRunner().invoke(
+        main,
+        ["card", str(folder), "--group", "a,lam", "--target", "0.1", "-o", str(tmp_path / "c.svg")],
+    )
+    assert result.exit_code == 0, result.output
+    shown = " ".join(said for said, _ in texts((tmp_path / "c.svg").read_text(encoding="utf-8")))
+    assert "Error at most 1e-1 in acceleration and multiplier (largest over time)" in shown
+    assert "spring mass" not in shown  # it has no multiplier
 
 
 def test_panels_of_few_scenes_name_the_cheapest_and_mark_its_run():

@@ -108,6 +108,27 @@ def test_the_chart_marks_the_runs_on_each_front(interactive):
         assert marked == {(r.integrator, r.resolution) for r in wanted}
 
 
+def test_an_own_integrator_stands_against_the_front_of_the_others():
+    records = [
+        *(run("own", e, c) for e, c in ((1.0, 10), (1e-4, 20), (1e-2, 900))),
+        *(run("front", e, c) for e, c in ((1e-1, 15), (1e-3, 50))),
+        *(run("beaten", e, c) for e, c in ((1.0, 60), (1e-2, 70))),
+        run("other", 1.0, 10, "two"),
+        run("another", 1e-2, 10, "two"),
+    ]
+    scenes = {n: series_of(r for r in records if r.problem == n) for n in ("one", "two")}
+    chart = pareto_chart(scenes, styles(records), False, own="own")
+    altair.Chart.from_dict(chart, validate=True)
+    rows = list(csv.DictReader(io.StringIO(chart["datasets"]["pareto_front"])))
+    assert {(r["scene"], r["series"]) for r in rows} == {("one", "own"), ("one", "front")}
+    marked = {(r["series"], float(r["residuals"])) for r in rows if r["a_residuals"]}
+    assert marked == {("front", 15.0), ("front", 50.0)}
+    assert len(rows) == 5
+    _, line, points = chart["spec"]["layer"]
+    assert line["transform"] == [{"filter": 'datum.series === "own"'}]
+    assert points["transform"] == [{"filter": 'datum.on_front || datum.series === "own"'}]
+
+
 def test_a_scene_with_one_integrator_has_no_front():
     alone = {"alone": series_of([run("a", 1e-2, 10, "alone"), run("a", 1e-4, 100, "alone")])}
     assert pareto_chart(alone, styles([run("a", 1, 1)]), True) is None

@@ -242,12 +242,13 @@ def test_the_command_prints_what_is_in_its_json(folder):
 
 @pytest.mark.parametrize("name", ["versus.svg", "versus.html", "versus.json"])
 def test_a_file_has_the_scenes_and_the_accuracies(folder, tmp_path, name):
-    more = "--target", "1e-1", "--target", "2e-2"
+    more = "--target", "1e-1", "--target", "2e-2", "--target", "5e-3"
     result = asked("good[rho_inf=0.8]", "poor", folder, *more, "-o", tmp_path / name)
     assert f"Written: {tmp_path / name}" in result.output.replace("\n", "")
     content = (tmp_path / name).read_text(encoding="utf-8")
     for said in ("spring mass", "1e-1", "2e-2", "cost of poor / cost of good 0.8"):
         assert said in content
+    assert (">►</text>" in content) == (not name.endswith("json"))  # poor does not reach 5e-3
 
 
 @pytest.mark.parametrize(

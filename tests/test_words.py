@@ -95,7 +95,7 @@ def test_a_method_of_one_s_own_comes_beside_the_suite():
     registry = Inventory()
     whole = make_suite(name, profile, registry)
     plan = make_suite(name, profile, registry, mine="wbz").plan
-    assert plan.mine == "wbz[rho_inf=0.8]"
+    assert (plan.mine, plan.title) == ("wbz[rho_inf=0.8]", whole.plan.title)
     assert set(plan.integrators) == {*whole.plan.integrators, plan.mine}
     assert sum(plan.mine in key for study in plan.studies for key in study.cells) == 12
     alone = make_suite(name, profile, registry, ["pendulum"], ["ida"], mine="wbz").plan

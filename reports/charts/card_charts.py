@@ -18,29 +18,41 @@ MOST_PANELS, _MOST_ROWS = 6, 8
 _GREY, _LINE = "#5a6675", "#c9d0d9"
 #: Looks of the parts of a bar: fill opacity.
 _LOOKS = {"cheapest alone": 1.0, "tied for cheapest": 0.55, "reaches it": 0.22, "tried": 0.0}
+#: Mark of the person's own integrator.
+_MINE = "► "
 #: Errors outside of this range are drawn at its ends.
 _LEAST, _MOST = 1e-16, 1e2
 
 
 def card_chart(
-    found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words, box: Box
+    found: Answer,
+    scenes: Mapping[str, Sequence[Series]],
+    words: Words,
+    box: Box,
+    mine: str = "",
 ) -> list[str]:
-    """Panels of error against cost for up to six scenes, standings for more."""
+    """Panels of error against cost for up to six scenes, standings for more.
+
+    The integrator ``mine`` is always there and marked.
+    """
     if len(found.scenes) > MOST_PANELS:
-        return standings(found, words, box)
-    return panels(found, scenes, words, box)
+        return standings(found, words, box, mine)
+    return panels(found, scenes, words, box, mine)
 
 
 # ---- standings ---------------------------------------------------------------------------
-def standings(found: Answer, words: Words, box: Box) -> list[str]:
+def standings(found: Answer, words: Words, box: Box, mine: str) -> list[str]:
     """A bar per method: scenes on which it is first, reaches the accuracy, was tried."""
-    rows = found.standings[:_MOST_ROWS]
+    rows, rest = found.standings[:_MOST_ROWS], found.standings[_MOST_ROWS:]
+    if own := [row for row in rest if row.label == mine]:
+        rows[-1:] = own
     most = max(row.tried for row in rows)
     height = (box.height - 30) / _MOST_ROWS
     parts = []
     for k, row in enumerate(rows):
         place = Box(box.x, box.y + k * height, box.width, height)
-        parts += _row(row, words.names[row.label], box.width / most, place, "" if k else " scenes")
+        name = _MINE * (row.label == mine) + words.names[row.label]
+        parts += _row(row, name, box.width / most, place, "" if k else " scenes")
     x, y = box.x, box.y + box.height
     for name, opacity in _LOOKS.items():
         parts.append(_bar(x, y - 12, 14, 12, _GREY, opacity))
@@ -79,7 +91,7 @@ def _bar(x: float, y: float, width: float, height: float, color: str, opacity: f
 
 # ---- panels ------------------------------------------------------------------------------
 def panels(
-    found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words, box: Box
+    found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words, box: Box, mine: str
 ) -> list[str]:
     """Error against cost of each scene, the cheapest methods named above it."""
     count = len(found.scenes)
@@ -95,14 +107,26 @@ def panels(
         place = Box(
             box.x + k % columns * (width + gap), box.y + k // columns * height, wide, height
         )
-        parts += _panel(found, name, own, scenes[name], words, place)
+        parts += _panel(found, name, own, scenes[name], words, place, mine)
     group, cost = found.question.quantity, COSTS[found.question.cost].title
-    said = fitted(f"error in {group} against {cost}", 14, box.width)
-    return [*parts, text_line(said, box.x, box.y + box.height - 1, 14, fill=_GREY)]
+    y, room = box.y + box.height - 1, box.width
+    if mine:
+        legend = fitted(f"{_MINE}{words.names[mine]}", 14, room / 2, bold=True)
+        look = {"fill": style_of(mine).color, "font_weight": "bold", "text_anchor": "end"}
+        parts.append(text_line(legend, box.x + box.width, y, 14, **look))
+        room -= text_width(legend, 14, bold=True) + 12
+    said = fitted(f"error in {group} against {cost}", 14, room)
+    return [*parts, text_line(said, box.x, y, 14, fill=_GREY)]
 
 
 def _panel(
-    found: Answer, name: str, own: SceneAnswer, series: Sequence[Series], words: Words, place: Box
+    found: Answer,
+    name: str,
+    own: SceneAnswer,
+    series: Sequence[Series],
+    words: Words,
+    place: Box,
+    mine: str,
 ) -> list[str]:
     group, cost, target = found.question.group, found.question.cost, found.question.target
     lines = {
@@ -144,8 +168,9 @@ def _panel(
     for at in _ends([c for c, _ in points]):
         look = {"fill": _GREY, "text_anchor": "middle"}
         parts.append(text_line(_power(at), x_of(at), bottom + 15, 12, **look))
-    for label in sorted(lines, key=lambda k: k in first):  # the cheapest above the others
-        best, style = label in first, style_of(label)
+    broad = {*first, mine}
+    for label in sorted(lines, key=lambda k: k in broad):  # above the others
+        best, style = label in broad, style_of(label)
         drawn = [(x_of(c), y_of(e)) for c, e in lines[label]]
         look = {"stroke_width": 3 if best else 1.5, "stroke_opacity": "1" if best else "0.55"}
         if style.dash[1]:

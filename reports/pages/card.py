@@ -22,6 +22,7 @@ from reports.charts.svg_text import (
 )
 from reports.formatting import words as listed
 from reports.questions.answers import Answer, answer
+from reports.questions.method_card import card_sentences
 from reports.questions.phrases import Sentence, plain
 from reports.questions.question import ALL, FIRST, TARGETS, Question, filters
 from reports.questions.sentences import sentences
@@ -95,7 +96,9 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     wrong = {
         k: own for k, own in stored.wrong(group).items() if k in (found.scenes | found.unjudged)
     }
-    said = [*sentences(found, words)[:_MOST_SENTENCES], *wrong_sentences(group, wrong, words)[:1]]
+    mine = card_sentences(stored.mine, found, stored.series, words)[:2] if stored.mine else []
+    said = sentences(found, words)[: _MOST_SENTENCES - len(mine)]
+    said += [*mine, *wrong_sentences(group, wrong, words)[:1]]
     told = [plain(sentence) for sentence in said]
     if not found.scenes:
         raise SpecError(f"There is nothing to show on a card: {' '.join(told)}")
@@ -113,7 +116,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
         text_line(fitted(f"Error at most {asked}", 20, wide), _MARGIN, 116, 20, fill=_GREY),
         tag("rect", x=_MARGIN, y=140, width=wide, **rule),
         *_paragraphs(said, _SENTENCES),
-        *card_chart(found, stored.series, words, _CHART),
+        *card_chart(found, stored.series, words, _CHART, stored.mine),
         tag("rect", x=_MARGIN, y=foot - 28, width=wide, **rule),
         text_line(fitted(_measured(stored), 16, wide - 260), _MARGIN, foot, 16, fill=_GREY),
         text_line(mark, WIDTH - _MARGIN, foot, 16, font_weight="bold", text_anchor="end"),

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.results.quantities import GROUP_NAMES, NORM, NORMS
+from bench.results.quantities import NORM, NORMS, quantity
 from bench.results.records import Environment, counted
 from bench.results.table import Table
 from reports.pages.templating import code, escape_markdown, markdown
@@ -56,7 +56,7 @@ class Advice:
     @property
     def heading(self) -> str:
         """The heading of the tables."""
-        words = GROUP_NAMES[self.about].rpartition(" ")[0] if self.kind.groups else self.about
+        words = quantity(self.about) if self.kind.groups else self.about
         return f"{self.kind.name}: {words}"
 
     @property

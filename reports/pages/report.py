@@ -56,7 +56,7 @@ class Report:
         plan, runs = stored.plan, list(stored.records.values())
         self.series = series = stored.series
         facts = plan.integrators if plan else {}
-        self.title, self.mine = stored.title, plan.mine if plan else ""
+        self.title, self.mine = stored.title, stored.mine
         self.styles = line_styles(map(label_of, runs))
         self.run_ids = {key: f"run-{i}" for i, key in enumerate(stored.records, 1)}
         self.words = stored.words

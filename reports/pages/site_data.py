@@ -128,7 +128,7 @@ class SiteData:
                 "group": self.first.group,
                 "target": self.first.accuracy,
                 "cost": self.first.cost,
-                "highlight": report.mine if report.mine in self.families else "",
+                "highlight": report.mine,
             },
             "filters": [
                 {"id": f.key, "name": f.name, "scenes": [names.index(k) for k in f.scenes]}

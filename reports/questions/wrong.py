@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
-from bench.results.quantities import ERROR_NAMES, NORM, NORMS, WRONG
+from bench.results.quantities import NORM, NORMS, WRONG, quantity
 from bench.results.records import Record, SceneRecord, counted
 from reports.explanations import wrong_runs
 from reports.formatting import number
@@ -66,7 +66,7 @@ def wrong_sentences(
     if not silent + warned:
         return []
     count = f"{silent or 'none'} of {counted(judged, 'run')} that reached the end"
-    about = f"error in {_quantity(group)} above {WRONG:g}, {NORMS[NORM]}"
+    about = f"error in {quantity(group)} above {WRONG:g}, {NORMS[NORM]}"
     more = f"; with a warning: {warned}" if warned else ""
     said = f"Wrong without warning: {count} ({about}){more}."
     return [[said], *never_right(group, found, words)]
@@ -93,7 +93,7 @@ def never_right(
                     causes.setdefault(cause, {})[scene] = [scene_ref(scene)]
     said: list[Sentence] = []
     for warning, labels in where.items():
-        lead = f"Every run wrong in {_quantity(group)} {warning} warning: "
+        lead = f"Every run wrong in {quantity(group)} {warning} warning: "
         who = ([words.method(k), " (", *listed(own), ")"] for k, own in labels.items())
         said += [[lead, *listed(who, most), "."]] if labels else []
     why = (
@@ -101,7 +101,3 @@ def never_right(
         for k, own in causes.items()
     )
     return [*said, ["Why: ", *listed(why, len(causes)), "."]] if causes else said
-
-
-def _quantity(group: str) -> str:
-    return ERROR_NAMES[group].rpartition(" ")[0]

@@ -1,0 +1,92 @@
+"""The charts on the page of a method: its states at every accuracy, its errors over cost."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+
+import altair
+import msgspec
+import pytest
+import vl_convert
+from planted import everything, plant
+from test_questions import run, scenes_of
+
+from bench.results.store import Store
+from reports.charts.all_scenes import method_strip
+from reports.pages.html_report import write_html_report
+from reports.questions.answers import answers
+
+
+def strip(label, records):
+    """{(scene, column): (state, text)} of the strip of an integrator."""
+    scenes = scenes_of(records)
+    found = [a for q, a in answers(scenes, ["a"]).items() if q.cost == "residuals"]
+    own = {k: s for k, series in scenes.items() for s in series if s.label == label}
+    chart = method_strip(label, found, own)
+    if chart is None:
+        return None
+    altair.LayerChart.from_dict(chart, validate=True)
+    assert vl_convert.vegalite_to_svg(chart).count('fill="#1a7f5a"') > 1  # in cells, too
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    return {(r["scene"], r["target"]): (r["state"], r["text"]) for r in rows}
+
+
+def test_the_strip_has_a_state_for_each_scene_and_accuracy():
+    records = [
+        *(run("won", n, c) for n, c in (("me", 10), ("other", 25))),
+        *(run("tied", n, 10) for n in ("me", "other")),
+        *(run("lost", n, c) for n, c in (("me", 25), ("other", 10))),
+        run("lost", "me", 5, error=2.0, h=0.1),
+        run("lost", "me", 6, error=2.0, h=0.05, message="It is wrong."),
+        run("died", "me", 1, status="newton_failed"),
+        run("died", "other", 1),
+        run("single_one", "me", 7),
+        run("foreign", "other", 7),
+    ]
+    found = strip("me", records)
+    assert {k: state for (k, t), state in found.items() if t == "1e-4"} == {
+        "won": ("cheapest alone", ""),
+        "tied": ("tied for the cheapest", ""),
+        "lost": ("dearer, by this factor", "2.5"),
+        "died": ("no run reaches the end", ""),
+        "single one": ("reached, with none to compare", ""),
+    }
+    assert found["won", "1e-6"] == ("not reached", "")
+    assert {k: v for k, v in found.items() if k[1] == "wrong"} == {
+        ("lost", "wrong"): ("runs wrong without a note", "1 of 3")
+    }
+    assert len(found) == 5 * 9 + 1
+    assert strip("nobody", records) is None
+
+
+def test_the_page_of_each_method_has_its_charts(tmp_path):
+    plant(tmp_path, everything())
+    write_html_report(tmp_path)
+    text = (tmp_path / "report/method-poor.html").read_text(encoding="utf-8")
+    charts = dict(
+        re.findall(r'<script type="application/json" data-chart="([^"]*)">(.*?)</script>', text)
+    )
+    assert list(charts) == ["chart-poor-strip", "chart-poor-costs"]
+    assert all(f'id="{name}"' in text for name in charts)
+    rows = list(
+        csv.DictReader(
+            io.StringIO(json.loads(charts["chart-poor-costs"])["datasets"]["pareto_front"])
+        )
+    )
+    assert {r["scene"] for r in rows} == {"spring_mass"}
+    assert sum(r["series"] == "poor" for r in rows) == 6
+    fragile = (tmp_path / "report/method-fragile.html").read_text(encoding="utf-8")
+    assert "chart-fragile-strip" in fragile
+    assert "chart-fragile-costs" not in fragile  # no run reached the end
+
+
+@pytest.mark.parametrize("mine", ["poor", "never_run"])
+def test_the_front_page_knows_the_own_method(tmp_path, mine):
+    plant(tmp_path, everything())
+    with Store(tmp_path, create=True) as store:
+        store.save_plan(msgspec.structs.replace(store.plan(), mine=mine))
+    text = write_html_report(tmp_path).read_text(encoding="utf-8")
+    assert f'"highlight":"{mine if mine == "poor" else ""}"' in text.replace(": ", ":")
