@@ -8,7 +8,7 @@ export PYTHONPYCACHEPREFIX :=
 
 TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test types test-long attack bench clean
+.PHONY: run test types test-long survey attack bench clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -32,6 +32,9 @@ types: .venv/tested  ## check types; half a minute
 
 test-long: .venv/tested  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long
+
+survey: .venv/tested  ## every method on every scene: none is wrong without a note; half an hour
+	$(BIN)/python -m pytest -q -n 2 tests/test_survey.py -m survey
 
 attack: .venv/tested  ## hostile plugins, signals, inputs, stores and machines: tried and held
 	$(TESTS) tests/attacks -m "attack or not attack"
