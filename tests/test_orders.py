@@ -224,6 +224,8 @@ def test_claims_are_those_of_the_scenes_and_say_where_they_differ():
     assert claims_text([own("early", None), held], facts) == claims_text([held], facts)
     assert claims_text([own("early", None)], facts) == "q 2; a 2; lam 2"
     assert claims_text([own("early", None)], None) == ""
+    assert claims_text([own("free", {})], facts) == ""  # it claims none there
+    assert claims_text([held, free], facts).startswith("q 2; a 2, none on held")
     (row,) = integrators_table({"held": [held]}, {"m": facts}).rows
     assert row[2] == "q 2; a none; lam none"
 
