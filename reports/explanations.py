@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bench.results.quantities import NORM
+from bench.results.quantities import NORM, parts
 from bench.results.records import Record, SceneRecord
 from reports.series import Series
 
@@ -48,4 +48,4 @@ def _unresolved(run: Record, scene: SceneRecord | None) -> bool:
 
 def _felt(group: str) -> bool:
     """Whether the group holds second derivatives of the motion."""
-    return group in ("a", "lam")
+    return {"a", "lam"}.issuperset(parts(group))

@@ -35,16 +35,14 @@ def milliseconds(seconds: float | None) -> str:
 
 
 def cost_text(value: float | None, cost: str) -> str:
-    """A cost with its unit; counts as they are, operations with three digits."""
+    """A cost with its unit, in three digits."""
     if COSTS[cost].is_time:
         long = value is not None and value >= 1
         return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
-    if cost == "operations":
-        for size, word in ((1e9, "billion"), (1e6, "million")):
-            if value is not None and value >= size:
-                return f"{number(value / size)} {word}"
-        return number(value)
-    return f"{value:g}"
+    for size, word in ((1e9, "billion"), (1e6, "million")):
+        if value is not None and value >= size:
+            return f"{number(value / size)} {word}"
+    return number(value)
 
 
 def tie_text(cost: str) -> str:
@@ -60,7 +58,9 @@ def tie_text(cost: str) -> str:
 
 def times(ratio: float | None) -> str:
     """A ratio with as many digits as tell it from 1."""
-    return "" if ratio is None else f"{ratio:.{3 if ratio >= 1.01 else 6}g} times"
+    if ratio is None:
+        return ""
+    return f"{number(ratio) if ratio >= 1.01 else format(ratio, '.6g')} times"
 
 
 def symbols(text: str) -> str:

@@ -10,6 +10,7 @@ from chromium import chromium, in_chromium, waited
 from planted import everything, plant
 
 from bench.results.store import Store
+from reports.formatting import cost_text, number, times
 from reports.pages.html_report import write_html_report
 
 pytestmark = in_chromium
@@ -40,6 +41,21 @@ def browser(folder, downloads):
 
 def scene_page(folder):
     return (folder / "report" / "scene-pendulum.html").as_uri()
+
+
+def test_numbers_of_scripts_are_written_as_those_of_tables_and_sentences(browser):
+    values = [0.0, 4.4e-16, 9.996e-4, 1e-3, 0.0123456, 0.9996, 1.0, 99.96, 123.4, 36700.0]
+    values += [999_499.0, 999_999.0, 1e6, 3.6749e7, 1e9, 1.5e13, 1e300]
+
+    def written(function, *more):
+        said = f"return arguments[0].map((value) => stepbench.{function}(value, ...arguments[1]))"
+        return browser.execute_script(said, values, more)
+
+    assert written("number") == [number(value) for value in values]
+    for cost in ("seconds", "operations", "residuals"):
+        assert written("costText", cost) == [cost_text(value, cost) for value in values], cost
+    values[1:] = own = [1.0, 1.00123456, 1.0099, 1.01, 1.3749, 17.64, 12345.6, 1e7]
+    assert written("multiple")[1:] == [times(ratio).removesuffix(" times") for ratio in own]
 
 
 def chart(browser, name):

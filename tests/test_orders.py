@@ -198,7 +198,7 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     assert row[2:] == [
         "lam",
         "none",
-        "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-06",
+        "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-6",
         "no experiment",
     ]
     # An order that nobody claims cannot be lost, and one as claimed is not.

@@ -71,7 +71,7 @@ def test_a_cell_is_as_wide_as_the_name_that_it_shows(folder):
 
 
 def test_a_scene_that_cannot_be_judged_says_so(folder):
-    reason = "the reference's own error there is 2e-05, more than a hundredth of 1e-4."
+    reason = "the reference's own error there is 2e-5, more than a hundredth of 1e-4."
     for text in (
         (folder / "report.md").read_text(encoding="utf-8"),
         page(folder, "scene-pendulum.md"),

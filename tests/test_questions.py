@@ -92,12 +92,12 @@ def test_a_target_that_the_reference_cannot_judge_is_no_answer():
     found = answer(scenes_of(records), COUNTS)
     assert (found.scenes, found.unjudged) == ({}, {"s": 2e-6})
     assert said(records) == [
-        "1e-4 cannot be judged on s: the reference's own error there is 2e-06, more than a "
+        "1e-4 cannot be judged on s: the reference's own error there is 2e-6, more than a "
         "hundredth of 1e-4."
     ]
     more = [*records, run("t", "one", 10, reference_error={"a": {"max": 3e-6}})]
     assert said(more) == [
-        "1e-4 cannot be judged on s (2e-06) and t (3e-06): the reference's own error there, in "
+        "1e-4 cannot be judged on s (2e-6) and t (3e-6): the reference's own error there, in "
         "brackets, is more than a hundredth of 1e-4."
     ]
     assert answer(scenes_of(records), Question("lam", 1e-4, "residuals")).unjudged == {}

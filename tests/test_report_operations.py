@@ -49,6 +49,8 @@ def test_a_method_far_from_the_median_is_told_with_its_own_reason():
     for own, median in zip(both, (2.0, 2.0), strict=True):
         (text,) = told(*usual, own).values()
         assert text.endswith(f"({median:g} ns): its loop is compiled.")
+    silent = run("slow", 0.01, 9.0), run("fast", 0.01, 0.4)
+    assert [text.count(" to ") for text in told(*usual, *silent).values()] == [0, 0]
     (text,) = told(*usual, run("fast", 0.01, 2.0 / 4)).values()
     assert "takes 0.25 times the median" in text
     assert "does not state how it calls" in text

@@ -187,6 +187,9 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
     assert "wbz[rho_inf=0.8] wins in out.\n" in result.stdout
     assert "1 cell: 1 ok, 0 failed with a reason; 1 measured now" in result.stdout
     assert "All wins in out.\n" in result.stdout
+    assert "more run" not in result.stdout
+    other = Outcome([ended("ok")], 1, [], (), 2).sentences
+    assert other[1:] == ["The folder has 2 more runs; so has its report."]
     assert "] wins" not in stepbench("run", "--out", tmp_path / "out").stdout
     for name in ("", "wbzz"):
         wrong = stepbench("run", "--mine", name)

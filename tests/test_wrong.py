@@ -90,6 +90,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         ("a", 9.0, {"work": {"steps": 32}}, FAST, ""),
         ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
         ("v", 9.0, {}, FAST, ""),
+        ("a,lam", 9.0, {}, FAST, STIFF),
         ("a", 9.0, {}, None, ""),
         ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
         ("a", 9.0, {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}, None, ""),
@@ -99,7 +100,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
 def test_the_cause_follows_from_the_symptoms(group, error, changes, scene, why):
     made = [planted("s", "m", {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
     for run in made:
-        run.errors = {group: {"max": error}, "q": {"max": run.h**2}}
+        run.errors = {**{g: {"max": error} for g in group.split(",")}, "q": {"max": run.h**2}}
     (s,) = series_of(made)
     assert wrong_runs(s, group, s.finest, scene) == why
     s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong

@@ -31,12 +31,14 @@ class _WithSuites(click.Command):
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a suite: the records of its cells, how many of them were measured now, the
-    experiments of the failure atlas, and sentences on plugins that were lost."""
+    experiments of the failure atlas, sentences on plugins that were lost, and the number of runs of
+    other commands in the folder, which its report has, too."""
 
     records: list[Record]
     measured: int
     experiments: list[ExperimentResult]
     lost: tuple[str, ...]
+    others: int = 0
 
     @property
     def interrupted(self) -> int:
@@ -52,6 +54,8 @@ class Outcome:
             f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
             f"{self.measured} measured now, {kept} kept from before."
         ]
+        if self.others:
+            said.append(f"The folder has {counted(self.others, 'more run')}; so has its report.")
         if self.experiments:
             held = sum(result.as_predicted for result in self.experiments)
             many = len(self.experiments)
@@ -102,7 +106,8 @@ def run_suite(
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
-    return Outcome(records, measured, results, suite.lost)
+    others = len(stored) - len(records)
+    return Outcome(records, measured, results, suite.lost, others)
 
 
 @click.command("run", cls=_WithSuites)

@@ -23,6 +23,7 @@ from bench.results.quantities import (
     parts,
     whole,
 )
+from bench.results.table import short_exponent
 
 #: Version of the records below. A store of another version is refused with a hint.
 SCHEMA = 2
@@ -134,9 +135,9 @@ class Record(msgspec.Struct, kw_only=True):
     def resolution(self) -> str:
         """The step and its pattern, or the tolerances, in words."""
         if self.controls == "tolerance":
-            return f"rtol={self.rtol:g}, atol={self.atol:g}"
+            return short_exponent(f"rtol={self.rtol:g}, atol={self.atol:g}")
         pattern = "" if len(self.pattern) == 1 else " x " + "/".join(f"{f:g}" for f in self.pattern)
-        return f"h={self.h:.6g}{pattern}"
+        return short_exponent(f"h={self.h:.6g}{pattern}")
 
     @property
     def seconds(self) -> float | None:

@@ -12,7 +12,7 @@ from typing import Any
 NO_VALUE = "–"  # noqa: RUF001
 #: A number as pages and commands write it, with a mark of doubt or a sign for no number.
 _NUMBER = re.compile(
-    rf"([-+]?[\d.]+(e[-+]?\d+)?( \*)?|(none|{NO_VALUE})( \*)?|-|not counted|not determined|)"
+    rf"([-+]?[\d.]+(e[-+]?\d+)?( [mb]illion)?|none|{NO_VALUE})( \*)?|-|not (counted|determined)|"
 )
 
 _WHOLE = re.compile(r"[-+]?\d+(?=[.e ])")
@@ -31,7 +31,12 @@ def number(value: float | None) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         rounded = float(f"{value:.3g}")
         return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.3g}"
-    return f"{value:.3g}"
+    return short_exponent(f"{value:.3g}")
+
+
+def short_exponent(text: str) -> str:
+    """A number with an exponent as people write it: 1e-5, 1e6."""
+    return re.sub(r"e([-+])0*", lambda found: f"e{found[1].strip('+')}", text)
 
 
 def formatted(value: float | None, form: str, nothing: str = NO_VALUE) -> str:

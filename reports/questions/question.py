@@ -15,6 +15,7 @@ from bench.results.quantities import (
     parts,
     quantity,
 )
+from bench.results.table import short_exponent
 
 #: Accuracies that can be asked for: relative errors in the norm `NORM`.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
@@ -51,7 +52,7 @@ class Question:
     @property
     def accuracy(self) -> str:
         """The target, such as "1e-4"."""
-        return f"{self.target:.0e}".replace("e-0", "e-")
+        return short_exponent(f"{self.target:.0e}")
 
     @property
     def quantity(self) -> str:

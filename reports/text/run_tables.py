@@ -13,6 +13,7 @@ from bench.results.timings import FEWEST, LEVEL, interval_width
 from reports.formatting import (
     NO_VALUE,
     component_text,
+    cost_text,
     milliseconds,
     number,
     text_range,
@@ -74,7 +75,7 @@ def _costs(run: Record | None) -> dict[str, str]:
     return {
         "time in ms": milliseconds(run.seconds if run else None),
         "residual evaluations": _count(run.work.get("residuals")) if run else NO_VALUE,
-        "operations": number(run.cost("operations") if run else None),
+        "operations": cost_text(run.cost("operations") if run else None, "operations"),
     }
 
 

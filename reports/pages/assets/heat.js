@@ -38,7 +38,7 @@
     const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
     const sign = STATES[state][0], meaning = state === "unjudged" ? stepbench.unjudged(index, stepbench.question) : STATES[state][1];
     const text = reached ? stepbench.times(ratio) : sign;
-    const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.times(ratio)} times the cheapest` : meaning];
+    const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.multiple(ratio)} times the cheapest` : meaning];
     if (reached) {
       const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
       const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k];

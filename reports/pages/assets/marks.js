@@ -40,10 +40,17 @@
     return svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }, path);
   };
 
+  // Three significant digits, as in the tables and sentences (bench/results/table.py).
+  const number = (value) => {
+    if (value < 1e-35) return "0";
+    const rounded = Number(value.toPrecision(3));
+    if (rounded >= 1e-4 && value < 1e6) return rounded >= 100 ? rounded.toFixed(0) : String(rounded);
+    return rounded.toExponential().replace("e+", "e");
+  };
   const PREFIXES = [[1e12, "T"], [1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""]];
   const digits = (value) => value >= 100 ? Math.round(value).toString() : String(Number(value.toPrecision(3)));
-  // A cost in few characters with its unit.
-  const costText = (value, cost) => {
+  // A cost at a tick of an axis, in few characters with its unit.
+  const costTick = (value, cost) => {
     if (value < 1e-35) return "0";
     if (cost === "seconds") {
       const [scale, unit] = value >= 1 ? [1, "s"] : value >= 1e-3 ? [1e3, "ms"] : [1e6, "µs"];
@@ -52,9 +59,17 @@
     const [scale, prefix] = PREFIXES.find(([least]) => value >= least * .9995) || [1, ""];
     return `${digits(value / scale)}${prefix ? "\u202f" + prefix : ""}`;
   };
+  // A cost as in tables and sentences (reports/formatting.py).
+  const costText = (value, cost) => {
+    if (cost === "seconds") return value >= 1 ? `${number(value)} s` : `${number(1e3 * value)} ms`;
+    const [size, word] = [[1e9, " billion"], [1e6, " million"]].find(([least]) => value >= least) || [1, ""];
+    return `${number(value / size)}${word}`;
+  };
   const costWithUnit = (value, cost) =>
     cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${stepbench.data.units[cost]}`;
-  const errorText = (value) => value < 1e-35 ? "0" : value.toExponential(1).replace("e+", "e");
+  // A ratio with as many digits as tell it from 1, as in sentences.
+  const multiple = (ratio) => ratio > 1e35 ? "∞" : ratio >= 1.01 ? number(ratio) : String(Number(ratio.toPrecision(6)));
+  // A multiple in a cell with little room.
   const times = (value) => value > 1e35 ? "∞" : value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
 
   // Names in a margin: cut if they are long, and the room that they take.
@@ -83,12 +98,12 @@
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
 
   // The error of a scene's reference itself, of which errors must be a multiple to be judged.
-  const ownError = (scene, group) => errorText(stepbench.data.scenes[scene].floor[group] / stepbench.data.trust);
+  const ownError = (scene, group) => number(stepbench.data.scenes[scene].floor[group] / stepbench.data.trust);
   // The reason for which a question has no answer on a scene.
   const unjudged = (scene, { group, target }) => stepbench.data.scenes[scene].groups.includes(group)
     ? `${target} cannot be judged on this scene: the reference's own error in ${stepbench.data.group_names[group]} is ` +
       `${ownError(scene, group)}, more than a hundredth of it.`
     : `No run on this scene has an error in ${stepbench.data.group_names[group]}.`;
 
-  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costWithUnit, errorText, times, tip, cut, room, ownError, unjudged });
+  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costTick, costWithUnit, multiple, number, times, tip, cut, room, ownError, unjudged });
 })();

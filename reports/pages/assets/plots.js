@@ -79,7 +79,7 @@
     }
     let last = -Infinity;
     for (const cost of ticksOf(at.x, size.ticks)) {
-      const x = onX(cost), text = stepbench.costText(cost, question.cost);
+      const x = onX(cost), text = stepbench.costTick(cost, question.cost);
       lines.append(svg("path", { d: `M${x} ${inside.y0}V${inside.y1}` }));
       if (x - last < 7 * text.length + 8) continue;
       last = x;
@@ -190,7 +190,7 @@
       stepbench.tip.show([
         [stepbench.badge(p.method), ` ${p.method.label}`],
         p.resolution,
-        p.failed ? `ended with ${p.ending}` : `error ${stepbench.errorText(p.error)} in ${data.group_names[question.group]}, ${data.norm}`,
+        p.failed ? `ended with ${p.ending}` : `error ${stepbench.number(p.error)} in ${data.group_names[question.group]}, ${data.norm}`,
         stepbench.costWithUnit(p.cost, question.cost),
         p.failed ? "it did not reach the end" : "it reached the end",
       ], box.left + scale * p.x, box.top + scale * p.y);

@@ -12,7 +12,7 @@
   // What a cell is sorted by: its number, or its text. Cells without a value come last.
   const valueOf = (cell) => {
     const text = (cell.dataset.value ?? cell.textContent).trim();
-    const number = parseFloat(text.replace(/^[^\d.+-]*/, ""));
+    const number = parseFloat(text.replace(/^[^\d.+-]*/, "")) * (/ million/.test(text) ? 1e6 : / billion/.test(text) ? 1e9 : 1);
     return /^[–-]?$/.test(text) ? null : /^[\s×<>≤~]*[+-]?[\d.]/.test(text) && !Number.isNaN(number) ? number : text;
   };
   const compare = (one, two) => {

@@ -24,10 +24,10 @@
     const [cost, error] = [question.cost, question.group].map((name) => stepbench.columnOf(runs, name)[k]);
     // A violation that is larger than the accuracy is told to be.
     const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
-    const violation = held ? [html("td", {}, stepbench.errorText(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
+    const violation = held ? [html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
     return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head, ...form,
-      html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.times(multiple)} ×`),
-      html("td", {}, stepbench.errorText(error)), ...violation);
+      html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.multiple(multiple)} ×`),
+      html("td", {}, stepbench.number(error)), ...violation);
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || [];
