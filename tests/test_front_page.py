@@ -244,7 +244,7 @@ def test_a_run_of_cost_zero_is_drawn_and_told(page, tmp_path):
         "return [...document.querySelectorAll('[data-methods] tbody tr')].map("
         "(row) => [...row.querySelectorAll('td')].slice(0, 2).map((cell) => cell.textContent))"
     )
-    assert rows == [["0", "1.0 ×"], ["480", "∞ ×"]]  # noqa: RUF001
+    assert rows == [["0", "1 ×"], ["480", "∞ ×"]]  # noqa: RUF001
     assert page.get_log("browser") == []
 
 
