@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 
+import msgspec
 import pytest
 from planted import STEPS, edited, everything, plant, planted
+from small_stores import AN_EXPERIMENT
 
 from bench.results.quantities import TRUST, WRONG
 from bench.results.records import SceneRecord
+from bench.results.store import Store
 from reports.explanations import STIFF, TRANSIENT, UNDAMPED, wrong_runs
 from reports.pages.card import card_svg
 from reports.pages.html_report import write_html_report
@@ -153,6 +156,19 @@ def test_pages_card_and_terminal_say_the_same(store):
     stored = stored_runs(store)
     card = card_svg(stored, answer(stored.series, stored.first), "all")
     assert count in card.partition("</desc>")[0]
+    assert f'"page":"atlas.html#atlas-{UNDAMPED}"' not in front.replace(" ", "")
     own = method_card(store, "ringing[rho_inf=1]")
     assert "Wrong without warning: 6 of 6 runs" in " ".join(own)
     assert "without warning" not in " ".join(method_card(store, "adaptive"))
+
+
+def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
+    folder = edited(store, "with_atlas", lambda r: None)
+    with Store(folder, create=True) as opened:
+        opened.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, name=UNDAMPED))
+    write_html_report(folder)
+    assert (folder / "report" / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
+    front = (folder / "report.html").read_text(encoding="utf-8").replace(" ", "")
+    assert f'"page":"atlas.html#atlas-{UNDAMPED}"' in front
+    pages = [file.read_text() for file in (folder / "report").glob("method-ringing*.html")]
+    assert f'href="atlas.html#atlas-{UNDAMPED}"' in "".join(pages)
