@@ -43,7 +43,9 @@ def evaluated(
 
     for equation in jaxpr.eqns:
         inner, taken = _called(equation), [value(atom) for atom in equation.invars]
-        with jax.named_scope(str(equation.source_info.name_stack)):  # its operations are counted
+        # Operations are counted by names, also by those of functions that are called here.
+        called = equation.params.get("name", "") if inner is not None else ""
+        with jax.named_scope(f"{equation.source_info.name_stack}/{called}"):
             results = rule(equation, taken) if inner is None else evaluated(inner, taken, rule)
         values.update(zip(equation.outvars, results, strict=True))
     return [value(atom) for atom in jaxpr.outvars]

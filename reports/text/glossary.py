@@ -49,7 +49,7 @@ _DEFINITIONS = {
     "is far more accurate than the runs and knows its own error.",
     "Relative error": "The distance from the reference, divided by the component's natural size, "
     "if the scene states one, or its largest absolute value there; of a group the worst component "
-    "counts. Of constraints: |Φ| or |dΦ/dt|, divided by the change that positions or velocities "
+    "counts; of constraints |Φ| or |dΦ/dt|, divided by the change that positions or velocities "
     "make if each changes by its size, an angle by at most 1 rad.",
     "Residual evaluation": "One evaluation of the equations of motion, the work that every "
     "implicit method does.",
