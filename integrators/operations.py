@@ -15,7 +15,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -210,7 +209,8 @@ def operations(function: Callable, *arguments: Any) -> Operations:
     found: dict[tuple[bool, bool], float] = defaultdict(float)
     for cost in costs_of(function, *arguments):
         found[cost.inner, cost.part == INNER] += cost.operations
-    return Operations(*(found[kind] for kind in product((False, True), repeat=2)))
+    yes, no = True, False
+    return Operations(found[no, no], found[no, yes], found[yes, no], found[yes, yes])
 
 
 def costs_of(
@@ -284,7 +284,7 @@ class _Counter(Follower[int]):
                 if cost := step.cost():
                     found[cost[:3]] += cost.operations
                 waiting += step.given
-        return [Cost(*kind, amount) for kind, amount in found.items()]
+        return [Cost(*kind, operations=amount) for kind, amount in found.items()]
 
     def step(self, step: Step, given: list[int], values: dict[int, int], scope: str) -> list[int]:
         if step.name == "while":

@@ -217,7 +217,7 @@ def _solution(
 
     def root(guess: Array) -> Array:
         return jax.lax.custom_root(
-            residual, guess, lambda *given: _newton(*given, solve)[0], tangent_solve
+            residual, guess, lambda f, start: _newton(f, start, solve)[0], tangent_solve
         )
 
     return jitted(EQUATIONS, root)(guess)

@@ -365,7 +365,7 @@ class LibraryRun(PreparedRun):
         iterations = (work.residuals if work.newton is None else work.newton) or 0
         own = VECTOR_WORK[self._name].operations(
             self.given.size, float(np.mean(self._orders or [0.0])), attempts, iterations,
-            work.factorisations,
+            work.factorisations or 0,
         )  # fmt: skip
         return bill(
             self.given.scene,

@@ -55,7 +55,8 @@ class StepReport(NamedTuple):
     @property
     def counts(self) -> tuple[Int[Array, ""] | int, ...]:
         """The counts in the order of `COUNTS`, and the turns in the order of their names."""
-        return *self[1 : 1 + len(COUNTS)], *(self.turns[name] for name in sorted(self.turns))
+        counts = (getattr(self, name) for name in COUNTS)
+        return *counts, *(self.turns[name] for name in sorted(self.turns))
 
 
 #: Names of the counts of a step.
