@@ -266,10 +266,9 @@ class PreparedRun(ABC):
     def bill(self, run: Trajectory) -> dict[str, float]:
         """Return the floating-point operations of a measured run by part; empty if not known.
 
-        They are all that is done in the steps of the run: evaluations of the scene's equations,
-        linear algebra, and arithmetic of the method itself (stages, predictors, tests of
-        convergence, step control). Numbers that were counted in the run are multiplied by the
-        operations of one (`integrators.operations`).
+        They are all that its steps do: evaluations of equations, linear algebra, and arithmetic
+        of the method itself (stages, predictors, tests of convergence, step control): numbers that
+        were counted in the run, times the operations of one (`integrators.operations`).
         """
         return {}
 

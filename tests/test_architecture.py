@@ -23,6 +23,7 @@ LAYERS = [
     {"integrators.contract"},
     {"integrators.programs"},
     {"integrators.lowering"},
+    {"integrators.program_costs"},
     {"integrators.operations"},
     {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},

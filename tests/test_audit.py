@@ -14,7 +14,7 @@ from bench.conformance.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import ImplicitStepMethod, Reading, StepMethod, Steps, option
 from integrators.adapters.ida import IDA
-from integrators.operations import NotCounted
+from integrators.program_costs import NotCounted
 from problems import jax, jnp
 from problems.formulations import ode_rate
 from problems.scenes.spring_mass import SpringMass

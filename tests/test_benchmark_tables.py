@@ -89,3 +89,19 @@ def test_the_table_of_a_race_has_operations_per_second():
     assert rows[0]["gflops"] == pytest.approx(done)
     line = race.table(rows, race.Peak(2 * done, done)).splitlines()[-1]
     assert line.endswith(f"| {done:.2f} (50.0%) |")
+
+
+def test_pairs_that_seconds_and_operations_order_differently_have_a_reason():
+    import ranks
+
+    slow = ranks.Timed("slow", 3e-6, {"method": 90.0, "solves": 10.0})
+    fast = ranks.Timed("fast", 2e-6, {"factorisations": 150.0})
+    near = ranks.Timed("near", 2.5e-6, {"method": 120.0})
+    assert ranks.pairs([fast, near, slow]) == [
+        (slow, fast)
+    ]  # 1.5 by 1.5; 1.2 by 1.2 is less than 2
+    assert ranks.correlation([fast, near, slow]) == pytest.approx(-1)
+    lines = ranks.table("pendulum", [fast, near, slow]).splitlines()
+    assert lines[2] == "| `slow` | 100 | 3.00 | 30.00 |"
+    assert "takes 1.5 times as long as `fast`, which takes 1.5 times as many" in lines[-1]
+    assert "matrices are full" in lines[-1]

@@ -34,7 +34,8 @@ from integrators.native import constant_steps
 from integrators.native.kernel import Form
 from integrators.native.step_operations import loop_costs
 from integrators.native.step_program import _at_rest
-from integrators.operations import NotCounted, costs_of, dense, operations, sparse
+from integrators.operations import operations, sparse
+from integrators.program_costs import NotCounted, costs_of, dense
 from problems import jax, jnp
 from problems.named_equations import equation, part, turns
 from problems.scenes.chain import Chain

@@ -12,7 +12,7 @@ from integrators.adapters.ode import ODEMethod, given_ode
 from integrators.adapters.sundials_native import NativeCVODE
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Tolerances, option
-from integrators.operations import dense
+from integrators.program_costs import dense
 from problems.system import MechatronicSystem
 
 #: CVODE's highest order of backward differences.

@@ -15,7 +15,8 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
 from integrators.kept_rows import kept_rows
-from integrators.operations import bill, dense
+from integrators.operations import bill
+from integrators.program_costs import dense
 from problems.compiled import compiled
 from problems.exported_programs import exported
 from problems.formulations import Baumgarte, ode_rate

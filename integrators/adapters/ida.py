@@ -12,7 +12,8 @@ from integrators.adapters.library_runs import CountedEquations, LibrarySolver, c
 from integrators.adapters.sundials_native import NativeIDA
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Tolerances, Work, option
-from integrators.operations import dense, sparse
+from integrators.operations import sparse
+from integrators.program_costs import dense
 from problems import sparsity
 from problems.dependence import states_follow_accelerations
 from problems.formulations import FORMULATIONS

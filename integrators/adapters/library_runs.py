@@ -18,7 +18,8 @@ from integrators.adapters.vector_work import VECTOR_WORK
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
-from integrators.operations import Algebra, bill
+from integrators.operations import bill
+from integrators.program_costs import Algebra
 from problems.runtime import slower
 from problems.system import MechatronicSystem
 

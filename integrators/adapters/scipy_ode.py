@@ -21,7 +21,8 @@ from integrators.adapters.library_runs import (
 )
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
 from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
-from integrators.operations import NotCounted, bill, dense
+from integrators.operations import bill
+from integrators.program_costs import NotCounted, dense
 from problems.runtime import Float
 from problems.system import MechatronicSystem
 

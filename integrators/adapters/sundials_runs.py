@@ -23,7 +23,7 @@ from integrators.adapters.library_runs import (
 from integrators.adapters.sundials import check_step, library
 from integrators.adapters.sundials_native import NativeEquations, NativeSolver
 from integrators.contract import Work
-from integrators.operations import Algebra
+from integrators.program_costs import Algebra
 from problems.runtime import Float
 
 #: SUNDIALS' own limit of steps is never reached: calls are limited here.

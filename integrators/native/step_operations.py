@@ -10,7 +10,8 @@ from typing import Any
 from integrators.contract import Trajectory
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import PIVOTS
-from integrators.operations import Cost, bill_of, costs_of, sparse
+from integrators.operations import bill_of, sparse
+from integrators.program_costs import Cost, costs_of
 from integrators.programs import Step
 from problems.exported_programs import found_once
 from problems.runtime import Array
@@ -37,7 +38,7 @@ def loop_costs(loop: Callable, program: StepProgram, about: Any, *given: Array) 
 
     Raises
     ------
-    integrators.operations.NotCounted
+    integrators.program_costs.NotCounted
         If the step has a loop of its own whose turns nobody counts.
     """
     if loop not in _costs:
