@@ -12,7 +12,7 @@ from planted import planted
 
 from bench.atlas.experiments import built_in_experiments
 from bench.results.orders import fit_order, fit_orders
-from bench.results.records import IntegratorFacts
+from bench.results.records import IntegratorFacts, SceneRecord
 from reports.explanations import PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.pages.method_chapter import _orders_table
 from reports.series import series_of
@@ -250,6 +250,13 @@ def test_an_order_is_the_same_everywhere_and_says_if_no_run_is_right():
     table = _orders_table({"pendulum": s}, None)
     assert table.head == ["scene", "claimed", "q", "a", "lam"]
     assert table.rows == [["pendulum", "", "2.00", "1.00", "none *"]]
+
+
+def test_steps_that_resolve_no_vibration_explain_a_lost_order_before_anything_else():
+    fast = SceneRecord(problem="pendulum", t_end=1.0, t0=0.0, rates={"oscillation": 1e4})
+    held = {"pendulum": series_of(ringing("m", formulation="index3"))}
+    for described, why in (({}, UNDAMPED), ({"pendulum": fast}, STIFF)):
+        assert lost_orders_table(held, {}, (), described).rows[-1][-1] == f"stepbench atlas {why}"
 
 
 def test_the_experiments_that_explain_losses_exist():

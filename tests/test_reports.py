@@ -28,7 +28,7 @@ from bench.results.orders import fit_order
 from bench.results.quantities import NORMS
 from bench.results.records import Record, median
 from bench.results.store import Store
-from reports.formatting import milliseconds, number, symbols
+from reports.formatting import cost_text, milliseconds, number, symbols
 from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.html_report import write_html_report
@@ -145,6 +145,13 @@ def test_rivals_that_tie_are_named_or_counted() -> None:
         "one, two and four tie (1 s)",
         "one, two, three and 1 more tie (300)",
     ]
+
+
+def test_exponents_have_neither_plus_nor_zeros():
+    values = {1.234e-5: "1.23e-5", -2e-10: "-2e-10", 3.67e7: "3.67e7", 1e10: "1e10", 1e100: "1e100"}
+    assert [number(value) for value in values] == [*values.values()]
+    assert cost_text(3.67e7, "operations") == "36.7 million"
+    assert cost_text(2.5e10, "residuals") == "25 billion"
 
 
 def test_the_summary_tells_the_order_that_is_lost_at_the_start(page: Document) -> None:
