@@ -195,7 +195,8 @@ class _Counter(Follower[int]):
         start = [self.new([x]) if one else x for x, one in zip(given, changed, strict=True)]
         known = {k: self._steps[value].known for k, value in values.items()}
         first = [self._steps[value].known for value in given]
-        turns = INDEX1 if INDEX1 in scope else self._new_turns(scope)
+        of_equations = INDEX1 in scope and INDEX1 not in outside
+        turns = INDEX1 if of_equations else self._new_turns(scope)
         turns = turns or _turns(self.functions, step, first, known)
         self._turns = *outside, turns
         (goes_on,) = self.run(condition, start, values, scope)

@@ -26,6 +26,7 @@ from integrators.adapters.scipy_ode import Radau
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT, VECTOR_WORK
 from integrators.contract import Work
 from integrators.lowering.operators import ELEMENTARY
+from integrators.methods.explicit_structural import NohBathe
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from integrators.methods.kr_alpha import KRAlpha
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
@@ -481,6 +482,16 @@ def test_iterations_of_the_index_1_equations_are_counted_where_a_run_went():
     assert turns > 2
     wanted = (run.work.residuals or 0) * (rate.arithmetic + turns * rate.arithmetic_per_turn)
     assert prepared.bill(run)["residuals"] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_so_are_those_in_a_time_loop_of_our_own():
+    scene = SpringMass()
+    prepared = NohBathe().prepare(scene, 0.2, Steps(0.02))
+    run = prepared.measure()
+    turns = np.mean([iterations(scene, q[0], x[0]) for q, x in zip(run.q, run.x, strict=True)])
+    # Each of two evaluations solves for a, y1 and y2, by an inverse in each iteration.
+    wanted = (run.work.steps or 0) * 2 * turns * (AlphaByHand.inverse + AlphaByHand.by_inverse)
+    assert prepared.bill(run)["inner solves"] == pytest.approx(wanted, rel=1e-12)
 
 
 @pytest.mark.long
