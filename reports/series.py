@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 
 from bench.results.orders import Fit, fit_orders
 from bench.results.quantities import GROUPS, NORM, TRUST
@@ -50,6 +51,11 @@ class Series:
         name = "h" if self.controls == "step" else "rtol"
         values = [step_or_tolerance(r) for r in self.records]
         return f"{name}={text_range(map(number, values))} ({len(values)})"
+
+    def nearest(self, group: str) -> tuple[float, Record] | None:
+        """The smallest error of its runs in a group, with the run."""
+        errors = with_values(self.ok, lambda r: r.error(group, NORM))
+        return min(errors, key=itemgetter(0), default=None)
 
     def never_right(self, group: str) -> bool:
         """Whether every run that reached the end and has the error is wrong in a group."""

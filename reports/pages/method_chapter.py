@@ -142,10 +142,7 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
     rows = []
     for scene, s in series.items():
         errors = {
-            f"error in {g}": number(
-                min((e for r in s.ok if (e := r.error(g, NORM)) is not None), default=None)
-            )
-            for g in groups
+            f"error in {g}": number(near[0] if (near := s.nearest(g)) else None) for g in groups
         }
         judged = answer.scenes.get(scene)
         entry = judged.entries.get(label) if judged else None

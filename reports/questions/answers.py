@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from types import MappingProxyType
 
 from bench.results.quantities import ASKED, NORM, parts
@@ -190,7 +191,12 @@ def answers(
         having = {
             k: s for k, s in scenes.items() if {*groups_of(ok_runs(s), ASKED)} >= {*parts(group)}
         }
-        nearest = {name: _nearest(series, group) for name, series in having.items()}
+        nearest = {
+            name: min(
+                filter(None, (s.nearest(group) for s in own)), key=itemgetter(0), default=None
+            )
+            for name, own in having.items()
+        }
         floors = {k: reference_error(ok_runs(s), group, NORM) for k, s in having.items()}
         for question in questions([group], targets) if having else ():
             own = {name: ranked[name].get(question) for name in having}
@@ -206,8 +212,3 @@ def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer
     """The answer to one question; it is empty if no scene has the group."""
     found = answers(scenes, [question.group], [question.target])
     return found.get(question, Answer(question, {}, {}))
-
-
-def _nearest(series: Sequence[Series], group: str) -> tuple[float, Record] | None:
-    errors = [(error, r) for r in ok_runs(series) if (error := r.error(group, NORM)) is not None]
-    return min(errors, key=lambda pair: pair[0], default=None)

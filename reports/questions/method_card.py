@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from bench.results.quantities import COSTS, NORM
+from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from reports.formatting import cost_text, number, times
 from reports.names import named_labels
@@ -88,8 +88,8 @@ def _detail(
         first = words.solvers(answer.first, most=1)
         return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]
     if state == "far":
-        errors = [e for r in own.ok if (e := r.error(question.group, NORM)) is not None]
-        return [f" (smallest error: {number(min(errors))})"] if errors else []
+        near = own.nearest(question.group)
+        return [f" (smallest error: {number(near[0])})"] if near else []
     return [f" ({own.statuses.replace('_', ' ')})"] if state == "failed" else []
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 
 from bench.results.quantities import NORM, NORMS, WRONG, quantity
 from bench.results.records import Record, SceneRecord, counted
@@ -49,8 +48,8 @@ def wrong_on(s: Series, group: str, scene: SceneRecord | None = None) -> Wrong:
     known = with_values(s.ok, lambda r: r.error(group, NORM))
     wrong = [r for _, r in known if r.wrong(group)]
     warned, least = sum(r.message != "" for r in wrong), None
-    if s.never_right(group):
-        error, best = min(known, key=itemgetter(0))
+    if s.never_right(group) and (near := s.nearest(group)):
+        error, best = near
         least = error, best, wrong_runs(s, group, best, scene)
     return Wrong(s.label, len(known), len(wrong) - warned, warned, least)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from operator import itemgetter
 from types import MappingProxyType
 
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST
@@ -24,7 +23,6 @@ from reports.series import (
     groups_of,
     ok_runs,
     trusted_error,
-    with_values,
     worst_component,
 )
 from reports.text.measured_orders import orders_measured
@@ -35,13 +33,15 @@ def summary_table(series: Sequence[Series]) -> Table:
     groups = groups_of(ok_runs(series))
     rows, best, doubtful = [], set(), False
     for s in series:
-        judged = with_values(s.ok, lambda r: r.error("q", NORM))
-        run = min(judged, key=itemgetter(0))[1] if judged else None
+        run = near[1] if (near := s.nearest("q")) else None
         orders = orders_measured([s]) or "not determined"
         rows.append(
             {
                 "integrator": s.label,
-                **{f"error in {group}": number(_smallest(s, group)) for group in groups},
+                **{
+                    f"error in {group}": number(near[0] if (near := s.nearest(group)) else None)
+                    for group in groups
+                },
                 "orders": orders if s.controls == "step" else "by tolerance",
                 **_costs(run),
                 "runs": s.statuses,
@@ -49,7 +49,7 @@ def summary_table(series: Sequence[Series]) -> Table:
             }
         )
     for j, group in enumerate(groups, 1):
-        errors = [(e, i) for i, s in enumerate(series) if (e := _smallest(s, group)) is not None]
+        errors = [(near[0], i) for i, s in enumerate(series) if (near := s.nearest(group))]
         trusted = [(e, i) for e, i in errors if e > trusted_error(series[i].ok, group, NORM)]
         for _, i in set(errors) - set(trusted):
             rows[i][f"error in {group}"] += " *"
@@ -63,11 +63,6 @@ def summary_table(series: Sequence[Series]) -> Table:
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
     return Table.from_dicts("All integrators", rows, best=best, note=note)
-
-
-def _smallest(s: Series, group: str) -> float | None:
-    errors = with_values(s.ok, lambda r: r.error(group, NORM))
-    return min((error for error, _ in errors), default=None)
 
 
 def _costs(run: Record | None) -> dict[str, str]:
