@@ -130,17 +130,17 @@ def test_a_duel_without_two_costs_says_why():
     single = line("A", 3.0, run_s=[1e-3]), line("B", 3.0, run_s=[1e-3])
     vague = {"reference_error": {"a": {"max": 2e-5}}}
     for records, more, why in (
-        ((line("A", 1.0, order=0), never), {}, "neither"),
+        ((line("A", 1.0, order=0), never), {}, "neither reaches it"),
         (both, {}, "coarsest runs"),
         ((line("A", 3.0, **vague), line("B", 3.0)), {}, "not judged"),
         ((line("A", 3.0), line("B", 3.0)), {"cost": "solves"}, "cost unknown"),
         ((line("A", 3.0), line("B", 3.0)), {"cost": "seconds"}, "cost unknown"),
-        (single, {"cost": "seconds"}, "single samples"),
+        (single, {"cost": "seconds"}, "single times"),
     ):
         found = duels(*records, **more)
         assert (found.duels["s"].ratio, found.shown("s")) == (None, why)
         assert found.sentence == (
-            f"Nothing can be compared at 1e-3 in acceleration (largest over time): {why} on s."
+            f"Nothing can be compared at 1e-3 in acceleration (largest over time): s ({why})."
         )
 
 
@@ -201,8 +201,14 @@ def test_the_sentence_tells_size_scenes_and_significance():
         "first wins beyond doubt on 6 and second on 0 of 6 scenes; "
         "significant over the scenes (sign test: p = 0.031)."
     )
+    assert over(0.5, 0.8, 0.9).sentence == (
+        f"second is 1.25 times (1.11 to 2) cheaper than first {goal}, the median of 3 scenes; "
+        "first wins beyond doubt on 0 and second on 3 of 3 scenes; "
+        "not significant over the scenes (sign test: p = 0.25)."
+    )
     assert over(0.5, 0.8, 1.05).sentence == (
-        f"second is 1.25 times (0.952 to 2) cheaper than first {goal}, the median of 3 scenes; "
+        f"second and first cannot be told apart {goal}: first takes 1.25 times (0.952 to 2) the "
+        "cost, the median of 3 scenes; "
         "first wins beyond doubt on 0 and second on 2 of 3 scenes; "
         "not significant over the scenes (sign test: p = 0.5)."
     )

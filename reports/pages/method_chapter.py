@@ -89,8 +89,8 @@ class MethodChapter:
         by = COSTS[answer.question.cost].words
         self.strip = captioned(
             f"Error in {quantity} ({NORMS[NORM]}) at most so large, by {by}; numbers are multiples "
-            "of the least cost. The last column: runs that reach the end with an error above "
-            f"{WRONG:g} and say nothing.",
+            "of the least cost. A column 'wrong' counts runs that reach the end with an error "
+            f"above {WRONG:g} and say nothing.",
             {f"{anchor}-strip": method_strip(label, over, by_scene)},
         )
         self.costs = captioned(

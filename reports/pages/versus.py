@@ -25,7 +25,8 @@ _MEANING = (
     "Costs at equal error are interpolated between runs. In brackets: the ends over the run and "
     "its later starts, of times with the interval of their samples; of a median over scenes the 95 "
     "% interval of the sign test, of fewer than six scenes the ends. 'At least' and 'at most': the "
-    "coarsest run of one is better than asked."
+    "coarsest run of one is better than asked, or only one gets there from some starts; 'coarsest "
+    "runs': those of both are better. Not judged: below a hundred times the reference's own error."
 )
 _INK, _MARKS = "#666666", ("circle", "square", "triangle-up", "diamond", "cross")
 
@@ -39,14 +40,9 @@ class SideBySide:
         Their names: short, as printed, or without options where that is unique.
     folder
         The run folder.
-    group
-        The group whose error counts, or several: "a,lam" asks for both at once.
-    targets
-        Accuracies between 0 and 1.
-    cost
-        That by which the results are ranked first if not given.
-    norm
-        Norm of the error.
+    group, targets, cost, norm
+        The question: a group, or several as "a,lam" for both at once; errors between 0 and 1; the
+        cost is that by which the results are ranked first if not given.
 
     Raises
     ------

@@ -111,7 +111,7 @@ class Versus:
         goal = f"at {question.accuracy} in {question.quantity} ({NORMS[self.norm]})"
         judged = [k for k, d in self.duels.items() if d.ratio is not None]
         if not judged:
-            why = named(f"{d.why} on {scene_name(k)}" for k, d in self.duels.items())
+            why = named(f"{scene_name(k)} ({d.why})" for k, d in self.duels.items())
             return f"Nothing can be compared {goal}: {why}."
         parts = []
         if found and found.ratio:
@@ -123,9 +123,12 @@ class Versus:
             both = [k for k in judged if self.duels[k].known is not None]
             where = f"the median of {len(both)} scenes" if len(both) > 1 else scene_name(both[0])
             by = COSTS[question.cost].words
-            parts.append(
-                f"{one} is {found.text(' times')} cheaper than {two} by {by} {goal}, {where}"
-            )
+            if found.low <= 1 <= found.high:
+                said = f"{one} and {two} cannot be told apart by {by} {goal}: {two} takes "
+                parts.append(f"{said}{found.text(' times')} the cost, {where}")
+            else:
+                said = f"{one} is {found.text(' times')} cheaper than {two} by {by} {goal}"
+                parts.append(f"{said}, {where}")
         wins, losses = self.cheaper
         first, second = self.names
         apart = f"{first} wins beyond doubt on {len(wins)} and {second} on {len(losses)} of "
@@ -161,7 +164,7 @@ def _duel(one: Series, two: Series, runs: Sequence[Record], question: Question, 
     trusted = trusted_error(runs, question.group, norm)
     if question.target < trusted:
         return Duel(None, why="not judged")
-    found, why = [], "neither"
+    found, why = [], "neither reaches it"
     for start in range(1 + max(len(r.later) for r in runs)):
         lines = [
             [
@@ -202,7 +205,7 @@ def _quotient(one: _Line, two: _Line, question: Question) -> tuple[Quotient | No
     if COSTS[question.cost].is_time:
         found = quotient_by_round(a, b)
         if not found:
-            return None, "single samples"
+            return None, "single times"
     else:
         value = b[0] / a[0]
         found = Quotient(value, value, value, COSTS[question.cost].tie)
