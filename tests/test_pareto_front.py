@@ -15,7 +15,10 @@ from planted import everything, planted
 from bench.results.quantities import NORMS
 from reports.charts.line_styles import line_styles
 from reports.charts.pareto_front import pareto_chart, pareto_front
+from reports.questions.question import Question
 from reports.series import series_of
+
+COUNTS = Question("a", 1e-4, "residuals")
 
 
 def run(name, error, residuals, scene="one", floor=1e-15, **changes):
@@ -117,16 +120,15 @@ def test_an_own_integrator_stands_against_the_front_of_the_others():
         run("another", 1e-2, 10, "two"),
     ]
     scenes = {n: series_of(r for r in records if r.problem == n) for n in ("one", "two")}
-    chart = pareto_chart(scenes, styles(records), False, own="own")
+    chart = pareto_chart(scenes, styles(records), False, COUNTS, own="own")
     altair.Chart.from_dict(chart, validate=True)
     rows = list(csv.DictReader(io.StringIO(chart["datasets"]["pareto_front"])))
     assert {(r["scene"], r["series"]) for r in rows} == {("one", "own"), ("one", "front")}
     marked = {(r["series"], float(r["residuals"])) for r in rows if r["a_residuals"]}
     assert marked == {("front", 15.0), ("front", 50.0)}
     assert len(rows) == 5
-    _, line, points = chart["spec"]["layer"]
+    _, line, _ = chart["spec"]["layer"]
     assert line["transform"] == [{"filter": 'datum.series === "own"'}]
-    assert points["transform"] == [{"filter": 'datum.on_front || datum.series === "own"'}]
 
 
 def test_a_scene_with_one_integrator_has_no_front():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from bench.results.quantities import COSTS, ERROR_NAMES, NORM, RANKED_COSTS, VIOLATIONS
 from bench.results.records import Record
@@ -27,7 +28,8 @@ def pareto_chart(
     """Error over cost of all runs, a panel per scene, with the Pareto front as a step line.
 
     Group and cost are those of the ``first`` question, unless a reader chooses others. Of an
-    ``own`` integrator there are all runs, joined by a line; of the others the front alone.
+    ``own`` integrator there are all runs, joined by a line; of the others the front alone, for the
+    first question.
     """
     # Those on which more than one integrator reached the end.
     scenes = {
@@ -35,7 +37,14 @@ def pareto_chart(
         for name, series in scenes.items()
         if len(ended := [s.label for s in series if s.ok]) > 1 and (not own or own in ended)
     }
-    rows = [row for scene, series in scenes.items() for row in _rows(scene, series, own)]
+    asked: Sequence[str] = _GROUPS
+    costs: Sequence[str] = RANKED_COSTS
+    if own:
+        asked, costs = [first.group], [first.cost]
+        scenes = {name: _against_others(series, own, first) for name, series in scenes.items()}
+    rows = [
+        row for scene, series in scenes.items() for row in _rows(scene, series, own, asked, costs)
+    ]
     shown = {row["series"] for row in rows}
     labels = dict.fromkeys(s.label for runs in scenes.values() for s in runs if s.label in shown)
     groups = {g: ERROR_NAMES[g] for g in _GROUPS if any(f"{g}_{NORM}" in row for row in rows)}
@@ -56,9 +65,7 @@ def pareto_chart(
         "encoding": {"x": x, "y": y | {"field": "level"}, "order": vl.quantity("across")},
     }  # fmt: skip
     error = vl.quantity("error", title="error", format=".3g")
-    me = f"datum.series === {json.dumps(own)}"
     points: vl.Spec = {
-        "transform": [{"filter": f"datum.on_front || {me}"}] if own else [],
         "mark": {"type": "point", "filled": True},
         "encoding": {
             "x": x,
@@ -71,7 +78,7 @@ def pareto_chart(
         },
     }
     line: vl.Spec = {
-        "transform": [{"filter": me}],
+        "transform": [{"filter": f"datum.series === {json.dumps(own)}"}],
         "mark": {"type": "line", "strokeWidth": 2.5, "order": False},
         "encoding": {"x": x, "y": y, "color": options.colors()},
     }
@@ -142,20 +149,33 @@ def pareto_front(series: Sequence[Series], group: str, cost: str) -> list[Record
     return [r for *_, r in front]
 
 
-def _rows(scene: str, series: Sequence[Series], own: str) -> RunRows:
+def _rows(
+    scene: str, series: Sequence[Series], own: str, groups: Sequence[str], costs: Sequence[str]
+) -> RunRows:
     """The rows of the runs, with the pairs of group and cost in which they are on the front.
 
-    With an ``own`` integrator, the front is that of the others, and has no other runs beside.
+    With an ``own`` integrator, the front is that of the others.
     """
     others = [s for s in series if s.label != own]
-    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in _GROUPS}
+    least = {f"{g}_least": vl.short(trusted_error(ok_runs(series), g, NORM)) for g in groups}
     fronts = {
         f"{group}_{cost}": {(label_of(r), r.resolution) for r in pareto_front(others, group, cost)}
-        for group in _GROUPS
-        for cost in RANKED_COSTS
+        for group in groups
+        for cost in costs
     }
-    rows = []
-    for row in run_rows(series, _GROUPS, [NORM], RANKED_COSTS):
-        on = {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
-        rows += [{"scene": scene, **row, **least, **on}] if on or own in ("", row["series"]) else []
-    return rows
+    return [
+        {"scene": scene, **row, **least}
+        | {name: 1 for name, runs in fronts.items() if (row["series"], row["run"]) in runs}
+        for row in run_rows(series, groups, [NORM], RANKED_COSTS)
+    ]
+
+
+def _against_others(series: Sequence[Series], own: str, first: Question) -> list[Series]:
+    """The runs of an integrator, and those of the others' front."""
+    others = [s for s in series if s.label != own]
+    front = {r.key for r in pareto_front(others, first.group, first.cost)}
+    chosen = (
+        replace(s, records=tuple(r for r in s.records if s.label == own or r.key in front))
+        for s in series
+    )
+    return [s for s in chosen if s.records]

@@ -84,7 +84,7 @@ class MethodChapter:
         self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
         self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
         self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
-        chart = pareto_chart(stored.series, styles, True, answer.question, own=label)
+        chart = pareto_chart(stored.series, styles, False, answer.question, own=label)
         anchor, quantity = f"chart-{file_name(label)}", answer.question.quantity
         by = COSTS[answer.question.cost].words
         self.strip = captioned(
