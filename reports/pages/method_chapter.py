@@ -94,7 +94,8 @@ class MethodChapter:
             {f"{anchor}-strip": method_strip(label, over, by_scene)},
         )
         self.costs = captioned(
-            "The line: its runs. The broad grey line: the best of all others, with their runs.",
+            f"Error in {quantity} ({NORMS[NORM]}). The line: its runs. The broad grey line: the "
+            "best of all others, with their runs.",
             {f"{anchor}-costs": chart},
         )
         families = {

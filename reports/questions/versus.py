@@ -176,7 +176,7 @@ def _duel(one: Series, two: Series, runs: Sequence[Record], question: Question, 
         ]
         reached = [any(e <= question.target for e, _ in line) for line in lines]
         if all(reached):
-            quotient, why = _quotient(*lines, question)
+            quotient, why = _quotient(lines[0], lines[1], question)
             found += [quotient] if quotient else []
         elif any(reached):
             ratio = math.inf if reached[0] else 0.0
