@@ -61,6 +61,11 @@ class ShortErrors(click.Group):
                 f"The system refused: {error.strerror or error}{name}; check the path, its "
                 f"permissions and the free space."
             )
+        except MemoryError:
+            refusal = click.ClickException(
+                "This process gets no more memory; end other programs, or raise its limit (ulimit "
+                "-v). Earlier results are intact."
+            )
         except click.Abort:
             return _INTERRUPTED
         told = io.StringIO()
