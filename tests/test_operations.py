@@ -14,6 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_counts import (
+    SCENES,
+    AlphaByHand,
+    noh_bathe_by_hand,
+    semi_implicit_euler_by_hand,
+)
 from helpers import long
 
 from bench.plugins.registry import Registry
@@ -47,135 +53,6 @@ from problems.scenes.spring_mass import SpringMass
 from problems.system import MechatronicSystem
 
 WITHIN = 0.1  # of a hand count
-
-
-def joining(n: int) -> float:
-    """Additions by which this JAX makes a vector of the changes of its entries, taken apart."""
-    apart = jax.vjp(lambda q: [*q], jnp.zeros(n))[1]
-    return operations(lambda *entries: apart([*entries]), *[0.0] * n).arithmetic
-
-
-# ---- hand counts -----------------------------------------------------------------------
-class PendulumByHand:
-    """nq = 2, nl = 1: M = m I, g = (0, -m g), Phi = (q q - l^2)/2."""
-
-    dae_size, ode_size = 6, 4
-    mass, product, force = 4, 2 * 3, 2
-    constraint = 3 + 1 + 1 + 1
-    pull = 1 + 2 + 2  # (lam/2) q, once for each q in q q
-    dynamics = mass + product + force + 2 + pull + 2
-    #: d/dt Phi: half of q v + v q
-    velocity = 3 + 3 + 1 + 1
-    #: Per column: a change of q, of the product M a, of the pull (twice two products), of Phi.
-    alpha_residual = 4 + dynamics + constraint + 1
-    shared = 4 + pull  # q, and the pull's factors
-    alpha_column = 2 + product + (2 + 2 + 2 + 2) + 2 + (velocity + 1)
-    dae_residual = (2 + pull + 2) + dynamics + constraint + velocity
-    #: w + d, wdot + cj d (6 each, per column cj d alone); pulls of mu and lam; Phi and its rate.
-    dae_column = 6 + 2 + 2 * (2 + 2 + 2 + 2) + product + 2 + 7 + (3 * 4 + 3 + 1) + 1
-    dae_jacobian = 12 + 12 + 6 * dae_column
-    #: Index 1: M a - g at a = 0, Phi'' (four products, sums), and three columns of the matrix.
-    rate = (mass + product + force + 2 + 2 + 1) + (4 * 3 + 3 + 2) + 3 * (product + 2 + 2 + 7 + 3)
-    #: Per state: the columns' changes with q, and their product with (a, lam).
-    rate_jacobian = rate + 4 * (3 * 5 + 3 * 5 - 1)
-    inner = dense(3).factorisation + dense(3).solve
-    inner_of_jacobian = dense(3).factorisation + 5 * dense(3).solve
-
-
-class SliderCrankByHand:
-    """nq = 7, nl = 6: M diagonal but formed as a full matrix, four elementary functions."""
-
-    dae_size, ode_size = 26, 14
-    mass, product, force = 6, 7 * 13, 14
-    sines = 4 * ELEMENTARY
-    rows = 2 + 2 + 3 + 3 + 2 + 1  # of Phi, or of its derivative, from x, y, u, w
-    constraint = sines + 4 + rows
-    padded = joining(7)  # a sum of seven vectors of seven, or none
-    pull = 10 + 10 + padded  # forces at x, y, u, w; moments about both angles
-    pull_column = 18 + padded
-    dynamics = mass + product + force + 7 + pull + 7
-    velocity = 4 + 4 + rows
-    alpha_residual = 14 + dynamics + constraint + 6
-    shared = 14 + sines + 10 + 10  # q, sines, and the pull's factors
-    alpha_column = 7 + product + pull_column + 7 + velocity + 6
-    dae_residual = (7 + pull + 7) + dynamics + (constraint + velocity)
-    dae_column = 26 + 7 + 7 + 2 * pull_column + product + 7 + velocity + (velocity + 8)
-    dae_jacobian = 52 + 26 + sines + 26 * dae_column
-    #: Index 1: M a - g + pull at zero, Phi'' of four angles' functions, thirteen columns.
-    rate = (mass + product + force + 7 + 7 + padded + 10) + (sines + 4 * 4 + 3 * rows)
-    rate += 13 * (product + 7 + padded + 10 + velocity)
-    #: Per state and column: changes of the pull and of Phi'', and their product with (a, lam).
-    rate_jacobian = rate + 14 * 13 * (padded + 8 + velocity + 4 + 25)
-    inner = dense(13).factorisation + dense(13).solve
-    inner_of_jacobian = dense(13).factorisation + 15 * dense(13).solve
-
-
-SCENES = [(Pendulum(), PendulumByHand), (SliderCrank(), SliderCrankByHand)]
-
-
-# ---- native methods --------------------------------------------------------------------
-#: Time at the end of a step, and its size: t0 + length ((macro + ends) / steps), length / steps
-#: times a fraction.
-CLOCK = 6
-
-
-class AlphaByHand(PendulumByHand):
-    """Generalized-alpha on index 3: three unknowns, a and lam in groups of their own."""
-
-    n = 3
-    #: Full Newton: pivots 1, 2 and 3, each with its inverse; a factor and a change for both of the
-    #: first, a difference in the second, a test of the third's size (2).
-    factorisation = (1 + 1 + 1) + (1 + 1 + 1 + 1) + (1 + 2)
-    #: Two differences; x3, then two more; and b - A x beside |b| + |A x| in three colours.
-    solve = (2 + 2) + (1 + 3 + 3) + (9 + 9 + 9 + 3)
-    #: Modified Newton: Gauss-Jordan, whose n turns divide a row and change a matrix.
-    inverse, by_inverse = n * (n + 2 * n**2), n * (2 * n - 1)
-    #: u - du; a bound (4), a size and a noise of both groups; what is left (3), and three factors.
-    convergence = 3 + 2 * (4 + 1 + 1) + 3 + 3
-    #: Gamma, theta and their shifts from the ratio of steps; safe ratios.
-    weights = 1 + 2 * 3 + 2 * 12
-    #: Slope and base of aux, base of q and v, slopes of both.
-    bases = 1 + 8 + 10 + 6 + 11 + 4
-    #: A parabola ahead; differences, of it, too, after the step.
-    guess = 13 + 4 * 3 + 4
-    #: q, v and aux at the end; rounding of a and lam; whether the step is solved.
-    end = 3 * 4 + 3 + 5
-    step = CLOCK + weights + bases + guess + end + PendulumByHand.mass
-
-    @classmethod
-    def total(cls, newton: str, work: Any, scene: MechatronicSystem) -> float:
-        each = cls.convergence + cls.alpha_residual
-        tangent = cls.n * cls.alpha_column
-        if newton == "full":
-            each += tangent + cls.factorisation + cls.solve
-            return work.steps * cls.step + work.newton * each
-        again = tangent + cls.shared + cls.inverse
-        return (
-            work.steps * cls.step + work.newton * (each + cls.by_inverse) + work.jacobians * again
-        )
-
-
-def semi_implicit_euler_by_hand(work: Any, scene: MechatronicSystem) -> float:
-    """One linear system, with d/dt Phi + erp/h Phi at v + h a; its energy is tested."""
-    p, alpha = PendulumByHand, AlphaByHand
-    residual = p.dynamics + (4 + p.velocity + 1) + (1 + p.constraint + 1) + 1
-    column = p.product + p.pull + 2 + (2 + p.velocity - 1 + 1)
-    energy = p.product + 3 + 3 + 2 + 1 + 1
-    end = 3 + 4 + 4 + CLOCK
-    algebra = alpha.factorisation + alpha.solve
-    return work.steps * (residual + 3 * column + algebra + energy + end)
-
-
-def noh_bathe_by_hand(work: Any, scene: MechatronicSystem) -> float:
-    """On Duffing's equation: a cos(w t) - c v - k q - k3 q^3, M = m, two substeps."""
-    force = (1 + ELEMENTARY + 1) + 1 + 1 + 3 + 3
-    evaluation = force + 1 + 1  # M a - g
-    algebra = dense(1).factorisation + 2 * dense(1).solve  # M is the same
-    substeps = 1 + 2  # p h and d
-    weights = 4 + 2 + 2
-    first = 6 + 2 + 1 + 4  # q_p, v for the forces, t - d, v_p
-    second = 6 + 2 + 8  # q, v for the forces, v
-    return work.steps * (1 + 2 * evaluation + algebra + substeps + weights + first + second + CLOCK)
 
 
 @pytest.mark.parametrize(
