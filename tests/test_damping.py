@@ -18,6 +18,7 @@ from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
 from bench.stability import damping as analysis
+from reports.formatting import number
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.text.damping_table import damping_table
@@ -87,7 +88,7 @@ def test_the_page_shows_what_the_run_found(folder):
     page = Document(whole_report(folder / "out"))
     rows = page.rows("Damping and period error of the method itself")
     (cell,) = [r["gα 0.5"] for r in rows if "duffing" in r["scene"]]
-    assert cell == f"{found.ratio[0]:.3g} ({100 * found.period_error[0]:+.2g}%)"
+    assert cell == f"{number(found.ratio[0])} ({100 * found.period_error[0]:+.2g}%)"
     assert cell in whole_markdown(folder / "out")
 
 
