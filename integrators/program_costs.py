@@ -225,7 +225,8 @@ class _Counter(Follower[int]):
         NotCounted
             If they are not known.
         """
-        outside, equations, within = scope.partition(EQUATIONS)
+        # JAX 0.12 drops the name of equations within a custom root, but not that of its loop.
+        outside, equations, within = scope.partition(EQUATIONS if EQUATIONS in scope else INDEX1)
         algebra, part = self._algebra(step), part_of(outside)
         amount = float(_arithmetic(step)) if algebra is None else algebra
         if algebra is None and not part_of(within):
