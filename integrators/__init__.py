@@ -1,17 +1,10 @@
 """Time integrators: their contract, native methods, adapters to other libraries."""
 
-from integrators.contract import (
-    Integrator,
-    PreparedRun,
-    Steps,
-    Tolerances,
-    Trajectory,
-    Work,
-    option,
-)
+from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod, StepMethod
 from integrators.native.step_records import Errors, Reading
+from integrators.resolutions import Steps, Tolerances
 
 __all__ = [
     "ErrorControl",

@@ -119,7 +119,7 @@ def found_once(find: Callable[[], T], about: Sequence[Any], kind: type[T]) -> T:
 
 
 def _kept_or_found(file: Path, find: Callable[[], T], kind: type[T]) -> T:
-    """What a file keeps, if it is sound; else what is found now, which it keeps from now on."""
+    """The content of a sound file; else the result of ``find``, which it keeps from now on."""
     with suppress(msgspec.DecodeError):
         return msgspec.msgpack.decode(kept(file) or b"", type=kind)
     found = find()

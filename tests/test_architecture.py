@@ -20,7 +20,7 @@ LAYERS = [
     {"problems.scenes"},
     {"problems.engines"},
     {"integrators.multistep", "integrators.kept_rows"},
-    {"integrators.contract"},
+    {"integrators.contract", "integrators.resolutions"},
     {"integrators.programs"},
     {"integrators.lowering"},
     {"integrators.program_costs"},

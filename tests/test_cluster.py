@@ -20,7 +20,7 @@ from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell
 from bench.running.runner import Runner, measure_task
-from integrators.contract import Steps
+from integrators.resolutions import Steps
 from problems.spec import SpecError
 
 distributed = pytest.importorskip("distributed")

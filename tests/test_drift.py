@@ -20,7 +20,8 @@ from bench.running import measure
 from bench.running.drift import course, drift_job
 from bench.running.plan import Cell
 from bench.running.worker import Worker
-from integrators.contract import Steps, Trajectory
+from integrators.contract import Trajectory
+from integrators.resolutions import Steps
 from problems.reference import Reference
 from problems.spec import SpecError
 from reports.charts.line_styles import style_of

@@ -1,4 +1,4 @@
-"""The charts on the page of a method: its states at every accuracy, its errors over cost."""
+"""The page of a method: its card, its states at every accuracy, its errors over cost."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from planted import everything, plant
 from test_questions import run, scenes_of
 
 from bench.results.store import Store
+from problems.spec import SpecError
 from reports.charts.all_scenes import method_strip
 from reports.pages.html_report import write_html_report
 from reports.questions.answers import answers
+from reports.questions.method_card import method_card
 
 
 def strip(label, records):
@@ -90,3 +92,30 @@ def test_the_front_page_knows_the_own_method(tmp_path, mine):
         store.save_plan(msgspec.structs.replace(store.plan(), mine=mine))
     text = write_html_report(tmp_path).read_text(encoding="utf-8")
     assert f'"highlight":"{mine if mine == "poor" else ""}"' in text.replace(": ", ":")
+
+
+def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
+    plant(tmp_path, everything())
+    reaches = "reaches 1e-4 in acceleration (largest over time) on"
+    assert method_card(tmp_path, "good[rho_inf=0.8]") == [
+        f"good 0.8 (index 3) {reaches} 2 of 2 scenes tried.",
+        "Cheapest alone by operations: spring mass.",
+        "Dearer than the cheapest by operations: pendulum (1.92 times the cost of adaptive).",
+        "All of its runs reached the end.",
+        "Cost where it reaches it: 9600 operations.",
+    ]
+    assert method_card(tmp_path, "poor") == [
+        f"poor {reaches} 0 of 1 scene tried.",
+        "Cheapest by operations on no scene.",
+        "Does not reach it: spring mass (smallest error: 0.00938).",
+        "All of its runs reached the end.",
+        "Wrong without warning: 2 of 6 runs that reached the end "
+        "(error in acceleration above 0.1, largest over time).",
+    ]
+    assert method_card(tmp_path, "fragile")[2:] == [
+        "Fails: pendulum (2 newton failed).",
+        "2 of its 2 runs failed: pendulum (2).",
+    ]
+    assert len(method_card(tmp_path, "good")) == 10  # of two variants
+    with pytest.raises(SpecError, match="did you mean 'poor'"):
+        method_card(tmp_path, "pooor")

@@ -7,12 +7,10 @@ import re
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted import everything, plant, planted
+from planted import everything, planted
 
 from bench.results.records import UNSUPPORTED
-from problems.spec import SpecError
 from reports.questions.answers import answer, answers
-from reports.questions.method_card import method_card
 from reports.questions.phrases import plain
 from reports.questions.profile import profiles
 from reports.questions.question import ALL, FIRST, Question, filters
@@ -339,7 +337,7 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
             assert not re.search(r"None|nan|  | ,|\[\]", plain(sentence)), plain(sentence)
 
 
-# ---- profiles, cards ---------------------------------------------------------------------
+# ---- profiles ----------------------------------------------------------------------------
 def test_a_profile_counts_scenes_and_accuracies():
     records = [run("s", "one", 10, 1e-2), run("s", "one", 40, 1e-4, h=0.005)]
     records += [run("s", "two", 20, 1e-3), run("s", "two", 200, 1e-9, h=0.005)]
@@ -358,33 +356,6 @@ def test_a_profile_counts_scenes_and_accuracies():
     assert (found.pairs, rows["one"].pairs, rows["two"].pairs) == (9, 9, 9)
     assert rows["dark"].pairs == 4  # 1e-6 to 1e-9, which it does not solve; else its cost is open
     assert found.families["family of one"] == rows["one"]
-
-
-def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
-    plant(tmp_path, everything())
-    reaches = "reaches 1e-4 in acceleration (largest over time) on"
-    assert method_card(tmp_path, "good[rho_inf=0.8]") == [
-        f"good 0.8 (index 3) {reaches} 2 of 2 scenes tried.",
-        "Cheapest alone by operations: spring mass.",
-        "Dearer than the cheapest by operations: pendulum (1.92 times the cost of adaptive).",
-        "All of its runs reached the end.",
-        "Cost where it reaches it: 9600 operations.",
-    ]
-    assert method_card(tmp_path, "poor") == [
-        f"poor {reaches} 0 of 1 scene tried.",
-        "Cheapest by operations on no scene.",
-        "Does not reach it: spring mass (smallest error: 0.00938).",
-        "All of its runs reached the end.",
-        "Wrong without warning: 2 of 6 runs that reached the end "
-        "(error in acceleration above 0.1, largest over time).",
-    ]
-    assert method_card(tmp_path, "fragile")[2:] == [
-        "Fails: pendulum (2 newton failed).",
-        "2 of its 2 runs failed: pendulum (2).",
-    ]
-    assert len(method_card(tmp_path, "good")) == 10  # of two variants
-    with pytest.raises(SpecError, match="did you mean 'poor'"):
-        method_card(tmp_path, "pooor")
 
 
 def test_those_behind_the_first_are_named_or_counted():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from helpers import long
 
-from integrators.contract import Steps
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.resolutions import Steps
 from problems import (
     MechatronicSystem,
     State,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from helpers import long
 
-from integrators.contract import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native import constant_steps, klu
 from integrators.native.step_program import StepProgram
+from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.initial_values import consistent_start
 from problems.runtime import jax

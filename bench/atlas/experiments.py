@@ -20,7 +20,7 @@ from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, check_end
-from integrators.contract import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
 

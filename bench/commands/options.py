@@ -18,7 +18,7 @@ from bench.results.store import Store, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET, check_end
 from bench.running.progress import OnStandardError
-from integrators.contract import Tolerances
+from integrators.resolutions import Tolerances
 
 #: Most worker processes that can be asked for.
 MOST_JOBS = 1000

@@ -16,7 +16,7 @@ from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.plan import DEFAULT_HALVINGS, Cell, resolution_of
-from integrators.contract import Steps
+from integrators.resolutions import Steps
 from problems.spec import SpecError
 
 

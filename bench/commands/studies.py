@@ -23,7 +23,7 @@ from bench.plugins.facts import MethodFacts
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.plan import check_end, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
-from integrators.contract import Steps
+from integrators.resolutions import Steps
 from problems.spec import SpecError
 
 #: Most steps of a long run that can be asked for.

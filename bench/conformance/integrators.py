@@ -27,7 +27,8 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.running.measure import ignored_pattern
 from integrators import answers
-from integrators.contract import STATUSES, Integrator, Steps, Trajectory
+from integrators.contract import STATUSES, Integrator, Trajectory
+from integrators.resolutions import Steps
 from problems.answers import FalseAnswer
 from problems.initial_values import consistent_start
 from problems.spec import SpecError

@@ -12,7 +12,7 @@ from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
 from integrators import answers
 from integrators.answers import refusal
-from integrators.contract import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances
 
 #: Allowed difference of a measured order from the claimed one: 0.2, or 6 % of the claimed one if
 #: that is more. A claim is too modest if the order is larger by 0.3 more on every scene.

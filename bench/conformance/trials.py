@@ -13,7 +13,8 @@ from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from integrators import answers
 from integrators.answers import refusal
-from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, Trajectory
+from integrators.contract import Integrator, PreparedRun, Trajectory
+from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp
 from problems.answers import FalseAnswer, texts
 from problems.reference import Reference

@@ -14,7 +14,8 @@ from bench.running import measure
 from bench.running.errors import finite
 from bench.running.plan import Cell, check_end
 from bench.running.worker import Worker
-from integrators.contract import Steps, Trajectory
+from integrators.contract import Trajectory
+from integrators.resolutions import Steps
 from problems.reference import Reference
 from problems.runtime import Float
 from problems.spec import SpecError

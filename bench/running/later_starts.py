@@ -13,7 +13,8 @@ from bench.results.quantities import NORM
 from bench.running import measure
 from bench.running.errors import constraint_errors, relative_errors
 from integrators import answers
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.system import State

@@ -11,8 +11,9 @@ import numpy as np
 from bench.results.quantities import GROUPS, LEVELS, error_note
 from bench.results.records import Rows
 from bench.running.errors import finite
-from integrators.contract import Steps, Trajectory
+from integrators.contract import Trajectory
 from integrators.kept_rows import spread_rows
+from integrators.resolutions import Steps
 from problems.answers import array
 from problems.compiled import compiled
 from problems.reference import Reference

@@ -19,7 +19,8 @@ from bench.results.quantities import checked_norm
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems import spec
 from problems.answers import tidy
 from problems.spec import SpecError

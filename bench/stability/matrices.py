@@ -24,9 +24,10 @@ import numpy as np
 from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
 from integrators import answers
-from integrators.contract import Integrator, Steps
+from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepProgram
+from integrators.resolutions import Steps
 from problems.exported_programs import exported
 from problems.formulations import Start, with_rates
 from problems.layouts import state_layout

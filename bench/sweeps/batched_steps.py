@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
 from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.native import adaptive_steps, constant_steps
 from integrators.native.endings import Ending
@@ -20,6 +20,7 @@ from integrators.native.kernel import Form, Kernel
 from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import COUNTS
+from integrators.resolutions import Steps, Tolerances
 from problems.runtime import Float, Int
 from problems.system import MechatronicSystem
 

@@ -12,7 +12,8 @@ import numpy as np
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 

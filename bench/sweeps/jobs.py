@@ -20,7 +20,8 @@ from bench.sweeps.variation import (
     spec_without,
     unvaried_resolution,
 )
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems.runtime import check_runtime, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem

@@ -14,7 +14,8 @@ from bench.running.errors import Scales, component_errors, finite, scales, whole
 from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems.plain_text import said
 from problems.reference import Reference
 from problems.spec import SpecError

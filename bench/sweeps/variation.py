@@ -12,7 +12,8 @@ import numpy as np
 
 from bench.running.plan import check_end, resolution_of
 from bench.sweeps.batch import BatchRun
-from integrators.contract import Integrator, Steps, Tolerances
+from integrators.contract import Integrator
+from integrators.resolutions import Steps, Tolerances
 from problems.runtime import Float
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem

@@ -11,8 +11,9 @@ from integrators.adapters.library_runs import CountedEquations, LibrarySolver, c
 from integrators.adapters.ode import ODEMethod, given_ode
 from integrators.adapters.sundials_native import NativeCVODE
 from integrators.adapters.sundials_runs import SundialsRun
-from integrators.contract import PreparedRun, Tolerances, option
+from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense
+from integrators.resolutions import Tolerances
 from problems.system import MechatronicSystem
 
 #: CVODE's highest order of backward differences.

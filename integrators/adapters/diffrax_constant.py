@@ -16,10 +16,11 @@ from integrators.adapters.diffrax_runs import (
     right_hand_side,
 )
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import PreparedRun, Steps, Trajectory
+from integrators.contract import PreparedRun, Trajectory
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_records import Reading
+from integrators.resolutions import Steps
 from problems.formulations import Baumgarte, Start
 from problems.layouts import state_layout
 from problems.runtime import jax, jnp

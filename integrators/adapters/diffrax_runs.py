@@ -13,10 +13,11 @@ from integrators.adapters.counting import EVALUATION, LINEARISATION, Counts, run
 from integrators.adapters.ode import packed_columns, packed_projection, packed_rate
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
-from integrators.contract import PreparedRun, Tolerances, Trajectory, Work
+from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
 from integrators.operations import bill
 from integrators.program_costs import dense
+from integrators.resolutions import Tolerances
 from problems.compiled import compiled
 from problems.exported_programs import exported
 from problems.formulations import Baumgarte, ode_rate

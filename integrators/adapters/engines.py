@@ -10,9 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from integrators.contract import Integrator, PreparedRun, Steps, Trajectory
+from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
+from integrators.resolutions import Steps
 from problems.engines.agreement import why_not
 from problems.initial_values import consistent_start
 from problems.spec import SpecError, validate

@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.adapters.engines import Engine, EngineRun
-from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
+from integrators.contract import PreparedRun, Trajectory, Work, option
 from integrators.native.endings import Ending
+from integrators.resolutions import Steps
 from problems.engines.agreement import check_agreement
 from problems.engines.exudyn_models import EXUDYN_MODELS, load_exudyn
 from problems.system import MechatronicSystem

@@ -11,9 +11,10 @@ from integrators.adapters import dae
 from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
 from integrators.adapters.sundials_native import NativeIDA
 from integrators.adapters.sundials_runs import SundialsRun
-from integrators.contract import PreparedRun, Tolerances, Work, option
+from integrators.contract import PreparedRun, Work, option
 from integrators.operations import sparse
 from integrators.program_costs import dense
+from integrators.resolutions import Tolerances
 from problems import sparsity
 from problems.dependence import states_follow_accelerations
 from problems.formulations import FORMULATIONS

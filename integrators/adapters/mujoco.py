@@ -11,8 +11,9 @@ import numpy as np
 
 from integrators.adapters.engines import Engine, EngineRun
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import PreparedRun, Steps, Trajectory, Work, option
+from integrators.contract import PreparedRun, Trajectory, Work, option
 from integrators.native.endings import Ending
+from integrators.resolutions import Steps
 from problems.engines.agreement import check_agreement
 from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, load_mujoco
 from problems.system import MechatronicSystem

@@ -11,7 +11,8 @@ from integrators.adapters import dae
 from integrators.adapters.library_runs import LibrarySolver, callbacks_option
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import ScipyRun
-from integrators.contract import PreparedRun, Tolerances, option
+from integrators.contract import PreparedRun, option
+from integrators.resolutions import Tolerances
 from problems.formulations import FORMULATIONS
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem

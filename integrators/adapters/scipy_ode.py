@@ -20,9 +20,10 @@ from integrators.adapters.library_runs import (
     callbacks_option,
 )
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
-from integrators.contract import PreparedRun, Tolerances, Trajectory, Work, option
+from integrators.contract import PreparedRun, Trajectory, Work, option
 from integrators.operations import bill
 from integrators.program_costs import NotCounted, dense
+from integrators.resolutions import Tolerances
 from problems.runtime import Float
 from problems.system import MechatronicSystem
 

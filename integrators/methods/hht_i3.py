@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.contract import PreparedRun, Steps, Tolerances, option
+from integrators.contract import PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.guesses import Guess
 from integrators.native.own_values import FreeSteps, Needs, OwnValues
@@ -15,6 +15,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Attempt, Choice, Reading, Scalar, Time
 from integrators.native.step_work import StepWork
+from integrators.resolutions import Steps, Tolerances
 from problems.dependence import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
 from problems.kinematics import advance

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import Tolerances, Trajectory, Work
+from integrators.contract import Trajectory, Work
 from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native.endings import Ending
 from integrators.native.kernel import (
@@ -38,6 +38,7 @@ from integrators.native.step_records import (
     Time,
     largest,
 )
+from integrators.resolutions import Tolerances
 from problems.formulations import Start
 from problems.named_equations import turns, with_named_blocks
 from problems.runtime import Array, Bool, Int, jax, jnp

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.contract import Steps, Trajectory, Work
+from integrators.contract import Trajectory, Work
 from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native.endings import Ending
 from integrators.native.kernel import (
@@ -28,6 +28,7 @@ from integrators.native.kernel import (
 from integrators.native.step_operations import ROWS, STEPS
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import COUNTS, Scalar, Time
+from integrators.resolutions import Steps
 from problems.formulations import Start
 from problems.named_equations import turns, with_named_blocks
 from problems.runtime import Array, Float, Int, jax, jnp

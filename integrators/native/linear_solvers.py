@@ -62,8 +62,8 @@ class LinearSolver(ABC):
     def factorised(
         self, residual: Residual, u: Float[Array, " n"], kept: Array
     ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
-        """What replaces ``kept``, and the function of a right-hand side that is the update by the
-        tangent at u."""
+        """The replacement of ``kept``, and the update by the tangent at u as a function of a
+        right-hand side."""
         kept = self.renewed(residual, u, kept)
 
         def update(r: Array) -> Once:

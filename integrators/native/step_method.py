@@ -13,11 +13,12 @@ from abc import abstractmethod
 from dataclasses import Field, dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
-from integrators.contract import Integrator, PreparedRun, Steps, Tolerances, option
+from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
+from integrators.resolutions import Steps, Tolerances
 from problems import spec
 from problems.sparsity import Pattern, uses_sparse
 from problems.spec import SpecError

@@ -119,7 +119,7 @@ _LOOKS = {
 def method_strip(
     label: str, found: Sequence[Answer], series: Mapping[str, Series]
 ) -> vl.Spec | None:
-    """Where an integrator wins, ties, loses and fails: a row per scene, a column per accuracy.
+    """Wins, ties, losses and failures of an integrator: a row per scene, a column per accuracy.
 
     The last column counts its runs that are wrong without a note.
     """

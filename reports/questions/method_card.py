@@ -76,7 +76,7 @@ def state_on(label: str, answer: SceneAnswer) -> str:
 def _detail(
     state: str, label: str, answer: SceneAnswer, own: Series, question: Question, words: Words
 ) -> Sentence:
-    """What stands in brackets behind a scene."""
+    """The words in brackets behind a scene."""
     if state in ("alone", "tied", "single"):
         said = violation_text([answer.entries[label].run], question.target)
         parts: list[Piece] = [f"|Φ| up to {said}"] if said else []
