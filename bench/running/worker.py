@@ -152,11 +152,6 @@ class Worker:
                 record.reference_error |= held.reference_errors
             return found.histories
 
-        def later() -> list[dict[str, float | None]]:
-            integrator = self.registry.integrator(record.integrator)
-            reference = self.reference(scene, record.t_end)
-            return errors_from_later_starts(integrator, cell.resolution, reference)
-
         residuals = "No residual of the constraints is known"
         no_errors, blocks = "No errors are known, the reference failed", ["energy"]
         reference = part(no_errors, motion, None) if errors else None
@@ -189,11 +184,14 @@ class Worker:
 
         record.operations = part("Its operations are not known", operations, {})
         # A run that takes longer than its preparation would double the time of the suite.
-        if record.errors and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0):
-            with suppress(
-                BaseException
-            ):  # a plugin's, of which `check` says that it must start then
-                record.later = later()
+        if (
+            reference
+            and record.errors
+            and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0)
+        ):
+            integrator = self.registry.integrator(record.integrator)
+            with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
+                record.later = errors_from_later_starts(integrator, cell.resolution, reference)
         record.claims = part("Its claimed orders are not known", claims, None)
         _add(record, part("Its cautions are not known", cautions, ""))
 
