@@ -12,7 +12,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.results.quantities import COST, COSTS, GROUPS, NORM, error_note, group_and_norm
+from bench.results.quantities import (
+    COST,
+    COSTS,
+    GROUPS,
+    NORM,
+    checked_cost,
+    error_note,
+    group_and_norm,
+)
 from problems.spec import SpecError, suggest
 from reports.charts.error_panels import ACROSS, error_panel, run_rows
 from reports.charts.line_styles import paper_line_styles
@@ -141,9 +149,7 @@ def write_figure(
 def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
     runs = ok_runs(chosen.series)
     known = [c for c in COSTS if c == "seconds" or any(r.cost(c) is not None for r in runs)]
-    if cost not in known:
-        raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
-    return _errors(chosen, chosen.series, error, cost)
+    return _errors(chosen, chosen.series, error, checked_cost(cost, known))
 
 
 def _convergence(chosen: Selection, error: str = "q") -> Spec:

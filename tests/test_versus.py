@@ -269,6 +269,7 @@ def test_a_file_has_the_scenes_and_the_accuracies(folder, tmp_path, name):
         (["good 0.8", "poor", "--group", "a,b"], "There is no group 'b'"),
         (["good 0.8", "poor", "--norm", "most"], "There is no norm 'most'"),
         (["good 0.8", "poor", "--cost", "second"], "There is no cost 'second'"),
+        (["good 0.8", "poor", "--cost", ""], "There is no cost ''; known:"),
         (["good 0.8", "poor", "--target", "2"], "2 is no accuracy; give one between 0 and 1"),
         (["good 0.8", "poor", "-o", "v.txt"], "v.txt is no page or figure"),
         (["good 0.8", "poor", "--target", "1e-9", "-o", "v.svg"], "There is nothing to draw"),

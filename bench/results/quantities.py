@@ -162,6 +162,21 @@ RANKED_COSTS = tuple(cost.name for cost in COSTS.values() if cost.ranked)
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.
 COST = "operations"
+
+
+def checked_cost(cost: str, known: Collection[str]) -> str:
+    """Return the name of a cost, one of ``known``.
+
+    Raises
+    ------
+    SpecError
+        If it is another.
+    """
+    if cost not in known:
+        raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
+    return cost
+
+
 #: A run that ends well with a larger error than this has nothing right.
 WRONG = 0.1
 #: Below this many times the reference's own error, an error says nothing.

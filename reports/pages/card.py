@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bench.results.quantities import COSTS, RANKED_COSTS, checked_group
+from bench.results.quantities import COSTS, RANKED_COSTS, checked_cost, checked_group
 from problems.spec import SpecError, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
@@ -70,7 +70,7 @@ def write_card(
     if path.suffix not in _FORMATS:
         raise SpecError(f"{path.name} is no card; give a name that ends in {listed(_FORMATS)}.")
     stored = stored_runs(folder)
-    question = _question(group, target, cost or stored.first.cost)
+    question = _question(group, target, stored.first.cost if cost is None else cost)
     chosen = {f.key: f for f in filters({k: stored.tags.get(k, ()) for k in stored.series})}
     if scenes not in chosen:
         raise SpecError(f"There is no set of scenes {scenes!r}; {suggest(scenes, chosen)}.")
@@ -127,9 +127,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
 def _question(group: str, target: float, cost: str) -> Question:
     if target not in TARGETS:
         raise SpecError(f"{target:g} is no target; give one of 1e-1, 1e-2 ... 1e-9.")
-    if cost not in RANKED_COSTS:
-        raise SpecError(f"There is no cost {cost!r}; {suggest(cost, RANKED_COSTS)}.")
-    return Question(checked_group(group), target, cost)
+    return Question(checked_group(group), target, checked_cost(cost, RANKED_COSTS))
 
 
 def _measured(stored: StoredRuns) -> str:
