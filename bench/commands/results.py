@@ -318,7 +318,7 @@ def versus_(
     """
     from bench.commands.terminal import show
 
-    asked = {name: value for name, value in question.items() if value}
+    asked = {name: value for name, value in question.items() if value is not None}
     found = view("versus")(first, second, folder, **asked)
     options.tell_set_aside(folder)
     if as_json:
