@@ -59,6 +59,10 @@ def faults(folder: Path, data: dict[str, Any]) -> list[str]:
             second = shown["second"] and f"{shown['second'][1]:.4g}"
             check(f"{at}: second", second, own["second"])
         for chosen in data["filters"]:
+            said = answer["filters"][chosen["id"]]["headline"]
+            text = "".join(p if isinstance(p, str) else data["refs"][p]["text"] for p in said)
+            end = _headline([own for k in chosen["scenes"] if (own := counted[k])])
+            check(f"{key} on {chosen['id']}: headline", text[-len(end) :], end)
             rows = {
                 names[k]: tuple(row) for k, *row in answer["filters"][chosen["id"]]["standings"]
             }
@@ -215,6 +219,26 @@ def _standings(scenes: list[dict[str, Any]]) -> dict[str, tuple[int, ...]]:
             row[2] += not isinstance(state, str) or state == "unknown"
             row[3] += 1
     return {name: tuple(row) for name, row in rows.items()}
+
+
+def _headline(scenes: list[dict[str, Any]]) -> str:
+    """The end of the headline, in which its numbers are."""
+    judged = len(scenes)
+    reached = [[s for s in d["states"].values() if s not in ("far", "failed")] for d in scenes]
+    every = {1: "the scene", 2: "both scenes"}.get(judged, f"all {judged} scenes")
+    firsts = [(own + tied, own) for own, tied, *_ in _standings(scenes).values()]
+    count, alone = max(firsts, default=(0, 0))
+    if not judged:
+        return "No scene here can be judged."
+    if not any(reached):
+        return f"Nobody reaches it on {every}."
+    if not count:
+        return "It is reached, but no costs can be compared."
+    end = f"cheapest on {every if count == judged else f'{count} of {judged} scenes'}"
+    if alone < count:
+        return end + (f", alone on {alone}." if alone else ", always tied.")
+    missed = sum(not own for own in reached)
+    return end + (f"; nobody reaches {missed}." if missed else ".")
 
 
 def _profile_faults(data: dict[str, Any], records: list[Record], names: list[str]) -> list[str]:

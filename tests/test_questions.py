@@ -11,6 +11,7 @@ from planted import everything, planted
 
 from bench.results.records import UNSUPPORTED
 from reports.questions.answers import answer, answers
+from reports.questions.cheapest import headline
 from reports.questions.phrases import plain
 from reports.questions.profile import profiles
 from reports.questions.question import ALL, FIRST, Question, filters
@@ -114,12 +115,31 @@ def field(*wins, rivals=("one", "two")):
 AIM = "To 1e-4 in acceleration (largest over time), "
 
 
+@pytest.mark.parametrize(
+    ("wins", "line"),
+    [
+        ([(1, 9), (1, 9), (9, 1)], "A is cheapest on 2 of 3 scenes."),
+        ([(1, 9), (1, 9), (None, None)], "A is cheapest on 2 of 3 scenes; nobody reaches 1."),
+        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, alone on 2."),
+        ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, always tied."),
+        ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "3 methods tie: each is cheapest on 1 of 3 scenes."),
+        ([(1, 9), (1, 9)], "A is cheapest on both scenes."),
+        ([(None, None)] * 3, "Nobody reaches it on all 3 scenes."),
+        ([(1,)], "It is reached, but no costs can be compared."),
+    ],
+)  # fmt: skip
+def test_the_headline_has_at_most_twelve_words(wins, line):
+    scenes = scenes_of(field(*wins, rivals="ABC"[: len(wins[0])]))
+    said = plain(headline(answer(scenes, COUNTS), words_of(scenes, {})))
+    assert (said, len(said.split()) <= 12) == (line, True)
+
+
 def test_the_answer_over_scenes_counts_wins_ties_and_misses():
     records = field((100, 200), (100, 300), (50, 50), (90, 30), (None, None))
     assert said(records) == [
         AIM + "one needs the fewest residual evaluations on 3 of the 4 scenes where any "
         "integrator reaches it, alone on 2 (the next costs 2 to 3 times as much); two on s2 and "
-        "s3; a tie counts for each of its members.",
+        "s3.",
         "one and two reach it on the most scenes: 4 of 5 tried.",
         "No integrator reaches it on s4 (nearest: one, 0.01).",
     ]

@@ -15,6 +15,7 @@ from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
 from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.questions.cheapest import headline
 from reports.questions.phrases import Piece, Ref, Sentence
 from reports.questions.profile import Profile, profiles
 from reports.questions.question import TARGETS, Filter, Question, filters, tag_name
@@ -191,9 +192,9 @@ class SiteData:
         An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
         its multiple) and ``states``, a list in the order of the methods: the multiple and the place
         of the run, one of `reports.ranking.STATES`, or None of a method that was not tried. There
-        are ``verdicts``, a sentence per scene, and per filter ``sentences`` and ``standings``
-        (method, alone, tied, reached, tried). ``wrong`` has by group the sentences on runs that are
-        wrong without warning, per filter and, with verdicts, per scene.
+        are ``verdicts``, a sentence per scene, and per filter ``headline``, ``sentences`` and
+        ``standings`` (method, alone, tied, reached, tried). ``wrong`` has by group the sentences on
+        runs that are wrong without warning, per filter and, with verdicts, per scene.
         """
         places: dict[Ref, int] = {}
 
@@ -202,6 +203,7 @@ class SiteData:
 
         def part(answer: Answer) -> dict[str, Any]:
             return {
+                "headline": plain(headline(answer, self.report.words)),
                 "sentences": [plain(said) for said in sentences(answer, self.report.words)],
                 "standings": [
                     [self.places[s.label], s.alone, s.tied, int(s.reached), s.tried]

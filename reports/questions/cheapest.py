@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from bench.results.quantities import COSTS
 from bench.results.records import Record
@@ -64,19 +65,61 @@ def _resolution(run: Record) -> str:
     return f"h={value} s" if run.controls == "step" else f"rtol={value}"
 
 
-def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
-    """'To 1e-4 in ..., A takes the fewest operations on 7 of 12 scenes, alone on 5; B on 3.'."""
+class Leaders(NamedTuple):
+    """Contestants that are first somewhere, those with most scenes first; ``lead`` are the best.
+
+    ``where`` has the scenes of each, ``alone`` on how many no other one ties with it.
+    """
+
+    lead: list[str]
+    where: dict[str, list[str]]
+    alone: Counter[str]
+
+
+def leaders(voting: Mapping[str, SceneAnswer]) -> Leaders:
+    """The contestants that are first on the most scenes, and among these most often alone."""
     where: dict[str, list[str]] = {}
-    first = [s for scene in voting.values() for s in scene.first]
     alone: Counter[str] = Counter()
     for name, scene in voting.items():
         for s in scene.first:
             where.setdefault(s.label, []).append(name)
             alone[s.label] += len(scene.first) == 1
-    order = sorted(where, key=lambda label: (-len(where[label]), -alone[label]))
-    lead = [
-        k for k in order if (len(where[k]), alone[k]) == (len(where[order[0]]), alone[order[0]])
-    ]
+    standing = {label: (-len(own), -alone[label]) for label, own in where.items()}
+    order = sorted(where, key=standing.__getitem__)
+    lead = [label for label in order if standing[label] == standing[order[0]]]
+    return Leaders(lead, {label: where[label] for label in order}, alone)
+
+
+def headline(found: Answer, words: Words) -> Sentence:
+    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one."""
+    judged = len(found.scenes)
+    every = "the scene" if judged == 1 else f"{'both' if judged == 2 else f'all {judged}'} scenes"
+    voting = {name: s for name, s in found.scenes.items() if s.votes and s.first}
+    missed = sum(not s.reached for s in found.scenes.values())
+    if not judged:
+        return ["No scene here can be judged."]
+    if missed == judged:
+        return ["Nobody reaches it on ", every, "."]
+    if not voting:
+        return ["It is reached, but no costs can be compared."]
+    lead, where, alone = leaders(voting)
+    first = [s for scene in voting.values() for s in scene.first if s.label in lead]
+    count, wins = len(where[lead[0]]), alone[lead[0]]
+    on = every if count == judged else f"{count} of {judged} scenes"
+    if len(lead) > _NAMED:
+        said: Sentence = [f"{len(lead)} methods tie: each is cheapest on {on}"]
+    else:
+        does = "is cheapest on" if len(lead) == 1 else "are each cheapest on"
+        said = [*words.solvers(first), f" {does} {on}"]
+    if wins < count:
+        return [*said, f", alone on {wins}." if wins else ", always tied."]
+    return [*said, f"; nobody reaches {missed}." if missed else "."]
+
+
+def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> Sentence:
+    """'To 1e-4 in ..., A takes the fewest operations on 7 of 12 scenes, alone on 5; B on 3.'."""
+    lead, where, alone = leaders(voting)
+    first = [s for scene in voting.values() for s in scene.first]
     cost = COSTS[found.question.cost]
     count, wins, most = len(where[lead[0]]), alone[lead[0]], len(voting)
 
@@ -97,7 +140,7 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
     else:
         said += [_alone("each alone", wins, count), *_times_next(lead, voting)]
     others: dict[tuple[str, ...], list[str]] = {}
-    for label in order[len(lead) :]:
+    for label in list(where)[len(lead) :]:
         others.setdefault(tuple(where[label]), []).append(label)
     shown = _OTHERS if len(others) > _OTHERS + 1 else len(others)
     for own, labels in list(others.items())[:shown]:
@@ -107,9 +150,7 @@ def cheapest(found: Answer, voting: Mapping[str, SceneAnswer], words: Words) -> 
         said += [] if any(alone[label] for label in labels) else [", tied"]
     more = sum(map(len, list(others.values())[shown:]))
     said += [f"; {more} more on at least one"] if more else []
-    # The counts of all then add up to more than the scenes.
-    counted = others and any(alone[label] < len(where[label]) for label in order)
-    return [*said, "; a tie counts for each of its members." if counted else "."]
+    return [*said, "."]
 
 
 def violating(found: Answer, words: Words) -> list[Sentence]:

@@ -58,15 +58,19 @@
     }
   };
 
+  window.addEventListener("beforeprint", () => card.querySelector("details").open = true);
   stepbench.onChange((question) => {
     const own = stepbench.answer()?.filters[question.scenes];
     const title = `Which integrator, for an error in ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     document.querySelector("main h1").textContent = title;
-    card.replaceChildren(...(own ? own.sentences.map((parts) => html("p", {}, ...parts.map(part)))
-      : [html("p", {}, data.complete
-        ? "No run here can be judged by this question." : "The other answers are being read.")]));
+    const unfolded = card.querySelector("details")?.open;
+    card.replaceChildren(html("p", { class: "headline" }, ...(own ? own.headline.map(part) : [data.complete
+      ? "No run here can be judged by this question." : "The other answers are being read."])));
     card.append(...stepbench.wrong("filters", question.scenes));
-    card.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
+    const more = html("details", unfolded ? { open: "" } : {}, html("summary", {}, "costs, rivals, constraints, and where it fails"));
+    card.append(more);
+    more.append(...(own?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
+    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
     const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
     standings(own ? own.standings : [], judged);
   });
