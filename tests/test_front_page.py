@@ -125,6 +125,31 @@ def test_the_bar_drives_words_charts_and_heat_table_together(page, folder):
 
 
 @in_chromium
+def test_runs_without_a_place_on_the_axes_stand_in_bands(page, folder):
+    """Failed runs are drawn, also without a cost, and no line leads into a band."""
+    visit(page, folder, "#group=a&target=1e-4&cost=operations&scenes=all")
+    charts = page.execute_script(
+        """
+        return [...document.querySelectorAll(".panel:not([hidden]) svg.plot")].map((chart) => {
+          const heights = (name) => [...chart.querySelectorAll(name)].flatMap((path) =>
+            [...path.getAttribute("d").matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]));
+          return {
+            bands: [...chart.querySelectorAll(".band")].map((b) => b.getBBox().y + 15),
+            failed: heights(".marks.open"), lines: heights(".line"),
+            says: chart.getAttribute("aria-label"), axis: chart.textContent,
+          };
+        });
+        """
+    )
+    assert any(chart["failed"] for chart in charts)
+    for chart in charts:
+        assert "error in a" in chart["axis"]
+        assert bool(chart["failed"]) == (", 0 of them failed" not in chart["says"])
+        assert max(chart["failed"], default=0) <= max(chart["bands"], default=0)
+        assert min(chart["lines"], default=1e3) >= max(chart["bands"], default=0)
+
+
+@in_chromium
 def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
     visit(page, folder, "#group=lam&target=1e-4&cost=operations&scenes=all")
     assert "reached, of 1 scene" in shown(page)["standings"]

@@ -103,14 +103,13 @@ def headline(found: Answer, words: Words) -> Sentence:
     if not voting:
         return ["It is reached, but no costs can be compared."]
     lead, where, alone = leaders(voting)
-    first = [s for scene in voting.values() for s in scene.first if s.label in lead]
     count, wins = len(where[lead[0]]), alone[lead[0]]
     on = every if count == judged else f"{count} of {judged} scenes"
     if len(lead) > _NAMED:
         said: Sentence = [f"{len(lead)} methods tie: each is cheapest on {on}"]
     else:
         does = "is cheapest on" if len(lead) == 1 else "are each cheapest on"
-        said = [*words.solvers(first), f" {does} {on}"]
+        said = [*words.methods(lead), f" {does} {on}"]
     if wins < count:
         return [*said, f", alone on {wins}." if wins else ", always tied."]
     return [*said, f"; nobody reaches {missed}." if missed else "."]

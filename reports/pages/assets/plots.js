@@ -2,10 +2,12 @@
 "use strict";
 (() => {
   const { svg, html, data } = stepbench;
-  const SMALL = { high: 236, left: 46, right: 14, top: 12, bottom: 34, mark: 2.6, ticks: 5 };
-  const LARGE = { high: 480, left: 64, right: 0, top: 16, bottom: 48, mark: 4.2, ticks: 10 };
-  // Errors above this are drawn at the upper edge, so that a wild run does not press the others flat.
+  const SMALL = { high: 240, left: 46, right: 14, top: 20, bottom: 34, mark: 2.6, ticks: 5 };
+  const LARGE = { high: 484, left: 64, right: 0, top: 22, bottom: 48, mark: 4.2, ticks: 10 };
+  // Runs without a place on the axes stand in bands above them: those that failed, and those with errors above
+  // this, so that a wild run does not press the others flat.
   const MOST = 100;
+  const BANDS = [["failed", (p) => p.failed], [`> ${MOST}`, (p) => !p.failed && p.error > MOST && p.cost > 0]], BAND = 15;
   // Errors that are so many times smaller than what the reference can judge are drawn at the lower one.
   const BELOW = 30;
 
@@ -55,23 +57,32 @@
   // Where points are on the chart; ``null`` axes of a chart without points.
   const layoutOf = (curves, size, wide, question, floor) => {
     const ok = curves.flatMap((curve) => curve.points.filter((p) => p.error > 0 && p.cost > 0));
-    const errors = ok.filter((p) => p.error > 1e-35).map((p) => Math.max(Math.min(p.error, MOST), (floor || 0) / BELOW));
+    const errors = ok.filter((p) => p.error > 1e-35 && p.error <= MOST).map((p) => Math.max(p.error, (floor || 0) / BELOW));
+    const bands = BANDS.filter(([, own]) => curves.some((curve) => curve.points.some(own)));
     const y = range([...errors, Number(question.target)], .05);
     const x = range(ok.map((p) => p.cost).filter((cost) => cost > 1e-35), .04);
-    const inside = { x0: size.left, x1: wide - size.right, y0: size.top, y1: size.high - size.bottom };
+    const inside = { x0: size.left, x1: wide - size.right, y0: size.top + BAND * bands.length, y1: size.high - size.bottom };
     const onX = (cost) => inside.x0 + (Math.log10(cost) - x[0]) / (x[1] - x[0]) * (inside.x1 - inside.x0);
     const onY = (error) => inside.y1 - (Math.log10(error) - y[0]) / (y[1] - y[0]) * (inside.y1 - inside.y0);
     const between = (value, low, high) => Math.max(low, Math.min(high, value));
+    let unknown = 0;  // runs whose cost is not known stand side by side at the left of their band
     for (const { points } of curves) for (const p of points) {
-      p.shown = p.cost > 0 && (p.failed || p.error > 0);
-      p.x = between(onX(p.cost), inside.x0, inside.x1);
-      p.y = p.failed ? inside.y0 : between(onY(p.error), inside.y0, inside.y1);
+      const band = bands.findIndex(([, own]) => own(p));
+      p.banded = band >= 0;
+      p.shown = p.failed || (p.cost > 0 && p.error > 0);
+      p.x = p.cost > 0 ? between(onX(p.cost), inside.x0, inside.x1) : inside.x0 + 4 + 7 * unknown++ % (inside.x1 - inside.x0);
+      p.y = p.banded ? size.top + BAND * (band + .5) : between(onY(p.error), inside.y0, inside.y1);
     }
-    return { x, y, inside, onX, onY, floor: floor && Math.log10(floor) > y[0] ? onY(Math.min(floor, 10 ** y[1])) : null };
+    return { x, y, inside, bands: bands.map(([name]) => name), onX, onY, floor: floor && Math.log10(floor) > y[0] ? onY(Math.min(floor, 10 ** y[1])) : null };
   };
 
   const grid = (at, size, question) => {
     const { inside, onX, onY } = at, lines = svg("g", { class: "grid" }), texts = svg("g", { class: "axis" });
+    at.bands.forEach((name, k) => {
+      const top = size.top + BAND * k;
+      lines.append(svg("rect", { class: "band", x: inside.x0, y: top + 1, width: inside.x1 - inside.x0, height: BAND - 2 }));
+      texts.append(svg("text", { x: inside.x0 - 6, y: top + 11, "text-anchor": "end" }, name));
+    });
     for (const error of ticksOf(at.y, size.ticks)) {
       const y = onY(error);
       lines.append(svg("path", { d: `M${inside.x0} ${y}H${inside.x1}` }));
@@ -86,6 +97,7 @@
       texts.append(svg("text", { x, y: inside.y1 + 15, "text-anchor": "middle" }, text));
     }
     texts.append(svg("text", { class: "title", x: (inside.x0 + inside.x1) / 2, y: size.high - 4, "text-anchor": "middle" }, stepbench.costName(question)));
+    texts.append(svg("text", { class: "title", x: 2, y: size.top - 8 }, `error in ${data.group_names[question.group].split(" ").at(-1)}`));
     return [lines, texts];
   };
 
@@ -94,7 +106,7 @@
     const mark = size.mark * (kind === "first" ? 1.35 : 1);
     const group = svg("g", { class: `curve ${kind}` });
     group.style.setProperty("--own", stepbench.colour(method));
-    const line = svg("path", { class: "line", d: ok.map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join("") });
+    const line = svg("path", { class: "line", d: ok.filter((p) => !p.banded).map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join("") });
     if (method.dash[1] > 0) line.setAttribute("stroke-dasharray", method.dash.join(" "));
     const marks = (own) => own.map((p) => `M${p.x.toFixed(1)} ${p.y.toFixed(1)}${stepbench.shape(method, mark)}`).join("");
     group.append(line, svg("path", { class: "marks", d: marks(ok) }));
@@ -132,7 +144,7 @@
 
   // Names at the right edge, at the ends of their curves and moved apart, as a legend for keys.
   const legend = (drawn, at, wide) => {
-    const own = drawn.map((item) => ({ ...item, end: item.points.filter((p) => p.shown && !p.failed).at(-1) }))
+    const own = drawn.map((item) => ({ ...item, end: item.points.filter((p) => p.shown && !p.banded).at(-1) }))
       .filter((item) => item.end).sort((one, two) => one.end.y - two.end.y);
     const step = 15, most = Math.floor((at.inside.y1 - at.inside.y0) / step) + 1;
     const shown = own.length > most ? own.filter((item) => item.kind === "first" || item.kind === "mine").concat(
@@ -251,7 +263,7 @@
     for (const item of drawn) chart.append(item.node = curve(item, fits));
     const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
     // Names keep away from lines and from the asked accuracy, too.
-    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.failed).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
+    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.banded).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
       .concat(steps({ x: at.inside.x0, y }, { x: at.inside.x1, y }));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
@@ -261,7 +273,7 @@
         ring.style.stroke = stepbench.colour(item.method);
         chart.append(ring);
       }
-      const p = run?.shown ? run : item.points.filter((o) => o.shown).at(-1);
+      const p = run?.shown ? run : item.points.filter((o) => o.shown && !o.banded).at(-1);
       if (!p || (names && !run)) continue;
       const spot = placed(item.method.short, p, at, busy, taken);
       if (spot?.far > 20) chart.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
@@ -271,7 +283,7 @@
     // On the left no line leads to a name; the name of the reference's floor may stand there.
     const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
     if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
-    if (!all.length) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
+    if (!all.some((p) => !p.failed)) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
       curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
     place.replaceChildren(chart);

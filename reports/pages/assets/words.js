@@ -30,7 +30,7 @@
     return track;
   };
 
-  const MOST = 9;
+  const MOST = 5;
   let folded = true;
   const standings = (rows, of) => {
     const mine = stepbench.question.highlight;
@@ -66,10 +66,11 @@
     const unfolded = card.querySelector("details")?.open;
     card.replaceChildren(html("p", { class: "headline" }, ...(own ? own.headline.map(part) : [data.complete
       ? "No run here can be judged by this question." : "The other answers are being read."])));
-    card.append(...stepbench.wrong("filters", question.scenes));
+    const [wrong, ...which] = stepbench.wrong("filters", question.scenes);
+    if (wrong) card.append(wrong);
     const more = html("details", unfolded ? { open: "" } : {}, html("summary", {}, "costs, rivals, constraints, and where it fails"));
     card.append(more);
-    more.append(...(own?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
+    more.append(...which, ...(own?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
     more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
     const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
     standings(own ? own.standings : [], judged);
