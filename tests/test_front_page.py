@@ -7,7 +7,7 @@ import re
 
 import pytest
 from chromium import chromium, in_chromium, waited
-from planted import everything, plant
+from planted import everything, plant, planted
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
@@ -125,23 +125,24 @@ def test_the_bar_drives_words_charts_and_heat_table_together(page, folder):
 
 
 @in_chromium
-def test_runs_without_a_place_on_the_axes_stand_in_bands(page, folder):
-    """Failed runs are drawn, also without a cost, and no line leads into a band."""
-    visit(page, folder, "#group=a&target=1e-4&cost=operations&scenes=all")
+def test_runs_without_a_place_on_the_axes_stand_in_bands(page, tmp_path):
+    wild = [planted("spring_mass", "wild", {"a": (1e6, 1), "q": (1, 1)}, h=h) for h in (0.1, 1e-5)]
+    lost = planted("spring_mass", "lost", {}, h=0.1, status="newton_failed", work={})
+    write_html_report(plant(tmp_path, [*everything(), *wild, lost]))
+    visit(page, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
     charts = page.execute_script(
         """
-        return [...document.querySelectorAll(".panel:not([hidden]) svg.plot")].map((chart) => {
-          const heights = (name) => [...chart.querySelectorAll(name)].flatMap((path) =>
+        const own = [...document.querySelectorAll(".panel:not([hidden]) svg.plot")];
+        return own.map((chart) => {
+          const all = (name) => [...chart.querySelectorAll(name)];
+          const heights = (name) => all(name).flatMap((path) =>
             [...path.getAttribute("d").matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]));
-          return {
-            bands: [...chart.querySelectorAll(".band")].map((b) => b.getBBox().y + 15),
-            failed: heights(".marks.open"), lines: heights(".line"),
-            says: chart.getAttribute("aria-label"), axis: chart.textContent,
-          };
+          return { bands: all(".band").map((b) => b.getBBox().y + 15), lines: heights(".line"),
+            failed: heights(".marks.open"), says: chart.ariaLabel, axis: chart.textContent };
         });
         """
     )
-    assert any(chart["failed"] for chart in charts)
+    assert [len(chart["bands"]) for chart in charts] == [2, 1]
     for chart in charts:
         assert "error in a" in chart["axis"]
         assert bool(chart["failed"]) == (", 0 of them failed" not in chart["says"])
