@@ -144,10 +144,9 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(page, tmp_path):
     )
     assert [len(chart["bands"]) for chart in charts] == [2, 1]
     for chart in charts:
-        assert "error in a" in chart["axis"]
-        assert bool(chart["failed"]) == (", 0 of them failed" not in chart["says"])
-        assert max(chart["failed"], default=0) <= max(chart["bands"], default=0)
-        assert min(chart["lines"], default=1e3) >= max(chart["bands"], default=0)
+        assert "error in a" in chart["axis"] and ", 0 of them failed" not in chart["says"]
+        end = max(chart["bands"])
+        assert max(chart["failed"]) <= end <= min(chart["lines"])
 
 
 @in_chromium
