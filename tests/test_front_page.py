@@ -138,15 +138,14 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(page, tmp_path):
           const heights = (name) => all(name).flatMap((path) =>
             [...path.getAttribute("d").matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]));
           return { bands: all(".band").map((b) => b.getBBox().y + 15), lines: heights(".line"),
-            failed: heights(".marks.open"), says: chart.ariaLabel, axis: chart.textContent };
+            failed: heights(".marks.open"), axis: chart.textContent };
         });
         """
     )
     assert [len(chart["bands"]) for chart in charts] == [2, 1]
     for chart in charts:
-        assert "error in a" in chart["axis"] and ", 0 of them failed" not in chart["says"]
-        end = max(chart["bands"])
-        assert max(chart["failed"]) <= end <= min(chart["lines"])
+        assert "error in a" in chart["axis"]
+        assert max(chart["failed"]) <= max(chart["bands"]) <= min(chart["lines"])
 
 
 @in_chromium
