@@ -8,7 +8,7 @@ export PYTHONPYCACHEPREFIX :=
 
 TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test types test-long survey attack bench clean
+.PHONY: run test types test-long survey attack bench pictures clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -47,6 +47,9 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/callbacks.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
+
+pictures: .venv/tested  ## README's pictures and docs/choosing.md; half an hour, in Chromium
+	$(BIN)/python tests/pictures.py
 
 clean:
 	rm -rf .venv .cache build *.egg-info stepbench-*

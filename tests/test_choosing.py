@@ -297,3 +297,11 @@ def test_the_command_writes_the_guide(store, stepbench, tmp_path):
     written = stepbench("choose", store, "-o", tmp_path / "guide.md")
     assert "Guide:" in written.stdout
     assert (tmp_path / "guide.md").read_text(encoding="utf-8") == shown.stdout
+
+
+@pytest.mark.parametrize("made", [PAGE, PAGE.with_name("card_full.svg")])
+def test_pages_and_pictures_are_not_older_than_the_last_minor_release(made):
+    """`make pictures` makes them anew."""
+    project = (PAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    (now,) = re.findall(r'^version = "(\d+\.\d+)\.', project, re.M)
+    assert {*re.findall(r"stepbench (\d+\.\d+)\.", made.read_text(encoding="utf-8"))} == {now}

@@ -109,7 +109,8 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
     size = next(sizes, 26)
     rule = {"height": 1, "fill": "#c9d0d9"}
     foot = HEIGHT - 30
-    mark = "measured by stepbench"
+    made_by = [e.versions.get("stepbench", "") for e in stored.environments.values()]
+    mark = " ".join(["measured by stepbench", *made_by[-1:]]).strip()
     parts = [
         tag("rect", width=WIDTH, height=8, fill="#2456c4"),
         text_line(fitted(stored.title, size, wide, True), _MARGIN, 76, size, font_weight="bold"),
@@ -118,7 +119,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
         *_paragraphs(said, _SENTENCES),
         *card_chart(found, stored.series, words, _CHART, stored.mine),
         tag("rect", x=_MARGIN, y=foot - 28, width=wide, **rule),
-        text_line(fitted(_measured(stored), 16, wide - 260), _MARGIN, foot, 16, fill=_GREY),
+        text_line(fitted(_measured(stored), 16, wide - 340), _MARGIN, foot, 16, fill=_GREY),
         text_line(mark, WIDTH - _MARGIN, foot, 16, font_weight="bold", text_anchor="end"),
     ]
     return svg(WIDTH, HEIGHT, stored.title, " ".join([f"Error at most {asked}.", *told]), parts)
