@@ -74,8 +74,8 @@ def with_references(data):
     """The data with the references that the places in sentences stand for."""
     for answer in data["answers"].values():
         for own in answer["filters"].values():
-            own["sentences"] = [
+            own["headline"], *own["sentences"] = (
                 [p if isinstance(p, str) else data["refs"][p] for p in said]
-                for said in own["sentences"]
-            ]
+                for said in (own["headline"], *own["sentences"])
+            )
     return data

@@ -138,7 +138,9 @@ def store(tmp_path_factory):
 
 
 def test_pages_card_and_terminal_say_the_same(store):
-    (count, silent, warned, why) = method_card(store, "")
+    (line, count, silent, warned, why) = method_card(store, "")
+    assert line.startswith("1e-4 in acceleration, fewest operations: ")
+    assert line.endswith("cheapest on 1 of 2 scenes.")
     assert count.startswith("Wrong without warning: ")
     assert silent == "Every run wrong in acceleration without warning: ringing 1 (pendulum: 9)."
     assert warned == "Every run wrong in acceleration with a warning: good 0.5 (pendulum: 9)."

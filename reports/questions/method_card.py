@@ -10,6 +10,7 @@ from bench.results.records import NOT_TRIED
 from reports.formatting import cost_text, number, times
 from reports.names import named_labels
 from reports.questions.answers import Answer, SceneAnswer, answer
+from reports.questions.cheapest import headline
 from reports.questions.phrases import Piece, Sentence, listed, plain
 from reports.questions.question import Question
 from reports.questions.words import Words, scene_ref
@@ -104,7 +105,7 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     """The card of an integrator in plain text, from the store of a run folder.
 
     It is named as it is printed, or without options for all of its variants. Without a name it is
-    that of the run: how many runs are wrong without warning.
+    that of the run: its answer in one line, and how many runs are wrong without warning.
 
     Raises
     ------
@@ -113,11 +114,12 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     """
     stored = stored_runs(folder)
     scenes, words, first = stored.series, stored.words, stored.first
+    found = answer(scenes, first)
     if not integrator:
-        return [
-            plain(said) for said in wrong_sentences(first.group, stored.wrong(first.group), words)
-        ]
-    chosen, found = named_labels(integrator, words.names), answer(scenes, first)
+        said = [f"{first.accuracy} in {first.quantity}, {COSTS[first.cost].least}: "]
+        wrong = wrong_sentences(first.group, stored.wrong(first.group), words)
+        return [plain([*said, *headline(found, words)]), *map(plain, wrong)]
+    chosen = named_labels(integrator, words.names)
     return [plain(sentence) for k in chosen for sentence in stored_card(k, found, stored)]
 
 
