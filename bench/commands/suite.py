@@ -162,7 +162,7 @@ def run_(
     for sentence in outcome.sentences:
         click.echo(sentence)
     write_reports(out)
-    # The answer, and runs that are wrong without warning; and where one's own integrator wins, loses and fails.
+    # The answer, runs that are wrong without warning, and where one's own integrator stands.
     from bench.commands.terminal import say
 
     for integrator in dict.fromkeys(("", planned.plan.mine)):
