@@ -77,9 +77,9 @@ class Cost(NamedTuple):
     """
 
     part: str
-    turns: str
-    inner: bool
-    operations: float
+    turns: str = ""
+    inner: bool = False
+    operations: float = 0.0
 
 
 def costs_of(
@@ -105,7 +105,7 @@ def costs_of(
     found = counter.total(counter.called("main", given))
     alike = counter.names
     found = [cost._replace(operations=cost.operations / alike.get(cost.turns, 1)) for cost in found]
-    return [*found, *(Cost(OWN, name, False, 0.0) for name in alike)]
+    return [*found, *(Cost(OWN, name) for name in alike)]
 
 
 @dataclass

@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from integrators.lowering.operators import ELEMENTARY
-from integrators.operations import operations
-from integrators.program_costs import dense
+from integrators.program_costs import INNER, Cost, costs_of, dense
 from problems import jax, jnp
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.system import MechatronicSystem
+
+
+class Operations(NamedTuple):
+    """Operations of a call: once, and in each iteration of Newton's method for index 1."""
+
+    arithmetic: float
+    algebra: float
+    arithmetic_per_turn: float
+    algebra_per_turn: float
+
+
+def sorted_out(costs: Iterable[Cost]) -> Operations:
+    found = Counter()
+    for cost in costs:
+        found[cost.inner, cost.part == INNER] += cost.operations
+    return Operations(*(found[inner, algebra] for inner in (0, 1) for algebra in (0, 1)))
+
+
+def operations(function, *arguments) -> Operations:
+    return sorted_out(costs_of(function, *arguments))
 
 
 def joining(n: int) -> float:

@@ -16,7 +16,7 @@ from bench.running import worker
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import constant_steps
-from integrators.operations import Operations
+from integrators.program_costs import Cost
 from problems import exported_programs, jnp
 from problems.compiled import _compiled
 from problems.exported_programs import exported, found_once
@@ -60,14 +60,14 @@ def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
 
 
 def test_numbers_that_tracing_finds_are_found_once(folder):
-    about, costs = ("costs of a step", Pendulum()), Operations(3.0, 4.0)
-    assert found_once(lambda: costs, about, Operations) == costs
-    assert found_once(never, about, Operations) == costs
+    about, costs = ("costs of a step", Pendulum()), [Cost("residuals", "steps", True, 4.0)]
+    assert found_once(lambda: costs, about, list[Cost]) == costs
+    assert found_once(never, about, list[Cost]) == costs
     (file,) = files(folder)
     spoilt = bytearray(file.read_bytes())
     spoilt[2] ^= 1
     file.write_bytes(spoilt)
-    assert found_once(lambda: costs, about, Operations) == costs
+    assert found_once(lambda: costs, about, list[Cost]) == costs
 
 
 def test_a_change_of_a_source_or_a_flag_makes_other_programs(folder, tmp_path, monkeypatch):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hand_counts import operations
 
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.lowering.operators import ELEMENTARY
 from integrators.native.discrete_gradients import discrete_gradient
 from integrators.native.equations import tangent_pattern
 from integrators.native.small_matrices import without_products
-from integrators.operations import operations
 from problems import jax, jnp
 
 

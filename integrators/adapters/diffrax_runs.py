@@ -15,8 +15,8 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
-from integrators.operations import bill
-from integrators.program_costs import dense
+from integrators.operations import bill, of_calls
+from integrators.program_costs import OWN, Cost, dense
 from integrators.resolutions import Tolerances
 from problems.compiled import compiled
 from problems.exported_programs import exported
@@ -126,24 +126,22 @@ class DiffraxRun(PreparedRun):
     def bill(self, run: Trajectory) -> dict[str, float]:
         if self._scheme.root_finder == "library_default":
             return {}  # its solves are not counted
-        key = self._scene.template(), self._baumgarte is not None
-        rate, jacobian = packed_rate(*key).operations, packed_columns(*key).operations
+        template, size = self._scene.template(), state_layout(self._scene.sizes).size
+        key, algebra = (template, self._baumgarte is not None), dense(size)
         attempts = (run.work.steps or 0) + (run.work.rejected or 0)
-        projection = packed_projection(key[0]).operations.times(attempts * self._scheme.projects)
-        algebra = dense(state_layout(self._scene.sizes).size)
         iterations = run.work.newton or 0  # each with a Jacobian, which gives the value on the way
-        size, stages = state_layout(self._scene.sizes).size, self._scheme.stages
         solver = EXPLICIT if self._scheme.root_finder == "none" else IMPLICIT
-        own = solver.operations(size, stages, attempts, iterations, iterations)
-        return bill(
-            self._scene,
-            run,
-            rate.times((run.work.residuals or 0) - iterations).plus(projection),
-            jacobian.times(iterations),
-            iterations * algebra.factorisation,
-            iterations * algebra.solve,
-            own,
-        )
+        own = solver.operations(size, self._scheme.stages, attempts, iterations, iterations)
+        projections = attempts * self._scheme.projects
+        costs = [
+            *of_calls(packed_rate(*key).costs, (run.work.residuals or 0) - iterations),
+            *of_calls(packed_projection(template).costs if projections else [], projections),
+            *of_calls(packed_columns(*key).costs, iterations, "Jacobians"),
+            Cost("factorisations", operations=iterations * algebra.factorisation),
+            Cost("solves", operations=iterations * algebra.solve),
+            Cost(OWN, operations=own),
+        ]
+        return bill(costs, self._scene, run)
 
 
 # ---- adaptive steps --------------------------------------------------------------------

@@ -18,8 +18,8 @@ from integrators.adapters.vector_work import VECTOR_WORK
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
-from integrators.operations import bill
-from integrators.program_costs import Algebra
+from integrators.operations import bill, of_calls
+from integrators.program_costs import OWN, Algebra, Cost
 from problems.runtime import slower
 from problems.system import MechatronicSystem
 
@@ -360,7 +360,11 @@ class LibraryRun(PreparedRun):
     def bill(self, run: Trajectory) -> dict[str, float]:
         if run.work.factorisations is None:
             return {}
-        work, (factorisations, solves) = run.work, self._linear_algebra(run.work)
+        return bill(self._costs(run.work), self.given.scene, run)
+
+    def _costs(self, work: Work) -> list[Cost]:
+        """Operations of a run with known factorisations."""
+        factorisations, solves = self._linear_algebra(work)
         attempts = (work.steps or 0) + (work.rejected or 0)
         # Of solvers through Python that do not tell it, an iteration is a residual.
         iterations = (work.residuals if work.newton is None else work.newton) or 0
@@ -368,15 +372,13 @@ class LibraryRun(PreparedRun):
             self.given.size, float(np.mean(self._orders or [0.0])), attempts, iterations,
             work.factorisations or 0,
         )  # fmt: skip
-        return bill(
-            self.given.scene,
-            run,
-            self.given.value.operations.times(run.work.residuals or 0),
-            self.given.jacobian.operations.times(run.work.jacobians or 0),
-            factorisations * self._algebra.factorisation,
-            solves * self._algebra.solve,
-            own,
-        )
+        return [
+            *of_calls(self.given.value.costs, work.residuals or 0),
+            *of_calls(self.given.jacobian.costs, work.jacobians or 0, "Jacobians"),
+            Cost("factorisations", operations=factorisations * self._algebra.factorisation),
+            Cost("solves", operations=solves * self._algebra.solve),
+            Cost(OWN, operations=own),
+        ]
 
     def _linear_algebra(self, work: Work) -> tuple[int, int]:
         """The numbers of real factorisations and solves."""

@@ -17,7 +17,7 @@ from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.native import load_c
 from integrators.lowering.programs import lowered
-from integrators.operations import Operations, operations
+from integrators.program_costs import Cost, costs_of
 from problems.runtime import Float, Int, jax, runs_at_once, slower
 
 #: C and JAX may differ by so much of the largest entry, and of that of the equation: both round.
@@ -59,9 +59,9 @@ class PackedFunction:
         self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self.places)))
 
     @cached_property
-    def operations(self) -> Operations:
+    def costs(self) -> list[Cost]:
         """Floating-point operations of a call."""
-        return operations(self.program, jax.ShapeDtypeStruct((self.size,), float))
+        return costs_of(self.program, jax.ShapeDtypeStruct((self.size,), float))
 
     def bind(self, *first: np.ndarray) -> Callable[..., Any]:
         """Return the function of the remaining arguments, for one thread: it has its own memory."""

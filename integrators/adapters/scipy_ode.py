@@ -21,8 +21,8 @@ from integrators.adapters.library_runs import (
 )
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
 from integrators.contract import PreparedRun, Trajectory, Work, option
-from integrators.operations import bill
-from integrators.program_costs import NotCounted, dense
+from integrators.operations import of_calls
+from integrators.program_costs import Cost, NotCounted, dense
 from integrators.resolutions import Tolerances
 from problems.runtime import Float
 from problems.system import MechatronicSystem
@@ -197,10 +197,6 @@ class _ODERun(ScipyRun):
             equations.begin_step(solver.t)  # the step has ended: no iteration is to be counted
             solver.f = equations.value(solver.t, solver.y)
 
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        found = super().bill(run)
-        if not self._projection:
-            return found
-        projections = self._projection.operations.times(run.work.steps or 0)
-        more = bill(self.given.scene, run, projections)
-        return {part: found.get(part, 0.0) + more.get(part, 0.0) for part in found | more}
+    def _costs(self, work: Work) -> list[Cost]:
+        projections = self._projection.costs if self._projection else []
+        return [*super()._costs(work), *of_calls(projections, work.steps or 0)]

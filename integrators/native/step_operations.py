@@ -10,7 +10,7 @@ from typing import Any
 from integrators.contract import Trajectory
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import PIVOTS
-from integrators.operations import bill_of, sparse
+from integrators.operations import bill, sparse
 from integrators.program_costs import Cost, costs_of
 from integrators.programs import Step
 from problems.exported_programs import found_once
@@ -75,4 +75,4 @@ def run_bill(
     """Return the bill of a run; ``turns`` are those of its loops in the order of their names."""
     known = {STEPS: (run.work.steps or 0) + (run.work.rejected or 0), ROWS: 0, "": 0}
     others = sorted({PIVOTS, *(cost.turns for cost in costs)} - known.keys())
-    return bill_of(costs, scene, run, known | dict(zip(others, turns, strict=True)))
+    return bill(costs, scene, run, known | dict(zip(others, turns, strict=True)))
