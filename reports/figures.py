@@ -9,6 +9,7 @@ From Python they are Altair charts:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,15 +36,39 @@ if TYPE_CHECKING:
     import altair
 
 
-def work_precision(
-    folder: str | Path,
-    *,
-    scene: str | None = None,
-    error: str = "q",
-    cost: str = COST,
-    integrators: Sequence[str] = (),
-    t_end: float | None = None,
-) -> altair.LayerChart:
+#: The figures by name: functions of the runs that are shown, and of options of their own.
+_KINDS: dict[str, Callable[..., Spec]] = {}
+
+
+def _figure(draw: Callable[..., Spec]) -> Callable[..., altair.LayerChart]:
+    """Make the function that a user calls of one that draws runs: it chooses the runs, and returns
+    an Altair chart."""
+
+    def chart(
+        folder: str | Path,
+        *,
+        scene: str | None = None,
+        integrators: Sequence[str] = (),
+        t_end: float | None = None,
+        **options: str,
+    ) -> altair.LayerChart:
+        figure = draw(Selection(folder, scene, integrators, t_end), **options)
+        try:
+            import altair
+        except ImportError:
+            raise ImportError(
+                "Altair is not installed; install stepbench[figures], or write the figure with "
+                "'stepbench figure'."
+            ) from None
+        return altair.LayerChart.from_dict(figure)
+
+    _KINDS[draw.__name__] = draw
+    chart.__name__, chart.__doc__ = draw.__name__, draw.__doc__
+    return chart
+
+
+@_figure
+def work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
     """Error against cost as an Altair chart, a line per integrator.
 
     Parameters
@@ -70,49 +95,55 @@ def work_precision(
     ImportError
         If Altair is not installed.
     """
-    return _altair(_work_precision(Selection(folder, scene, integrators, t_end), error, cost))
+    runs = ok_runs(chosen.series)
+    known = [c for c in COSTS if c == "seconds" or any(r.cost(c) is not None for r in runs)]
+    return _errors(chosen, chosen.series, error, checked_cost(cost, known))
 
 
-def convergence(
-    folder: str | Path,
-    *,
-    scene: str | None = None,
-    error: str = "q",
-    integrators: Sequence[str] = (),
-    t_end: float | None = None,
-) -> altair.LayerChart:
+@_figure
+def convergence(chosen: Selection, error: str = "q") -> Spec:
     """Error against step size as an Altair chart; see ``work_precision``."""
-    return _altair(_convergence(Selection(folder, scene, integrators, t_end), error))
+    return _errors(chosen, [s for s in chosen.series if s.controls == "step"], error, "h")
 
 
-def trajectory(
-    folder: str | Path,
-    *,
-    scene: str | None = None,
-    component: str = "q:1",
-    integrators: Sequence[str] = (),
-    t_end: float | None = None,
-) -> altair.LayerChart:
+@_figure
+def trajectory(chosen: Selection, component: str = "q:1") -> Spec:
     """A component over time as an Altair chart: the finest run of each; see ``work_precision``.
 
     ``component`` is a group and a number or the name of a coordinate, such as "a:Y" or "lam:1".
     """
-    return _altair(_trajectory(Selection(folder, scene, integrators, t_end), component))
+    names = chosen.scene.components if chosen.scene else {}
+    runs = [(chosen.rows(s.finest), s.label) for s in chosen.series]
+    group, place = group_and_place(component, runs[0][0].values, names)
+    field, title = f"{group}{place}", component_title(group, place, names)
+    rows = [row for run in runs for row in time_rows(*run, [(group, place)])]
+    reference = chosen.scene.reference if chosen.scene else None
+    behind = Dataset("reference", time_rows(reference, "reference", [(group, place)]))
+    known = [reference_line(behind, field, title)] if field in behind.columns else []
+    drawn = Dataset("runs", rows)
+    lines = run_lines(drawn, field, title, _options(chosen.series), first=True)
+    return on_paper({"layer": [*known, lines]}, [drawn, behind])
 
 
-def errors_over_time(
-    folder: str | Path,
-    *,
-    scene: str | None = None,
-    error: str = "q",
-    integrators: Sequence[str] = (),
-    t_end: float | None = None,
-) -> altair.LayerChart:
+@_figure
+def errors_over_time(chosen: Selection, error: str = "q") -> Spec:
     """Error of a group over time as an Altair chart: the finest run of each.
 
     ``error`` is a group, such as "a"; see ``work_precision``.
     """
-    return _altair(_errors_over_time(Selection(folder, scene, integrators, t_end), error))
+    note = error_note(error)
+    if note not in ERRORS:
+        raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
+    rows = [
+        row
+        for s in chosen.series
+        for row in time_rows(chosen.rows(s.finest), s.label, notes=[note])
+    ]
+    if not any(row.get(note) for row in rows):
+        raise SpecError(f"No chosen run on {chosen.name} has stored errors of {error} over time.")
+    options = _options(chosen.series)
+    data = Dataset("runs", rows)
+    return on_paper({"layer": [note_lines(data, note, options, first=True)]}, [data])
 
 
 def write_figure(
@@ -136,26 +167,16 @@ def write_figure(
         raise SpecError(f"There is no figure {kind!r}; {suggest(kind, _KINDS)}.")
     if path.suffix not in FORMATS:
         raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
-    make, allowed = _KINDS[kind]
+    _, *allowed = signature(_KINDS[kind]).parameters
     for name in more:
         if name not in allowed:
             raise SpecError(f"The figure {kind} has no --{name}; it takes {words(allowed)}.")
-    figure = make(Selection(folder, scene, integrators, t_end), **more)
+    figure = _KINDS[kind](Selection(folder, scene, integrators, t_end), **more)
     path.write_bytes(file_content(figure, path.suffix))
     return path
 
 
-# ---- kinds -------------------------------------------------------------------------------
-def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
-    runs = ok_runs(chosen.series)
-    known = [c for c in COSTS if c == "seconds" or any(r.cost(c) is not None for r in runs)]
-    return _errors(chosen, chosen.series, error, checked_cost(cost, known))
-
-
-def _convergence(chosen: Selection, error: str = "q") -> Spec:
-    return _errors(chosen, [s for s in chosen.series if s.controls == "step"], error, "h")
-
-
+# ---- parts -------------------------------------------------------------------------------
 def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str) -> Spec:
     group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
     options = _options(series, norm)
@@ -170,54 +191,5 @@ def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str
     return on_paper(panel, [data])
 
 
-def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
-    names = chosen.scene.components if chosen.scene else {}
-    runs = [(chosen.rows(s.finest), s.label) for s in chosen.series]
-    group, place = group_and_place(component, runs[0][0].values, names)
-    field, title = f"{group}{place}", component_title(group, place, names)
-    rows = [row for run in runs for row in time_rows(*run, [(group, place)])]
-    reference = chosen.scene.reference if chosen.scene else None
-    behind = Dataset("reference", time_rows(reference, "reference", [(group, place)]))
-    known = [reference_line(behind, field, title)] if field in behind.columns else []
-    drawn = Dataset("runs", rows)
-    lines = run_lines(drawn, field, title, _options(chosen.series), first=True)
-    return on_paper({"layer": [*known, lines]}, [drawn, behind])
-
-
-def _errors_over_time(chosen: Selection, error: str = "q") -> Spec:
-    note = error_note(error)
-    if note not in ERRORS:
-        raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
-    rows = [
-        row
-        for s in chosen.series
-        for row in time_rows(chosen.rows(s.finest), s.label, notes=[note])
-    ]
-    if not any(row.get(note) for row in rows):
-        raise SpecError(f"No chosen run on {chosen.name} has stored errors of {error} over time.")
-    options = _options(chosen.series)
-    data = Dataset("runs", rows)
-    return on_paper({"layer": [note_lines(data, note, options, first=True)]}, [data])
-
-
-_KINDS: dict[str, tuple[Callable[..., Spec], tuple[str, ...]]] = {
-    "work_precision": (_work_precision, ("error", "cost")),
-    "convergence": (_convergence, ("error",)),
-    "trajectory": (_trajectory, ("component",)),
-    "errors_over_time": (_errors_over_time, ("error",)),
-}
-
-
 def _options(series: Sequence[Series], norm: str = NORM) -> ChartOptions:
     return ChartOptions(paper_line_styles(s.label for s in series), norm)
-
-
-def _altair(figure: Spec) -> altair.LayerChart:
-    try:
-        import altair
-    except ImportError:
-        raise ImportError(
-            "Altair is not installed; install stepbench[figures], or write the figure with "
-            "'stepbench figure'."
-        ) from None
-    return altair.LayerChart.from_dict(figure)
