@@ -10,7 +10,7 @@ import difflib
 import inspect
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Any, TypeVar
@@ -34,6 +34,13 @@ def suggest(word: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
     listed = "known: " + ", ".join(names) if names else "there are none"
     return f"did you mean {near[0]!r}? ({listed})" if near else listed
+
+
+def one_of(word: str, known: Collection[str], kind: str) -> str:
+    """Return a word that is known; raise SpecError if there is no such ``kind`` of thing."""
+    if word not in known:
+        raise SpecError(f"There is no {kind} {word!r}; {suggest(word, known)}.")
+    return word
 
 
 def is_name(value: object) -> bool:

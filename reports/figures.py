@@ -18,14 +18,13 @@ from bench.results.quantities import (
     COSTS,
     GROUPS,
     NORM,
-    checked_cost,
     error_note,
     group_and_norm,
 )
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError, one_of
 from reports.charts.error_panels import ACROSS, error_panel, run_rows
 from reports.charts.line_styles import paper_line_styles
-from reports.charts.over_time import ERRORS, note_lines, reference_line, run_lines, time_rows
+from reports.charts.over_time import note_lines, reference_line, run_lines, time_rows
 from reports.charts.paper_style import FORMATS, file_content, on_paper
 from reports.charts.vega_lite import ChartOptions, Dataset, Spec
 from reports.formatting import component_title, words
@@ -97,7 +96,7 @@ def work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spe
     """
     runs = ok_runs(chosen.series)
     known = [c for c in COSTS if c == "seconds" or any(r.cost(c) is not None for r in runs)]
-    return _errors(chosen, chosen.series, error, checked_cost(cost, known))
+    return _errors(chosen, chosen.series, error, one_of(cost, known, "cost"))
 
 
 @_figure
@@ -132,8 +131,7 @@ def errors_over_time(chosen: Selection, error: str = "q") -> Spec:
     ``error`` is a group, such as "a"; see ``work_precision``.
     """
     note = error_note(error)
-    if note not in ERRORS:
-        raise SpecError(f"There is no group {error!r}; {suggest(error, GROUPS)}.")
+    one_of(error, GROUPS, "group")
     rows = [
         row
         for s in chosen.series
@@ -163,11 +161,9 @@ def write_figure(
     SpecError
         As ``work_precision``, or if the kind, the suffix, or an option of ``more`` is another.
     """
-    if kind not in _KINDS:
-        raise SpecError(f"There is no figure {kind!r}; {suggest(kind, _KINDS)}.")
     if path.suffix not in FORMATS:
         raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
-    _, *allowed = signature(_KINDS[kind]).parameters
+    _, *allowed = signature(_KINDS[one_of(kind, _KINDS, "figure")]).parameters
     for name in more:
         if name not in allowed:
             raise SpecError(f"The figure {kind} has no --{name}; it takes {words(allowed)}.")

@@ -157,10 +157,8 @@ def read_experiments(names: Sequence[str] = ()) -> list[Experiment]:
         If there is no such experiment.
     """
     known = built_in_experiments()
-    for name in names:
-        if name not in known:
-            raise SpecError(f"There is no experiment {name!r}; {spec.suggest(name, known)}.")
-    return [read_experiment(known[name]) for name in (names or known)]
+    chosen = [spec.one_of(name, known, "experiment") for name in names or known]
+    return [read_experiment(known[name]) for name in chosen]
 
 
 def read_experiment(path: Path) -> Experiment:

@@ -15,7 +15,7 @@ from bench.running.worker import Worker
 from problems.formulations import constraint_force
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
-from problems.spec import SpecError
+from problems.spec import one_of
 from problems.system import MechatronicSystem
 
 #: beta of the trapezoidal rule; the powers of h of a condition do not depend on it.
@@ -131,8 +131,7 @@ def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
     SpecError
         If there is no such scaling.
     """
-    if scaling not in ("none", "rows", "both"):
-        raise SpecError(f"There is no scaling {scaling!r}; there are none, rows and both.")
+    one_of(scaling, ("none", "rows", "both"), "scaling")
     z = consistent_start(scene).z
     mass = np.asarray(scene.mass(z.q))
     zero = jnp.zeros(len(z.lam))

@@ -30,7 +30,7 @@ from bench.results.quantities import GROUPS, NORMS, TRUST
 from bench.results.records import INTERRUPTED, Environment, Record, scene_titles
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient_of_medians
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError, one_of
 
 #: The word for cells that NEW lacks, in the limits of a regression.
 VANISHED = "vanished"
@@ -118,10 +118,7 @@ def read_limits(text: str) -> dict[str, float]:
     limits: dict[str, float] = {}
     for item in text.split(","):
         kind, colon, ratio = (part.strip() for part in item.partition(":"))
-        known = [*LEAST_CHANGE, VANISHED]
-        if kind not in known:
-            raise SpecError(f"There is no kind of regression {kind!r}; {suggest(kind, known)}.")
-        if kind in limits:
+        if one_of(kind, [*LEAST_CHANGE, VANISHED], "kind of regression") in limits:
             raise SpecError(f"The limit of {kind} is given twice.")
         if kind == VANISHED:
             if colon:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError, one_of, suggest
 from problems.system import GROUPS as GROUPS
 
 #: Titles of the groups of variables in which errors are measured.
@@ -45,10 +45,7 @@ def checked_group(group: str) -> str:
     SpecError
         If there is no such group.
     """
-    names = [part.strip() for part in parts(group)]
-    for name in names:
-        if name not in ASKED:
-            raise SpecError(f"There is no group {name!r}; {suggest(name, ASKED)}.")
+    names = (one_of(part.strip(), ASKED, "group") for part in parts(group))
     return ",".join(dict.fromkeys(names))
 
 
@@ -164,19 +161,6 @@ PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "
 COST = "operations"
 
 
-def checked_cost(cost: str, known: Collection[str]) -> str:
-    """Return the name of a cost, one of ``known``.
-
-    Raises
-    ------
-    SpecError
-        If it is another.
-    """
-    if cost not in known:
-        raise SpecError(f"There is no cost {cost!r}; {suggest(cost, known)}.")
-    return cost
-
-
 #: A run that ends well with a larger error than this has nothing right.
 WRONG = 0.1
 #: Below this many times the reference's own error, an error says nothing.
@@ -202,17 +186,4 @@ def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
     group, _, norm = (part.strip() for part in text.partition(":"))
     if group.strip("|") not in groups or group not in ERROR_NAMES:
         raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
-    return group, checked_norm(norm or NORM)
-
-
-def checked_norm(norm: str) -> str:
-    """Return the name of a norm.
-
-    Raises
-    ------
-    SpecError
-        If there is no such norm.
-    """
-    if norm not in NORMS:
-        raise SpecError(f"There is no norm {norm!r}; {suggest(norm, NORMS)}.")
-    return norm
+    return group, one_of(norm or NORM, NORMS, "norm")

@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.plugins.registry import files_of
-from bench.results.quantities import checked_norm
+from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances
-from problems import spec
 from problems.answers import tidy
-from problems.spec import SpecError
+from problems.spec import SpecError, one_of
 from problems.system import MechatronicSystem
 
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
@@ -212,9 +211,8 @@ def _check_profile(profile: ProfileFile) -> None:
     known = FIGURES + TABLES
     for file in profile.study:
         for figure in file.figures:
-            if figure not in known:
-                raise SpecError(f"There is no figure {figure!r}; {spec.suggest(figure, known)}.")
-        checked_norm(file.norm)
+            one_of(figure, known, "figure")
+        one_of(file.norm, NORMS, "norm")
 
 
 def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bench.results.quantities import COSTS, RANKED_COSTS, checked_cost, checked_group
-from problems.spec import SpecError, suggest
+from bench.results.quantities import COSTS, RANKED_COSTS, checked_group
+from problems.spec import SpecError, one_of, suggest
 from reports.charts.card_charts import card_chart
 from reports.charts.rendering import png_of
 from reports.charts.svg_text import (
@@ -128,7 +128,7 @@ def card_svg(stored: StoredRuns, found: Answer, scenes: str) -> str:
 def _question(group: str, target: float, cost: str) -> Question:
     if target not in TARGETS:
         raise SpecError(f"{target:g} is no target; give one of 1e-1, 1e-2 ... 1e-9.")
-    return Question(checked_group(group), target, checked_cost(cost, RANKED_COSTS))
+    return Question(checked_group(group), target, one_of(cost, RANKED_COSTS, "cost"))
 
 
 def _measured(stored: StoredRuns) -> str:

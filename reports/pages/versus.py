@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bench.results.quantities import COSTS, NORM, NORMS, checked_cost, checked_group, checked_norm
+from bench.results.quantities import COSTS, NORM, NORMS, checked_group
 from bench.results.table import Table
-from problems.spec import SpecError
+from problems.spec import SpecError, one_of
 from reports.charts import vega_lite as vl
 from reports.charts.paper_style import FORMATS, file_content, on_paper
 from reports.formatting import words as listed
@@ -67,8 +67,8 @@ class SideBySide:
         names = short_names(s.label for own in stored.series.values() for s in own)
         self.labels = _one_label(one, names), _one_label(two, names)
         self.names = tuple(names[label] for label in self.labels)
-        group, norm = checked_group(group), checked_norm(norm)
-        cost = checked_cost(stored.first.cost if cost is None else cost, COSTS)
+        group, norm = checked_group(group), one_of(norm, NORMS, "norm")
+        cost = one_of(stored.first.cost if cost is None else cost, COSTS, "cost")
         if wrong := [t for t in targets if not 0 < t < 1]:
             raise SpecError(f"{wrong[0]:g} is no accuracy; give one between 0 and 1.")
         self.found = [
