@@ -173,9 +173,16 @@ class _Reader:
             [_type(str(one.type)) for one in made],
             attributes,
             [self.body(region) for region in operation.regions],
-            str(getattr(operation.location, "name_str", operation.location)),
+            _scope(operation.location),
             value,
         )
+
+
+def _scope(location: Any) -> str:
+    """The name of a place in a program, or the place itself in words."""
+    # JAX 0.9 has one class of locations, and crashes where one without a name is asked for it.
+    named = getattr(location, "is_a_name", lambda: True)
+    return str(getattr(location, "name_str", location) if named() else location)
 
 
 class Follower(ABC, Generic[_T]):
