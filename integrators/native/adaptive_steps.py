@@ -95,21 +95,6 @@ def in_order(rows: np.ndarray) -> np.ndarray:
     return rows[places[rows[places, 0] > 0]]
 
 
-class _SparseKernel(SparseKernel):
-    """A sparse kernel at chosen steps; its step limit counts rejected steps, too."""
-
-    def most_steps(self, packed: Array, *wanted: Any) -> int:
-        return int(self.form.unpack(packed)[-1].max_steps)
-
-    def limited(self, steps: int, packed: Array, *wanted: Any) -> tuple:
-        *others, last = self.form.unpack(packed)
-        return self.form.pack(*others, last._replace(max_steps=steps)), *wanted
-
-    def up_to(self, steps: int, packed: Array, *wanted: Any) -> Any:
-        *rows, end = self._attempt(*self.limited(steps, packed, *wanted))
-        return *rows, end.at[0].set(_NOT_FINITE)
-
-
 class _Progress(NamedTuple):
     """Progress of a run: time and state, the step to try next, control, counts and stored rows."""
 
@@ -240,6 +225,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         program.finish(m.state)
         return m.rows.table, jnp.concatenate(last), jnp.stack([m.ending, m.t, *m.counts])
 
+    def limited(steps: int, packed: Array, *wanted: Any) -> tuple:  # rejected ones count, too
+        *others, span = form.unpack(packed)
+        return form.pack(*others, span._replace(max_steps=steps)), *wanted
+
+    def singular(steps: int, packed: Array, end: Array) -> Array:
+        return end.at[0].set(_NOT_FINITE)
+
     if program.patterns:
-        return _SparseKernel(loop, form)
+        return SparseKernel(loop, form, limited, singular)
     return Kernel(loop, form, ("adaptive steps", program, template))

@@ -134,25 +134,6 @@ class ConstantStepsRun(LoopRun):
         return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
 
 
-class _SparseKernel(SparseKernel):
-    """A sparse kernel at constant steps; ``wanted``: step numbers of rows, and their count."""
-
-    def most_steps(self, packed: Array, *wanted: Any) -> int:
-        rows, row_count = wanted
-        return int(rows[row_count - 1])
-
-    def limited(self, steps: int, packed: Array, *wanted: Any) -> tuple:
-        rows, row_count = wanted
-        return packed, jnp.full_like(rows, steps), jnp.ones_like(row_count)
-
-    def up_to(self, steps: int, packed: Array, *wanted: Any) -> Any:
-        rows, row_count = wanted
-        kept, _ = self._attempt(packed, rows, (rows[:row_count] <= steps).sum())
-        _, end = self._attempt(*self.limited(steps, packed, *wanted))
-        t, _ = step_times(self.form.unpack(packed)[-1], steps)
-        return kept, jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
-
-
 @cache
 def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
     """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
@@ -210,6 +191,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         program.finish(state)
         return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
 
+    def limited(steps: int, packed: Array, rows: Array, row_count: Array) -> tuple:
+        return packed, jnp.minimum(rows, steps), row_count
+
+    def singular(steps: int, packed: Array, end: Array) -> Array:
+        t, _ = step_times(form.unpack(packed)[-1], steps)
+        return jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
+
     if program.patterns:
-        return _SparseKernel(loop, form)
+        return SparseKernel(loop, form, limited, singular)
     return Kernel(loop, form, ("constant steps", program, template))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from math import prod
@@ -114,30 +113,39 @@ class SparseKernel(Kernel):
 
     KLU stops the program at an exactly singular tangent, and all results are lost. Bisection over
     the number of steps then finds the step of that tangent.
+
+    Parameters
+    ----------
+    loop, form
+        As of `Kernel`.
+    limited
+        Makes, from a number of steps and arguments, those of a run that ends after these steps.
+    singular
+        Makes, from a number of steps, packed arguments and the end after these steps, the end with
+        a singular tangent in the next.
     """
 
+    def __init__(
+        self, loop: Callable, form: Form, limited: Callable[..., tuple], singular: Callable
+    ) -> None:
+        super().__init__(loop, form)
+        self._limited, self._singular = limited, singular
+
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
-        result = self._attempt(packed, *wanted)
+        result, fine, wrong = self._attempt(packed, *wanted), 0, 1
         if result is not None:
             return result
-        fine, wrong = 0, self.most_steps(packed, *wanted)
+
+        def after(steps: int) -> Any:
+            return self._attempt(*self._limited(steps, packed, *wanted))
+
+        while after(wrong) is not None:
+            fine, wrong = wrong, 2 * wrong
         while wrong - fine > 1:
             middle = (fine + wrong) // 2
-            done = self._attempt(*self.limited(middle, packed, *wanted))
-            fine, wrong = (fine, middle) if done is None else (middle, wrong)
-        return self.up_to(fine, packed, *wanted)
-
-    @abstractmethod
-    def most_steps(self, packed: Float[Array, " n"], *wanted: Any) -> int:
-        """Largest number of steps that a run with these arguments takes."""
-
-    @abstractmethod
-    def limited(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> tuple:
-        """Arguments of a run that ends after ``steps`` steps."""
-
-    @abstractmethod
-    def up_to(self, steps: int, packed: Float[Array, " n"], *wanted: Any) -> Any:
-        """The result of ``steps`` steps, with the ending of a singular tangent in the next."""
+            fine, wrong = (fine, middle) if after(middle) is None else (middle, wrong)
+        *rows, end = after(fine)
+        return *rows, self._singular(fine, packed, end)
 
     def _attempt(self, *arguments: Any) -> Any:
         try:
