@@ -131,11 +131,6 @@ class Pattern:
         """Entries over those of a full matrix."""
         return len(self.rows) / self.size**2
 
-    @property
-    def products(self) -> int:
-        """Number of Jacobian-vector products that give all entries."""
-        return self._coloring.num_colors
-
     def matrix(self, entries: Float[np.ndarray, " entries"]) -> csc_matrix:
         """Return the sparse matrix with these entries."""
         from scipy.sparse import csc_matrix

@@ -119,13 +119,13 @@ def test_the_pattern_holds_every_entry():
     both = jax.jit(lambda u: (found.values(residual, u), jax.jacfwd(residual)(u)))
     dense[found.rows, found.columns], whole = map(np.asarray, both(u))
     assert dense == pytest.approx(whole, abs=1e-14)
-    assert found.products <= 9
+    assert found._coloring.num_colors <= 9
     assert len(pattern.rows) < 0.5 * pattern.size**2
 
 
 def test_colours_do_not_grow_with_the_chain():
     twelve, fifty = (pattern_of(Chain(links=n)) for n in (12, 50))
-    assert twelve.products == fifty.products
+    assert twelve._coloring.num_colors == fifty._coloring.num_colors
     assert len(fifty.rows) <= 14 * 50
 
 
@@ -224,7 +224,7 @@ def test_other_parameters_compile_nothing_new():
     assert kernels[0] is kernels[1]
     for scene, rho in zip(scenes, (0.8, 0.5), strict=True):
         end(GeneralizedAlpha(linear_solver="sparse", rho_inf=rho), scene, 10, 1e-3)
-    assert kernels[0].compilations == 1
+    assert kernels[0].compiled._cache_size() == 1
 
 
 def test_no_reference_is_made_of_a_large_scene():

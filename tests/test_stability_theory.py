@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from bench.stability.systems import Oscillator, Relaxation
 from integrators import Steps
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_parameters import recurrence_of
+from integrators.methods.generalized_alpha_parameters import multistep_form
 from integrators.multistep import Multistep, MultistepForm, stable
 from problems.scenes.spring_mass import SpringMass
 
@@ -44,39 +45,49 @@ def ratio_to_matrices(polynomial, system, method):
     return worst
 
 
+def oscillator(form, omega_h, zeta=0.0):
+    """Characteristic polynomial on q'' + 2 zeta omega q' + omega^2 q = 0."""
+    damped = np.polymul(2 * zeta * omega_h * form.v.sigma, [1.0, -1.0])
+    return np.polyadd(np.polyadd(form.q.rho, damped), omega_h**2 * form.q.sigma)
+
+
 @pytest.mark.parametrize("method", MEMBERS, ids=lambda m: m.spec)
 @pytest.mark.parametrize("zeta", [0.0, 0.2])
 def test_the_characteristic_polynomial_is_that_of_the_matrices(method, zeta):
     def polynomial(at):
-        return recurrence_of(method.scheme()).oscillator(at, zeta)
+        return oscillator(multistep_form(method.scheme()), at, zeta)
 
     assert ratio_to_matrices(polynomial, Oscillator(zeta=zeta), method) < 1e-10
 
 
 @pytest.mark.parametrize("method", MEMBERS[:5], ids=lambda m: m.spec)
 def test_so_it_is_for_the_controller(method):
-    found = ratio_to_matrices(recurrence_of(method.scheme()).relaxation, Relaxation(), method)
-    assert found < 1e-10
+    x = multistep_form(method.scheme()).x
+    polynomial = lambda at: np.polyadd(x.rho, at * x.sigma)  # noqa: E731
+    assert ratio_to_matrices(polynomial, Relaxation(), method) < 1e-10
 
 
 def test_another_polynomial_is_told_apart():
-    other = recurrence_of(GeneralizedAlpha(rho_inf=0.79).scheme())
-    assert ratio_to_matrices(other.oscillator, Oscillator(), GeneralizedAlpha(rho_inf=0.8)) > 1e-4
+    other = multistep_form(GeneralizedAlpha(rho_inf=0.79).scheme())
+    assert (
+        ratio_to_matrices(partial(oscillator, other), Oscillator(), GeneralizedAlpha(rho_inf=0.8))
+        > 1e-4
+    )
 
 
 @given(st.floats(0.02, 0.97))
 @settings(max_examples=30)
 def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
-    r = recurrence_of(GeneralizedAlpha(rho_inf=rho_inf).scheme())
-    assert [r.positions.order, r.velocities.order, r.controller.order] == [2, 2, 2]
-    assert r.positions.zero_stable
-    assert r.positions.infinity_stable
-    assert r.controller.infinity_stable
-    ((root, times),) = r.positions.infinity_roots
+    r = multistep_form(GeneralizedAlpha(rho_inf=rho_inf).scheme())
+    assert [r.q.order, r.v.order, r.x.order] == [2, 2, 2]
+    assert r.q.zero_stable
+    assert r.q.infinity_stable
+    assert r.x.infinity_stable
+    ((root, times),) = r.q.infinity_roots
     assert (times, root) == (3, pytest.approx(-rho_inf, abs=1e-7))
     # The step ratio of the guard is the parasitic root at zero with its sign turned.
     alpha_m = (2 * rho_inf - 1) / (rho_inf + 1)
-    parasite = min((z for z, _ in r.positions.zero_roots), key=lambda z: abs(z - 1) < 0.01)
+    parasite = min((z for z, _ in r.q.zero_roots), key=lambda z: abs(z - 1) < 0.01)
     assert parasite.real == pytest.approx(-alpha_m / (1 - alpha_m), abs=1e-9)
     delta_m = (3 * rho_inf - 1) / (2 * (rho_inf + 1))
     assert r.smallest_ratio == pytest.approx(abs(alpha_m / (1 - alpha_m)), rel=1e-14)
@@ -89,27 +100,25 @@ def test_order_two_needs_its_gamma():
             right = super().second_order()
             return right._replace(gamma=right.gamma + 0.01)
 
-    r = recurrence_of(Off(rho_inf=0.8).scheme())
-    assert [r.positions.order, r.velocities.order] == [1, 1]
-    assert recurrence_of(Newmark(beta=1 / 12).scheme()).positions.order == 4
-    assert recurrence_of(Newmark(beta=0.25).scheme()).positions.order == 2
+    r = multistep_form(Off(rho_inf=0.8).scheme())
+    assert [r.q.order, r.v.order] == [1, 1]
+    assert multistep_form(Newmark(beta=1 / 12).scheme()).q.order == 4
+    assert multistep_form(Newmark(beta=0.25).scheme()).q.order == 2
 
 
 def test_without_damping_the_root_at_infinity_is_multiple():
     for method in (Newmark(), GeneralizedAlpha(rho_inf=1.0)):
-        q = recurrence_of(method.scheme()).positions
+        q = multistep_form(method.scheme()).q
         assert q.zero_stable
         assert not q.infinity_stable
     assert [(times, round(z.real, 6)) for z, times in q.infinity_roots] == [(3, -1.0)]
-    assert not recurrence_of(
-        Newmark(beta=0.0).scheme()
-    ).positions.infinity_stable  # a root is infinite
-    assert not recurrence_of(Newmark(beta=1 / 6).scheme()).positions.infinity_stable
+    assert not multistep_form(Newmark(beta=0.0).scheme()).q.infinity_stable  # a root is infinite
+    assert not multistep_form(Newmark(beta=1 / 6).scheme()).q.infinity_stable
 
 
 def test_hht_ends_where_it_says():
-    assert recurrence_of(HHT(alpha=1 / 3).scheme()).positions.infinity_stable
-    assert not recurrence_of(HHT(alpha=0.55, any_alpha=True).scheme()).positions.infinity_stable
+    assert multistep_form(HHT(alpha=1 / 3).scheme()).q.infinity_stable
+    assert not multistep_form(HHT(alpha=0.55, any_alpha=True).scheme()).q.infinity_stable
 
 
 def test_roots_on_the_circle_are_counted():
@@ -175,11 +184,11 @@ def test_the_formulas_in_varying_steps_are_those_of_the_kernel(rho_inf, gamma):
 
 def test_in_equal_steps_they_are_the_polynomials():
     s, h = GeneralizedAlpha(rho_inf=0.8, rho_inf_x=0.3).scheme(), 0.25
-    r = recurrence_of(s)
+    r = multistep_form(s)
     pairs = [
-        (position_formula(s.alpha_m, s.alpha_f, s.beta, [h] * 3, [s.gamma] * 3), r.positions),
-        (velocity_formula(s.alpha_m, s.alpha_f, [h] * 2, [s.gamma] * 2), r.velocities),
-        (velocity_formula(s.delta_m, s.delta_f, [h] * 2, [s.theta] * 2), r.controller),
+        (position_formula(s.alpha_m, s.alpha_f, s.beta, [h] * 3, [s.gamma] * 3), r.q),
+        (velocity_formula(s.alpha_m, s.alpha_f, [h] * 2, [s.gamma] * 2), r.v),
+        (velocity_formula(s.delta_m, s.delta_f, [h] * 2, [s.theta] * 2), r.x),
     ]
     for formula, polynomial in pairs:
         scale = polynomial.rho[0] / formula.values[0]

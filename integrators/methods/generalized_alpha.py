@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar
 
 from integrators.contract import option
@@ -17,7 +16,7 @@ from integrators.methods.generalized_alpha_parameters import (
     Scheme,
     SecondOrder,
     first_order_parameters,
-    recurrence_of,
+    multistep_form,
     second_order_parameters,
 )
 from integrators.methods.generalized_alpha_step import AlphaStep
@@ -101,16 +100,11 @@ class AlphaMethod(NewtonOptions):
         return AlphaStep(self.formulation == "stabilised_index2")
 
     def multistep_form(self) -> MultistepForm:
-        return _form(self.scheme())
+        return multistep_form(self.scheme())
 
     def radius_at_infinity(self) -> float:
         """Return the growth per step at infinite frequency, of q and v; infinite if beta is 0."""
         return self.multistep_form().q.infinity_radius
-
-
-@lru_cache(256)  # asked for each member of an ensemble
-def _form(scheme: Scheme) -> MultistepForm:
-    return recurrence_of(scheme).form
 
 
 #: The ways in which gamma and theta follow the steps, for the lists of options.

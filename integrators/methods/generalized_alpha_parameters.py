@@ -20,14 +20,13 @@ the highest power first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from integrators.multistep import Multistep, MultistepForm
 from integrators.native.step_records import Scalar
-from problems.runtime import Float
 
 _ONE = np.array([1.0, -1.0])  # z - 1
 
@@ -118,75 +117,20 @@ def smallest_safe_ratio(alpha_m: Scalar) -> Scalar:
     return alpha_m / (1 - alpha_m)
 
 
-def printed_ratio(alpha_m: float) -> float:
-    """Return the smallest step ratio as the paper prints it, |alpha_m/(1 - alpha_m)|.
+@lru_cache(256)  # asked for each member of an ensemble
+def multistep_form(s: Scheme) -> MultistepForm:
+    """Return the multistep formulas of a scheme with constant weights.
 
-    Above it deviations of the auxiliary value's shift, in units of the step, die out in any steps.
+    The smallest step ratios are those that the paper prints, |alpha_m/(1 - alpha_m)| and likewise
+    for x: above them deviations of the auxiliary value's shift, in units of the step, die out.
     """
-    return abs(alpha_m / (1 - alpha_m))
 
+    def of_rate(m: float, f: float, weight: float) -> Multistep:
+        rho = np.polymul([1 - m, m], _ONE)
+        return Multistep(rho, np.polymul([weight, 1 - weight], [1 - f, f]), 1)
 
-@dataclass(frozen=True)
-class Recurrence:
-    """The polynomials of a scheme; their names are those of the module's docstring."""
-
-    mu: Float[np.ndarray, " 2"]
-    alpha: Float[np.ndarray, " 2"]
-    nu: Float[np.ndarray, " 2"]
-    sigma: Float[np.ndarray, " 3"]
-    mu_x: Float[np.ndarray, " 2"]
-    alpha_x: Float[np.ndarray, " 2"]
-    nu_x: Float[np.ndarray, " 2"]
-    smallest_ratio: float
-    smallest_ratio_x: float
-
-    @property
-    def positions(self) -> Multistep:
-        """The formula for q."""
-        rho = np.polymul(self.mu, np.polymul(_ONE, _ONE))
-        return Multistep(rho, np.polymul(self.sigma, self.alpha), 2)
-
-    @property
-    def velocities(self) -> Multistep:
-        """The formula for v."""
-        return Multistep(np.polymul(self.mu, _ONE), np.polymul(self.nu, self.alpha), 1)
-
-    @property
-    def controller(self) -> Multistep:
-        """The formula for x."""
-        return Multistep(np.polymul(self.mu_x, _ONE), np.polymul(self.nu_x, self.alpha_x), 1)
-
-    @property
-    def form(self) -> MultistepForm:
-        """The three formulas."""
-        ratios = self.smallest_ratio, self.smallest_ratio_x
-        return MultistepForm(self.positions, self.velocities, self.controller, *ratios)
-
-    def oscillator(self, omega_h: float, zeta: float = 0.0) -> np.ndarray:
-        """Characteristic polynomial on q'' + 2 zeta omega q' + omega^2 q = 0::
-
-        mu (z - 1)^2 + 2 zeta omega h nu alpha (z - 1) + (omega h)^2 sigma alpha
-        """
-        q, v = self.positions, self.velocities
-        damped = np.polymul(2 * zeta * omega_h * v.sigma, _ONE)
-        return np.polyadd(np.polyadd(q.rho, damped), omega_h**2 * q.sigma)
-
-    def relaxation(self, rate_h: float) -> np.ndarray:
-        """Characteristic polynomial on x' = -rate x."""
-        return np.polyadd(self.controller.rho, rate_h * self.controller.sigma)
-
-
-def recurrence_of(scheme: Scheme) -> Recurrence:
-    """Return the polynomials of a scheme with constant weights."""
-    s = scheme
-    return Recurrence(
-        mu=np.array([1 - s.alpha_m, s.alpha_m]),
-        alpha=np.array([1 - s.alpha_f, s.alpha_f]),
-        nu=np.array([s.gamma, 1 - s.gamma]),
-        sigma=np.array([s.beta, 0.5 - 2 * s.beta + s.gamma, 0.5 + s.beta - s.gamma]),
-        mu_x=np.array([1 - s.delta_m, s.delta_m]),
-        alpha_x=np.array([1 - s.delta_f, s.delta_f]),
-        nu_x=np.array([s.theta, 1 - s.theta]),
-        smallest_ratio=printed_ratio(s.alpha_m),
-        smallest_ratio_x=printed_ratio(s.delta_m),
-    )
+    v, x = of_rate(s.alpha_m, s.alpha_f, s.gamma), of_rate(s.delta_m, s.delta_f, s.theta)
+    sigma = [s.beta, 0.5 - 2 * s.beta + s.gamma, 0.5 + s.beta - s.gamma]
+    sigma = np.polymul(sigma, [1 - s.alpha_f, s.alpha_f])
+    q = Multistep(np.polymul([1 - s.alpha_m, s.alpha_m], np.polymul(_ONE, _ONE)), sigma, 2)
+    return MultistepForm(q, v, x, *(abs(m / (1 - m)) for m in (s.alpha_m, s.delta_m)))

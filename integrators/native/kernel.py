@@ -102,11 +102,6 @@ class Kernel:
         """Run many runs in one program: every argument has one more axis in front."""
         return self._many(packed, *wanted)
 
-    @property
-    def compilations(self) -> int:
-        """Number of compiled programs; one serves all schemes, steps and parameters."""
-        return self.compiled._cache_size()  # pyright: ignore
-
 
 class SparseKernel(Kernel):
     """A time loop with sparse tangents; a singular tangent ends it with a status.

@@ -77,6 +77,16 @@ class StageState(NamedTuple):
     guess: Guess
 
 
+class RatesState(NamedTuple):
+    """Values that are reported at the end of the last step, the rates of v and x of the method's
+    own there, and the guess of the next one, if it is implicit."""
+
+    shown: Reading
+    a: Array
+    xdot: Array
+    guess: Guess | None = None
+
+
 @dataclass(frozen=True)
 class StageMethod(OwnValues):
     """Base of methods whose steps pass on nothing else."""
