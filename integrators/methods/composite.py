@@ -4,35 +4,25 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
-from integrators.native.own_values import Formulated, OwnValues, rho_inf_option
+from integrators.native.own_values import Formulated, RatesMethod, RatesState, rho_inf_option
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Scalar, Time
+from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems.dependence import output_takes
-from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
 
 
-class CompositeState(NamedTuple):
-    """Values at the end of the last step; ``a`` and ``xdot`` are the method's own."""
-
-    shown: Reading
-    a: Array
-    xdot: Array
-    guess: Guess
-
-
 @dataclass(frozen=True)
-class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
+class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
     """Base of the composite methods: two solves in a step, with one member per split and radius.
 
     The first substep is one of the trapezoidal rule over gamma h. The second takes, with rates f at
@@ -63,13 +53,9 @@ class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
         of_y = 1 if output_takes(scene, "a", "lam") else 2
         return self.orders | {"a": 1, "lam": 1, "y": of_y}
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> CompositeState:
-        z, xdot = start.z, start.xdot
-        return CompositeState(self.reported(scene, z, xdot), z.a, xdot, Guess.begin(z, xdot, h))
-
     def step(
-        self, scene: MechatronicSystem, state: CompositeState, t: Time, h: Time, work: StepWork
-    ) -> CompositeState:
+        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
+    ) -> RatesState:
         gamma, rho = self.split_and_radius()
         w1 = (1 + rho) / (2 * gamma * (rho - 1) + 4)
         w0, w2 = 0.5 - (1 - gamma) * w1, 0.5 - gamma * w1
@@ -92,7 +78,7 @@ class CompositeMethod(OwnValues, Formulated, ImplicitStepMethod):
         middle = (m.v, m.a, xdot_m)
         known = tuple(h * (w0 * f0 + w1 * fm) for f0, fm in zip(begun, middle, strict=True))
         z, xdot, guess = substep(known, h * w2, (1 - gamma) * h, t, m.q, guess)
-        return CompositeState(self.reported(scene, z, xdot, work), z.a, xdot, guess)
+        return RatesState(self.reported(scene, z, xdot, work), z.a, xdot, guess)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
 from integrators.native.guesses import Guess
-from integrators.native.own_values import Formulated, OwnValues
+from integrators.native.own_values import Formulated, OwnValues, RatesMethod, RatesState
 from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Scalar, Time
@@ -150,17 +150,8 @@ class Park(ThreeStepMethod):
         return base, Slopes(tau**2, tau, tau)
 
 
-class WilsonState(NamedTuple):
-    """Values at the end of the last step."""
-
-    shown: Reading
-    a: Array
-    xdot: Array
-    guess: Guess
-
-
 @dataclass(frozen=True)
-class WilsonTheta(OwnValues, ImplicitStepMethod):
+class WilsonTheta(RatesMethod, ImplicitStepMethod):
     """Wilson's theta method: a is linear over theta h, and the equations hold at its end.
 
     With a_theta at t + theta h::
@@ -187,13 +178,9 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
             )
         return None
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> WilsonState:
-        z, xdot = start.z, start.xdot
-        return WilsonState(self.reported(scene, z, xdot), z.a, xdot, Guess.begin(z, xdot, h))
-
     def step(
-        self, scene: MechatronicSystem, state: WilsonState, t: Time, h: Time, work: StepWork
-    ) -> WilsonState:
+        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
+    ) -> RatesState:
         now, (a, xdot) = state.shown, (state.a, state.xdot)
         far = self.theta * h
         q = advance(scene, now.q, far * now.v, far**2 / 3 * a)
@@ -214,4 +201,4 @@ class WilsonTheta(OwnValues, ImplicitStepMethod):
             y=nearer(now.y, z.y),
             t=t,
         )
-        return WilsonState(self.reported(scene, z, xdot_end, work), a_end, xdot_end, guess)
+        return RatesState(self.reported(scene, z, xdot_end, work), a_end, xdot_end, guess)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from integrators.contract import option
 from integrators.native import small_matrices
-from integrators.native.own_values import OwnValues
+from integrators.native.own_values import OwnValues, RatesState
 from integrators.native.step_method import StepMethod
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork
@@ -45,14 +45,6 @@ def evaluate_and_count(
     return complete(scene, q, v, x, t, solve=small_matrices.solve)
 
 
-class ExplicitAlphaState(NamedTuple):
-    """Values at the end of the last step, and the auxiliary values of a and xdot there."""
-
-    shown: Reading
-    aux: Array
-    auxx: Array
-
-
 @dataclass(frozen=True)
 class ExplicitGeneralizedAlpha(ExplicitMethod):
     """Explicit generalized-alpha: one evaluation in a step, damping chosen by rho_b.
@@ -77,14 +69,14 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         0.5, "spectral radius at the bifurcation of the roots", low=0.0, high=1.0, always=True
     )
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ExplicitAlphaState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
         z, xdot = start.z, start.xdot
-        return ExplicitAlphaState(Reading.of(z, xdot), z.a, xdot)
+        return RatesState(Reading.of(z, xdot), z.a, xdot)
 
     def step(
-        self, scene: MechatronicSystem, state: ExplicitAlphaState, t: Time, h: Time, work: StepWork
-    ) -> ExplicitAlphaState:
-        now, aux, auxx, rho = state.shown, state.aux, state.auxx, self.rho_b
+        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
+    ) -> RatesState:
+        (now, aux, auxx, _), rho = state, self.rho_b
         alpha = (2 * rho - 1) / (1 + rho)
         gamma, beta = 1.5 - alpha, (5 - 3 * rho) / ((1 + rho) ** 2 * (2 - rho))
         aux_end = (now.a - alpha * aux) / (1 - alpha)
@@ -93,18 +85,10 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         v = now.v + h * ((1 - gamma) * aux + gamma * aux_end)
         x = now.x + h * ((1 - gamma) * auxx + gamma * auxx_end)
         z, xdot = evaluate_and_count(scene, q, v, x, t, work)
-        return ExplicitAlphaState(Reading.of(z, xdot), aux_end, auxx_end)
+        return RatesState(Reading.of(z, xdot), aux_end, auxx_end)
 
-    def read(self, scene: MechatronicSystem, state: ExplicitAlphaState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: RatesState) -> Reading:
         return state.shown
-
-
-class NohBatheState(NamedTuple):
-    """Values at the end of the last step; ``a`` and ``xdot`` are the method's own."""
-
-    shown: Reading
-    a: Array
-    xdot: Array
 
 
 @dataclass(frozen=True)
@@ -126,14 +110,14 @@ class NohBathe(OwnValues, ExplicitMethod):
 
     p: float = option(0.54, "first substep as a part of the step", low=0.5, high=0.9, always=True)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> NohBatheState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
         z, xdot = start.z, start.xdot
-        return NohBatheState(self.reported(scene, z, xdot), z.a, xdot)
+        return RatesState(self.reported(scene, z, xdot), z.a, xdot)
 
     def step(
-        self, scene: MechatronicSystem, state: NohBatheState, t: Time, h: Time, work: StepWork
-    ) -> NohBatheState:
-        now, a, xdot = state.shown, state.a, state.xdot
+        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
+    ) -> RatesState:
+        now, a, xdot, _ = state
         first, d, p = self.p * h, (1 - self.p) * h, self.p
         w1 = (1 - 2 * p) / (2 * p * (1 - p))
         w2 = 0.5 - p * w1
@@ -148,4 +132,4 @@ class NohBathe(OwnValues, ExplicitMethod):
             v=v_p + d * (w0 * a + (0.5 + w1) * m.a + w2 * z.a),
             x=x_p + d * (w0 * xdot + (0.5 + w1) * xdot_p + w2 * xdot_end),
         )
-        return NohBatheState(self.reported(scene, z, xdot_end, work), z.a, xdot_end)
+        return RatesState(self.reported(scene, z, xdot_end, work), z.a, xdot_end)

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from integrators.contract import option
-from integrators.native.own_values import FreeSteps, OwnValues, moved_onto_constraints
+from integrators.native.own_values import EndMethod, EndState, FreeSteps, moved_onto_constraints
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
-from integrators.native.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.dependence import output_takes
-from problems.formulations import Start
 from problems.kinematics import advance, q_rate
 from problems.layouts import algebraic_layout
 from problems.runtime import Array, jax, jnp
@@ -76,17 +75,8 @@ def stage(
     return z, scene.state_rate(z) if nx else jnp.zeros(0)
 
 
-class HalfExplicitState(NamedTuple):
-    """Reported values, the method's own values with xdot, and errors of q, v and x in the step."""
-
-    shown: Reading
-    z: Variables
-    xdot: Array
-    errors: tuple[Array, Array, Array]
-
-
 @dataclass(frozen=True)
-class HalfExplicit(OwnValues, StepMethod):
+class HalfExplicit(EndMethod, StepMethod):
     """Base of the methods."""
 
     family: ClassVar[str] = "half-explicit"
@@ -98,11 +88,6 @@ class HalfExplicit(OwnValues, StepMethod):
     @property
     def newton_settings(self) -> NewtonSettings:
         return NewtonSettings(_TOLERANCE, _MOST, linear_solver=self.linear_solver)
-
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> HalfExplicitState:
-        z, xdot = start.z, start.xdot
-        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
-        return HalfExplicitState(self.reported(scene, z, xdot), z, xdot, nothing)
 
 
 @dataclass(frozen=True)
@@ -120,13 +105,13 @@ class HalfExplicitEuler(HalfExplicit):
     source: ClassVar[str] = "Brasey & Hairer (1993), doi:10.1137/0730025"
 
     def step(
-        self, scene: MechatronicSystem, state: HalfExplicitState, t: Time, h: Time, work: StepWork
-    ) -> HalfExplicitState:
+        self, scene: MechatronicSystem, state: EndState, t: Time, h: Time, work: StepWork
+    ) -> EndState:
         now = state.z
         q = advance(scene, now.q, h * now.v)
         s, xdot = stage(scene, now._replace(t=t - h), Ahead(q, now.v, h, t), work)
         z = s._replace(q=q, v=now.v + h * s.a, x=now.x + h * xdot, t=t)
-        return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, state.errors)
+        return EndState(self.reported(scene, z, xdot, work), z, xdot, state.errors)
 
 
 #: Explicit stages of PHEM56 (Dormand & Prince), rows 2 to 6, with their places.
@@ -235,8 +220,8 @@ class PHEM56(FreeSteps, HalfExplicit):
         return self.orders | {"a": 4, "lam": 4}
 
     def step(
-        self, scene: MechatronicSystem, state: HalfExplicitState, t: Time, h: Time, work: StepWork
-    ) -> HalfExplicitState:
+        self, scene: MechatronicSystem, state: EndState, t: Time, h: Time, work: StepWork
+    ) -> EndState:
         z, xdot, t0 = state.z, state.xdot, t - h
         q, v, x = z.q, z.v, z.x
         of_q, of_v, of_x = [v], [z.a], [xdot]
@@ -268,8 +253,4 @@ class PHEM56(FreeSteps, HalfExplicit):
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)
             errors = e_q, e_v, e_x
-        return HalfExplicitState(self.reported(scene, z, xdot, work), z, xdot, errors)
-
-    def estimate(self, before: HalfExplicitState, after: HalfExplicitState, h: Time) -> Errors:
-        z = after.z
-        return Errors(*after.errors, 0.0 * z.a, 0.0 * z.lam)
+        return EndState(self.reported(scene, z, xdot, work), z, xdot, errors)

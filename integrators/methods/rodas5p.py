@@ -19,21 +19,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from integrators.contract import option
 from integrators.native import small_matrices
 from integrators.native.own_values import (
     DriftHandling,
+    EndMethod,
+    EndState,
     FreeSteps,
-    OwnValues,
     moved_onto_constraints,
 )
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
-from integrators.native.step_records import Errors, Reading, Time
+from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
-from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.runtime import Array, jax, jnp
@@ -85,16 +85,8 @@ _OF_TIME = (
 )  # fmt: skip
 
 
-class RosenbrockState(NamedTuple):
-    """Reported values, the method's own values, and errors of q, v and x in the step."""
-
-    shown: Reading
-    z: Variables
-    errors: tuple[Array, Array, Array]
-
-
 @dataclass(frozen=True)
-class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
+class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
     """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for index 1.
 
     An embedded method of order four estimates the errors of q, v and x. On index 2 the orders fall
@@ -136,14 +128,9 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
             return "Baumgarte's term belongs to index 1; take constraints=projected."
         return super().supports(scene)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RosenbrockState:
-        z = start.z
-        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
-        return RosenbrockState(self.reported(scene, z, start.xdot), z, nothing)
-
     def step(
-        self, scene: MechatronicSystem, state: RosenbrockState, t: Time, h: Time, work: StepWork
-    ) -> RosenbrockState:
+        self, scene: MechatronicSystem, state: EndState, t: Time, h: Time, work: StepWork
+    ) -> EndState:
         z, g = state.z._replace(t=t - h), _GAMMA * h
         layout = stage_layout(scene.sizes)
         still = jnp.zeros(scene.sizes.nx)
@@ -196,10 +183,7 @@ class Rodas5P(OwnValues, DriftHandling, FreeSteps, StepMethod):
             end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still
         shown = self.reported(scene, end, xdot, work)
-        return RosenbrockState(shown, end, (last.q, last.v, last.x))
-
-    def estimate(self, before: RosenbrockState, after: RosenbrockState, h: Time) -> Errors:
-        return Errors(*after.errors, 0.0 * after.z.a, 0.0 * after.z.lam)
+        return EndState(shown, end, xdot, (last.q, last.v, last.x))
 
     def _constraint(self, scene: MechatronicSystem, z: Variables, g: Time) -> Array:
         """The constraint that holds, scaled so that its tangent does not depend on the step."""

@@ -9,7 +9,7 @@ from integrators.contract import Integrator, option
 from integrators.native import small_matrices
 from integrators.native.guesses import Guess
 from integrators.native.step_method import ErrorControl, NativeMethod
-from integrators.native.step_records import Reading, Time
+from integrators.native.step_records import Errors, Reading, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.formulations import Baumgarte, Start, complete
@@ -78,13 +78,22 @@ class StageState(NamedTuple):
 
 
 class RatesState(NamedTuple):
-    """Values that are reported at the end of the last step, the rates of v and x of the method's
-    own there, and the guess of the next one, if it is implicit."""
+    """Values that are reported at the end of the last step, the method's own rates of v and x
+    there, and the guess of the next one if it is implicit."""
 
     shown: Reading
     a: Array
     xdot: Array
     guess: Guess | None = None
+
+
+@dataclass(frozen=True)
+class RatesMethod(OwnValues):
+    """Base of implicit methods whose steps pass on rates of their own."""
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
+        z, xdot = start.z, start.xdot
+        return RatesState(self.reported(scene, z, xdot), z.a, xdot, Guess.begin(z, xdot, h))
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,28 @@ class StageMethod(OwnValues):
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
         guess = Guess.begin(start.z, start.xdot, h)
         return StageState(self.reported(scene, start.z, start.xdot), guess)
+
+
+class EndState(NamedTuple):
+    """Reported values, the method's own ones with xdot, and errors of q, v and x in the step."""
+
+    shown: Reading
+    z: Variables
+    xdot: Array
+    errors: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class EndMethod(OwnValues):
+    """Base of methods whose steps begin with the end of the last one, and estimate errors of it."""
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> EndState:
+        z, xdot = start.z, start.xdot
+        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
+        return EndState(self.reported(scene, z, xdot), z, xdot, nothing)
+
+    def estimate(self, before: EndState, after: EndState, h: Time) -> Errors:
+        return Errors(*after.errors, 0.0 * after.z.a, 0.0 * after.z.lam)
 
 
 def formulation_option(default: str, *, always: bool = False) -> Any:
