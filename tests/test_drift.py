@@ -244,12 +244,12 @@ def plant_long_runs(folder):
 def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     plant_long_runs(tmp_path)
     report = read_report(tmp_path, interactive=True)
-    site = Site(report)
-    linked = [page.path for _, below in site.contents for page in below]
+    site = Site(report, tmp_path)
+    linked = [link.address for _, below in site.contents("report.html") for link in below]
     assert linked.count("report/drift.html") == 1
     (chapter,) = report.chapters
     assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
-    report.chapters, bare = [], Site(report)
+    report.chapters, bare = [], Site(report, tmp_path)
     assert "report/drift.html" not in [page.path for page in bare.pages]
 
 

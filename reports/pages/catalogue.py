@@ -11,7 +11,9 @@ from problems.whole_files import put
 from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import picture, pictures
 from reports.formatting import file_name, number, paragraphs
-from reports.pages.templating import html, markdown
+from reports.names import scene_name
+from reports.pages.page import Link, Page, write_page
+from reports.pages.templating import markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 
 PICTURES = "catalogue_figures"
@@ -54,8 +56,8 @@ def write_animation(title: str, drawings: Sequence[Drawing], path: Path) -> Path
     frames = motion(drawings)
     if frames is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    put(path, html("animation.html.j2", title=title, motion=frames))
-    return path
+    page = Page(path.name, "animation", title, values={"motion": frames})
+    return write_page(page, path.parent, programs=["motion.js"])
 
 
 def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
@@ -78,13 +80,10 @@ def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
         if entry["picture"] and entry["picture"].content:
             (folder / PICTURES).mkdir(exist_ok=True)
             (folder / entry["file"]).write_bytes(entry["picture"].content)
-    pages = {
-        folder / "catalogue.html": html("catalogue.html.j2", entries=entries),
-        folder / "catalogue.md": markdown("catalogue.md.j2", entries=entries),
-    }
-    for page, text in pages.items():
-        put(page, text)
-    return list(pages)
+    put(folder / "catalogue.md", markdown("catalogue.md.j2", entries=entries))
+    page = Page("catalogue.html", "catalogue", "Catalogue of scenes", values={"entries": entries})
+    links = [Link(f"#{s.problem}", scene_name(s.problem)) for s in scenes]
+    return [write_page(page, folder, links), folder / "catalogue.md"]
 
 
 def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.results.table import Table
-from problems.whole_files import put
 from reports.charts.rendering import pictures
 from reports.pages.captioned_charts import CaptionedCharts
-from reports.pages.templating import html
+from reports.pages.page import Link, Page, write_page
 
 
 @dataclass
@@ -61,5 +60,6 @@ def write_chapter(chapter: Chapter, folder: Path) -> Path:
     """Write a chapter with still charts as a page into a folder."""
     charts = {name: chart for f in chapter.figures for name, chart in f.charts.items()}
     drawn = {name: picture.svg for name, picture in pictures(charts).items()}
-    put(folder / chapter.file, html("chapter_page.html.j2", chapter=chapter, pictures=drawn))
-    return folder / chapter.file
+    values = {"chapter": chapter, "pictures": drawn}
+    links = [Link(f"#{s.anchor}", s.title) for s in chapter.sections]
+    return write_page(Page(chapter.file, "chapter", chapter.title, values=values), folder, links)

@@ -10,7 +10,9 @@ from bench.results.table import Table
 from problems.whole_files import put
 from reports.charts.comparison import ratio_charts
 from reports.charts.rendering import draw
-from reports.pages.templating import html, markdown
+from reports.formatting import file_name
+from reports.pages.page import Link, Page, write_page
+from reports.pages.templating import markdown
 
 _FIGURES = "comparison_figures"
 _RUN = ["integrator", "scene", "run"]
@@ -51,14 +53,11 @@ def write_comparison(
         "pictures": pictures,
         "failed": [picture.sentence for picture in failed.values()],
     }
-    inline = [(folder / name).read_text(encoding="utf-8") for name in pictures]
-    pages = {
-        folder / "comparison.html": html("comparison.html.j2", **values, inline=inline),
-        folder / "comparison.md": markdown("comparison.md.j2", **values),
-    }
-    for page, text in pages.items():
-        put(page, text)
-    return list(pages)
+    put(folder / "comparison.md", markdown("comparison.md.j2", **values))
+    values["inline"] = [(folder / name).read_text(encoding="utf-8") for name in pictures]
+    page = Page("comparison.html", "comparison", values["title"], values=values)
+    links = [Link(f"#{file_name(t.caption)}", t.caption) for t in values["tables"]]
+    return [write_page(page, folder, links), folder / "comparison.md"]
 
 
 def _tables(comparison: Comparison) -> list[Table]:

@@ -16,8 +16,9 @@ import vl_convert
 
 from problems.whole_files import keep, kept, put
 from reports.charts.vega_lite import chart_json
+from reports.pages.page import FOLDER, FRONT, Page
 from reports.pages.report import read_report
-from reports.pages.site import FOLDER, FRONT, Page, Site
+from reports.pages.site import Site
 from reports.pages.site_data import SiteData
 from reports.pages.templating import html
 
@@ -26,6 +27,8 @@ LIBRARY = "vega.js"
 #: Scripts of a page with a question, in the order in which they are needed.
 _QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
+#: Scripts of all pages but the front page.
+_DRAWING_SCRIPTS = (LIBRARY, "charts.js", "tabs.js", "motion.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -49,7 +52,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         If the folder holds no readable store.
     """
     folder = Path(folder)
-    site = Site(read_report(folder, interactive=True), single_file)
+    site = Site(read_report(folder, interactive=True), folder, single_file)
     data = SiteData(site.report)
     more = ""  # the file with the answers to all questions but the first, which report.html holds
     if single_file:
@@ -93,8 +96,11 @@ def _written(
 ) -> str:
     """The text of a file with these pages."""
     here, front = pages[0].path, pages[0].kind == "front"
+    asking = (_FRONT_SCRIPTS if front else _QUESTION_SCRIPTS) if data else ()
+    drawing = () if front and not site.single else _DRAWING_SCRIPTS
+    title = "" if front else f"{pages[0].title} · "
     return html(
-        "page_of_report.html.j2",
+        "layout.html.j2",
         assets=None if front else "",
         address=partial(site.address, here=here),
         names=site.names,
@@ -102,13 +108,15 @@ def _written(
         report=site.report,
         site=site,
         pages=pages,
-        root="../" * here.count("/"),  # the way to the run folder
-        here=here,
+        title=title + site.report.title,
+        about=f"{site.report.title} · {site.runs_text}",
+        home="../" * here.count("/") + site.link(site.pages[0]),
+        contents=site.contents(here),
         single=site.single,
         library=library,
         data=data,
         more=more,
-        scripts=_FRONT_SCRIPTS if front else _QUESTION_SCRIPTS,
+        programs=(*asking, "tables.js", *drawing),
         pages_at=FOLDER if front and not site.single else "",
     )
 

@@ -11,8 +11,8 @@ from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
 from reports.pages.captioned_charts import CaptionedCharts
+from reports.pages.page import FOLDER
 from reports.pages.report import Report, read_report
-from reports.pages.site import FOLDER
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, plain, rendered
 from reports.questions.sentences import scene_sentence, sentences

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.results.table import Table
-from problems.whole_files import put
 from reports.formatting import number
-from reports.pages.templating import html
+from reports.pages.page import Link, Page, write_page
 
 #: Words of each outcome; a page numbers the outcomes in this order.
 OUTCOME_NAMES = {
@@ -58,15 +57,14 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
         (OUTCOME_NAMES[name], count, legend_color(name), found["reasons"].get(name, ""))
         for name, count in found["counts"].items()
     ]
-    text = html(
-        "map.html.j2",
-        found=found,
-        image=map_image(found, best, threshold),
-        ticks=[axis_ticks(found[side]) for side in ("x", "y")],
-        legend=legend,
-        best=number(10**best),
-        words=outcome_table(found),
-        data={
+    values = {
+        "found": found,
+        "image": map_image(found, best, threshold),
+        "ticks": [axis_ticks(found[side]) for side in ("x", "y")],
+        "legend": legend,
+        "best": number(10**best),
+        "words": outcome_table(found),
+        "data": {
             "words": [OUTCOME_NAMES[name] for name in names],
             "x": [found["x"]["name"], found["x"]["values"]],
             "y": [found["y"]["name"], found["y"]["values"]],
@@ -75,11 +73,10 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
                 [None if e is None else round(e, 2) for e in r] for r in found["log10_error"]
             ],
         },
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    page = folder / "map.html"
-    put(page, text)
-    return page
+    }
+    page = Page("map.html", "map", f"{found['integrator']} on {found['problem']}", values=values)
+    links = [Link("#picture", "Map"), Link("#words", "In words")]
+    return write_page(page, folder, links, ("tables.js", "map.js"))
 
 
 # ---- the picture -------------------------------------------------------------------------

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
 
 from bench.results.records import Record
 from reports.charts.mechanism import motion
 from reports.formatting import file_name
 from reports.names import scene_name
+from reports.pages.page import FOLDER, FRONT, Link, Page
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST, Question
@@ -20,8 +21,13 @@ from reports.ranking import reaches
 from reports.text.glossary import TERMS
 from reports.text.mathml import equations, unknowns
 
-#: The front page, and the folder of all others.
-FRONT, FOLDER = "report.html", "report/"
+#: Pages beside a report that commands write into its folder, with their titles in the contents.
+_BESIDE = {
+    "catalogue.html": "Catalogue of scenes",
+    "comparison.html": "Comparison",
+    "map.html": "Map of outcomes",
+    "stability.html": "Stability",
+}
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",
@@ -43,44 +49,15 @@ def method_page(label: str) -> str:
 
 
 @dataclass
-class Page:
-    """A page of the report: file in its folder, title, template of its body, values, anchors.
-
-    Pages with a ``heading`` are in the contents below it, with ``count`` small behind the title.
-    """
-
-    file: str
-    kind: str
-    title: str
-    heading: str = ""
-    count: int | None = None
-    values: dict[str, Any] = field(default_factory=dict)
-    anchors: list[str] = field(default_factory=list)
-
-    @property
-    def template(self) -> str:
-        """The template of the body."""
-        return f"{self.kind}.html.j2"
-
-    @property
-    def anchor(self) -> str:
-        """The anchor of the page where one file holds all."""
-        return self.file.removesuffix(".html")
-
-    @property
-    def path(self) -> str:
-        """The file in the run folder."""
-        return self.file if self.file == FRONT else FOLDER + self.file
-
-
-@dataclass
 class Site:
     """All pages of a report, and the addresses from one to another.
 
-    ``single`` says whether one file holds all pages; a page is then a part with an anchor.
+    ``folder`` is the run folder. ``single`` says whether one file holds all pages; a page is then a
+    part with an anchor.
     """
 
     report: Report
+    folder: Path
     single: bool = False
 
     @cached_property
@@ -88,11 +65,20 @@ class Site:
         """All pages, the front page first."""
         return list(_pages(self.report))
 
-    @cached_property
-    def contents(self) -> list[tuple[str, list[Page]]]:
-        """The contents at the side of all pages: headings, and the pages below each."""
-        below = {h: [p for p in self.pages if p.heading == h] for h in ("Answer", "Scenes", "Why")}
-        return [(heading, pages) for heading, pages in below.items() if pages]
+    def contents(self, here: str) -> list[tuple[str, list[Link]]]:
+        """The contents at the side of a page: headings, and the links below each."""
+        root = "../" * here.count("/")  # the way to the run folder
+        below: dict[str, list[Link]] = {heading: [] for heading in ("Answer", "Scenes", "Why")}
+        for p in self.pages:
+            if p.heading:
+                now = p.path == here and not self.single
+                below[p.heading].append(Link(root + self.link(p), p.title, p.count, now))
+        below["Beside"] = [
+            Link(root + file, title)
+            for file, title in _BESIDE.items()
+            if not self.single and (self.folder / file).is_file()
+        ]
+        return [(heading, links) for heading, links in below.items() if links]
 
     @property
     def runs_text(self) -> str:
@@ -138,7 +124,8 @@ def _pages(report: Report) -> Iterator[Page]:
     if report.orders:
         yield Page("orders.html", "orders", "Orders", "Why")
     for chapter in report.chapters:
-        values, anchors = {"chapter": chapter}, [section.anchor for section in chapter.sections]
+        anchors = [section.anchor for section in chapter.sections]
+        values = {"chapter": chapter, "pictures": None}
         yield Page(chapter.file, "chapter", chapter.title, "Why", values=values, anchors=anchors)
     yield Page("measured.html", "measured", "How it was measured", "Why")
     terms, anchors = {"terms": TERMS}, [term.anchor for term in TERMS]

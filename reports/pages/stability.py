@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.stability.tables import stability_tables, step_name
-from problems.whole_files import put
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.rendering import Picture, pictures
-from reports.pages.templating import html
+from reports.pages.page import Link, Page, write_page
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
@@ -43,20 +42,21 @@ def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
         if (chart := radius_map(m, across))
     }
     curves = {str(k): chart for k, chart in enumerate(stability_curves(found, name))}
-    text = html(
-        "stability.html.j2",
-        system=found[0]["system"],
-        pattern=pattern if macro else "",
-        tables=stability_tables(found),
-        charts=[drawn.svg for drawn in pictures(curves).values()],
+    values = {
+        "system": found[0]["system"],
+        "pattern": pattern if macro else "",
+        "tables": stability_tables(found),
+        "charts": [drawn.svg for drawn in pictures(curves).values()],
         # Thousands of tiles make a small PNG and a large SVG.
-        maps=[(n, png_url(drawn)) for n, drawn in pictures(maps, "png", scale=1.5).items()],
-        steps=found[0]["first_steps"],
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    page = folder / "stability.html"
-    put(page, text)
-    return page
+        "maps": [(n, png_url(drawn)) for n, drawn in pictures(maps, "png", scale=1.5).items()],
+        "steps": found[0]["first_steps"],
+    }
+    parts = {"found": "What was found", "frequency": "Over frequency"}
+    parts |= {"maps": "Maps"} if maps else {}
+    parts |= {"theory": "Ratios and theory"} if len(values["tables"]) > 2 else {}
+    links = [Link(f"#{anchor}", title) for anchor, title in parts.items()]
+    page = Page("stability.html", "stability", "Stability of integrators", values=values)
+    return write_page(page, folder, links)
 
 
 def png_url(drawn: Picture) -> str:

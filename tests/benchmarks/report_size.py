@@ -20,7 +20,7 @@ from planted import curves, planted
 from bench.results.records import Plan, SceneRecord
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
-from reports.pages.site import FOLDER
+from reports.pages.page import FOLDER
 
 SCENES, METHODS, RUNS = 18, 50, 20
 TAGS = ("constrained", "mechatronic", "stiff", "smooth", "conservative")
