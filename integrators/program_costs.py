@@ -218,13 +218,7 @@ class _Counter(Follower[int]):
         return name
 
     def _cost(self, step: Step, scope: str, loops: tuple[int | str | None, ...]) -> Cost | None:
-        """Operations of a step in loops; None if there are none.
-
-        Raises
-        ------
-        NotCounted
-            If they are not known.
-        """
+        """Operations of a step in loops; None if there are none."""
         # JAX 0.12 drops the name of equations within a custom root, but not that of its loop.
         outside, equations, within = scope.partition(EQUATIONS if EQUATIONS in scope else INDEX1)
         algebra, part = self._algebra(step), part_of(outside)

@@ -130,13 +130,7 @@ def _kept_or_found(file: Path, find: Callable[[], T], kind: type[T]) -> T:
 
 
 def _file(*about: Any) -> Path:
-    """The file of a program.
-
-    Raises
-    ------
-    Exception
-        If an object cannot be written down, or is not ours.
-    """
+    """The file of a program."""
     text = io.BytesIO()
     _Pickler(text).dump(about)
     return CACHE / "exported" / _ours() / hashlib.sha256(text.getvalue()).hexdigest()[:32]
@@ -167,11 +161,6 @@ def _traced(
 ) -> tuple[Any, bytes]:
     """Trace a function of arguments with this tree of leaves: the form of its results, as data, and
     the program of the leaves.
-
-    Raises
-    ------
-    Exception
-        If results are nested otherwise than by dictionaries and tuples.
     """
     from jax import export
 

@@ -93,11 +93,6 @@ def _loaded(name: str) -> ModuleType:
 
     By default JAX hands each program over to a thread of its own, which takes longer than a short
     program.
-
-    Raises
-    ------
-    RuntimeFault
-        If XLA refuses the user's flags, which would end the process, or has too little room.
     """
     if "jax" not in sys.modules:
         _refuse_little_room()
@@ -221,13 +216,7 @@ def _refuse_little_room() -> None:
 
 
 def _leave_out_refused_flags() -> None:
-    """Take out of XLA_FLAGS those of ours that this XLA refuses.
-
-    Raises
-    ------
-    RuntimeFault
-        If it refuses one of the user's.
-    """
+    """Take out of XLA_FLAGS those of ours that this XLA refuses."""
     value = os.environ["XLA_FLAGS"]
     words = _refusal(value)
     if not words:

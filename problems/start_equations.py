@@ -40,11 +40,6 @@ def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     Start
         ``constrained_jerk`` is None for a scene without constraints; a and the jerk are NaN where
         there is no solution.
-
-    Raises
-    ------
-    problems.sparsity.NoPattern
-        If the pattern of the equations cannot be found.
     """
     equations, (nv, nl) = _equations(scene.template(), True), (scene.sizes.nv, scene.sizes.nl)
     z, xdot, factors = _complete(scene, state, t, equations)
@@ -68,11 +63,6 @@ def sparse_complete(
     -------
     Variables, Array
         The variables and xdot ``(nx,)``; a is NaN where there is no solution.
-
-    Raises
-    ------
-    problems.sparsity.NoPattern
-        If the pattern of the equations cannot be found.
     """
     return _complete(scene, state, t, _equations(scene.template(), True))[:2]
 

@@ -66,13 +66,7 @@ def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> No
 def _chosen(
     names: Iterable[str], every: Mapping[str, Collection[str]]
 ) -> tuple[list[str], dict[str, list[str]]]:
-    """The kinds that are listed whole, and single names by kind.
-
-    Raises
-    ------
-    SpecError
-        If a name is not known.
-    """
+    """The kinds that are listed whole, and single names by kind."""
     names = dict.fromkeys(names)
     words = [*_ALL_OF, *(name for known in every.values() for name in known)]
     for text in names:

@@ -141,13 +141,7 @@ def asked_for(
 
 
 def end_time(scene: SceneFacts, t_end: float | None) -> float:
-    """Return the end time in s: the given one or the scene's own.
-
-    Raises
-    ------
-    SpecError
-        If it does not lie after the start.
-    """
+    """Return the end time in s: the given one or the scene's own."""
     return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
 
 
@@ -163,11 +157,6 @@ def guarded(
 
     A message on its failure begins with the words ``about`` it. A job that watches the budget
     itself, as sweeps do, is given half as much again to end by it.
-
-    Raises
-    ------
-    SpecError
-        If the job refuses its arguments, or has no answer.
     """
     from bench.guard.limits import Limits
     from bench.guard.process import ask_once

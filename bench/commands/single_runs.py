@@ -65,11 +65,11 @@ def solve_(
     """
     registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
     if ensemble is not None:
-        from bench.sweeps.jobs import EnsembleRequest, SweepRequest
+        from bench.sweeps.jobs import EnsembleRequest
 
         given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-        sweep = SweepRequest(scene.spec, method.spec, given, t_end, budget)
-        request = EnsembleRequest(sweep, ensemble, vary, seed or 0)
+        common = scene.spec, method.spec, given, t_end, budget
+        request = EnsembleRequest(*common, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
         made_by = f"{scene.fingerprint}-{method.fingerprint}"
         sweeps.solve_ensemble(sources, request, made_by, jobs, cluster, out, as_json)

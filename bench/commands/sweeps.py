@@ -268,7 +268,7 @@ def _run(
     workers = processes(jobs, request.count)
     threads = max(1, cores() // workers)
     # A shard watches its budget itself, and has half as much again to end by it.
-    limits = Limits(1.5 * request.sweep.budget, processors=threads)
+    limits = Limits(1.5 * request.budget, processors=threads)
     with _threads(threads), RunProgress() as progress:
         with Runner(workers, limits, progress) as here:
             run = ShardRun(here, request, sources, progress)

@@ -215,13 +215,7 @@ def trials(registry: Registry, method: Integrator) -> list[Trial]:
 
 
 def order_trials(registry: Registry, method: Integrator) -> list[Trial]:
-    """Return trials on the trial scenes that a method takes, and on those with the tag "orders".
-
-    Raises
-    ------
-    DoesNotApply
-        If it takes no scene at all.
-    """
+    """Return trials on the trial scenes that a method takes, and on those with the tag "orders"."""
     return trials(registry, method) + _taken(method, _tagged(registry, ORDERS_TAG))
 
 

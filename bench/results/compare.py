@@ -45,26 +45,14 @@ class FolderRuns(NamedTuple):
 
 
 def read_runs(folder: Path) -> FolderRuns:
-    """Read the runs of a folder.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    """
+    """Read the runs of a folder."""
     with Store(folder) as store:
         records = {k: r for k, r in store.records().items() if r.status != INTERRUPTED}
         return FolderRuns(folder, records, store.environments())
 
 
 def compare_folders(old: Path, new: Path) -> Comparison:
-    """Compare the runs of two folders.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If a folder holds no readable store.
-    """
+    """Compare the runs of two folders."""
     return compare_runs(read_runs(old), read_runs(new))
 
 

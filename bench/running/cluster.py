@@ -124,13 +124,7 @@ def _lost(group: list[Task], error: BaseException) -> list[tuple[Task, Any]]:
 
 
 def _require_certificates(address: str) -> None:
-    """Refuse an address whose encryption is not configured, which the client finds out by hanging.
-
-    Raises
-    ------
-    SpecError
-        If dask's configuration names no certificates, or they cannot be read.
-    """
+    """Refuse an address without certificates, which the client finds out by hanging."""
     import dask.config
     from distributed import Security
 

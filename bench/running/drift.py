@@ -57,7 +57,10 @@ def drift_job(
     resolution = Steps(scene.nominal_step if h is None else h)
     t_end = check_end(scene.interval[0], scene.interval[0] + steps * resolution.h)
     run, _ = worker.run(Cell(scene.spec, constant.spec, t_end, resolution))
-    reference = _motion(worker, scene)
+    reference = None
+    with suppress(Exception):  # its integration failed, or the closed form is false
+        found = worker.reference(scene, scene.interval[1])
+        reference = None if found.missing else found
     if reference and run.status == "ok":
         changes = measure.invariant_changes(scene, run, reference)
         measure.end_at_blow_up(run, reference, changes)
@@ -75,14 +78,6 @@ def drift_job(
         t=[float(part[-1]) for part in _parts(run.t)] if drifts else [],
         drifts={name: course(run.t, values) for name, values in drifts.items()},
     )
-
-
-def _motion(worker: Worker, scene: MechatronicSystem) -> Reference | None:
-    """The reference over the interval of a scene, whose size the drift is measured by."""
-    with suppress(Exception):  # its integration failed, or the closed form is false
-        reference = worker.reference(scene, scene.interval[1])
-        return None if reference.missing else reference
-    return None
 
 
 def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift:

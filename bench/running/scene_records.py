@@ -112,13 +112,7 @@ def _missing_rank(scene: MechatronicSystem) -> int:
 
 
 def first_energy(scene: MechatronicSystem) -> float:
-    """Return the energy of a scene at its start, in J.
-
-    Raises
-    ------
-    FalseAnswer
-        If it is no finite number.
-    """
+    """Return the energy of a scene at its start, in J."""
     q, v, _ = map(jnp.asarray, scene.initial_state())
     return answers.number(scene.energy(q, v), "energy()")
 
@@ -152,11 +146,6 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
     list
         ``{"t": s, "lines": [[[x, y], ...], ...]}`` for each time, lengths in m; empty if the
         scene has no drawing.
-
-    Raises
-    ------
-    FalseAnswer
-        If a line is no list of finite points.
     """
     if not scene.has("draw"):
         return []

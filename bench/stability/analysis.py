@@ -59,11 +59,6 @@ def analyse(
         The fields of `Spectrum`; "at", columns over the reported omega h; "theory", multistep
         formulas; "maps", radii over omega h and an option or a ratio of steps; "safe", ratios.
         NaN and infinity are None.
-
-    Raises
-    ------
-    SpecError
-        As `bench.stability.matrices.matrices` does.
     """
     method = steppable(method)
     reported = tuple(at) or REPORTED

@@ -90,11 +90,6 @@ def worst(
     -------
     tuple of float
         The radius and omega H.
-
-    Raises
-    ------
-    SpecError
-        As `bench.stability.matrices.matrices` does.
     """
     system = system or Oscillator()
     at = np.append(_OMEGA_H, INFINITY)
@@ -148,13 +143,7 @@ def _peaks(values: np.ndarray, sizes: np.ndarray) -> list[int]:
 def largest_safe_ratio(
     method: Integrator, tried: Sequence[_Word] = (ALTERNATING,), system: LinearSystem | None = None
 ) -> Safe:
-    """Find the largest ratio up to which none of the patterns ``tried`` grows.
-
-    Raises
-    ------
-    SpecError
-        As `bench.stability.matrices.matrices` does.
-    """
+    """Find the largest ratio up to which none of the patterns ``tried`` grows."""
 
     def grows(ratio: float) -> Safe | None:
         for word in tried:

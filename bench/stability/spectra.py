@@ -111,11 +111,6 @@ def spectrum(
         Fractions of the macro step, which sum to 1.
     omega_h
         Values of omega h to be analysed beside `OMEGA_H`.
-
-    Raises
-    ------
-    SpecError
-        As `matrices` does.
     """
     method, system = steppable(method), system or Oscillator()
     at = np.union1d(OMEGA_H, np.asarray(omega_h, dtype=float))

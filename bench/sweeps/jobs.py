@@ -127,19 +127,12 @@ def map_job(
 
 
 @dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
-class EnsembleRequest:
+class EnsembleRequest(SweepRequest):
     """An ensemble of ``count`` members as the user asked for it; ``vary`` are texts."""
 
-    sweep: SweepRequest
     count: int
     vary: tuple[str, ...]
     seed: int
-
-    def prepared(
-        self, worker: Worker
-    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
-        """Make what the members are made of, as `SweepRequest.prepared` does."""
-        return self.sweep.prepared(worker, read_ranges(self.vary, "--vary"))
 
 
 @dataclass(frozen=True)
@@ -172,8 +165,8 @@ def shards_of(count: int, backend: str = "cpu") -> int:
 
 def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
     """Read an ensemble's request; refuse what cannot be run."""
-    scene, method, ranges, _ = request.prepared(worker)
-    quantities, t_end = [varied.quantity for varied in ranges.values()], request.sweep.t_end
+    scene, method, ranges, _ = request.prepared(worker, read_ranges(request.vary, "--vary"))
+    quantities, t_end = [varied.quantity for varied in ranges.values()], request.t_end
     return EnsemblePlan(
         spec_without(scene, quantities),
         spec_without(method, quantities),
@@ -187,14 +180,14 @@ def shard_job(
     worker: Worker, request: EnsembleRequest, first: int, count: int, threads: int
 ) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
-    scene, method, ranges, fixed = request.prepared(worker)
+    scene, method, ranges, fixed = request.prepared(worker, read_ranges(request.vary, "--vary"))
     return ensemble(
         scene,
         method,
         drawn(ranges, request.seed, first, count),
         fixed,
-        request.sweep.t_end,
-        request.sweep.budget,
+        request.t_end,
+        request.budget,
         threads,
         begun=lambda: worker.notify(RUNNING, "running the members"),
     )

@@ -66,7 +66,7 @@ class ShardRun:
         self, runner: Runner, request: EnsembleRequest, sources: Sources, progress: Progress
     ) -> None:
         self._request, self._sources, self._progress = request, sources, progress
-        self._about = f"{request.sweep.integrator} on {request.sweep.problem}"
+        self._about = f"{request.integrator} on {request.problem}"
         task = Task(plan_job, (request,), self._about, sources=sources)
         ((_, answer),) = runner.run([[task]])
         self.plan: EnsemblePlan = self._answered(answer)
@@ -76,16 +76,16 @@ class ShardRun:
     @property
     def about(self) -> dict[str, Any]:
         """Causes of the members' values, without the sources of scene and integrator, for JSON."""
-        sweep = self._request.sweep
-        given = {name: repr(value) for name, value in sweep.given.items()}
+        asked = self._request
+        given = {name: repr(value) for name, value in asked.given.items()}
         return {
-            "problem": sweep.problem,
-            "integrator": sweep.integrator,
+            "problem": asked.problem,
+            "integrator": asked.integrator,
             "t_end": self.plan.t_end,
             **given,
-            "vary": list(self._request.vary),
-            "seed": self._request.seed,
-            "members": self._request.count,
+            "vary": list(asked.vary),
+            "seed": asked.seed,
+            "members": asked.count,
             "shards": self.plan.shards,
             "code": fingerprint(ShardRun),  # with the draw, and the versions of libraries
         }

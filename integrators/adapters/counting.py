@@ -78,11 +78,6 @@ def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
     Returns
     -------
     The finished result of ``program(*arguments)``, and the counts of the call.
-
-    Raises
-    ------
-    RuntimeError
-        If XLA does not count rightly: numbers of calls are right or there are none.
     """
     # Here, at the latest: the one thread cannot wait for a trial in itself.
     _check_counting()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,17 +27,6 @@ if TYPE_CHECKING:
 #: Newton's method. IDA's own switch (``suppress_algebraic``) keeps it in the latter; compiled
 #: callbacks alone reach it, and other solvers have none.
 _NOT_TESTED = 1e6
-
-
-class SparseJacobian(NamedTuple):
-    """The entries of dF/dw + cj dF/dwdot as compressed columns."""
-
-    #: Values of the entries at (p, t, w, wdot, cj), column by column.
-    values: PackedFunction
-    #: Rows of the entries.
-    rows: Int32[np.ndarray, " entries"]
-    #: Number of the first entry of each column, and the number of entries at the end.
-    starts: Int32[np.ndarray, " n+1"]
 
 
 def given_dae(
@@ -105,17 +94,9 @@ def packed_jacobian(template: MechatronicSystem, formulation: str) -> PackedFunc
 
 @cache
 def dae_pattern(template: MechatronicSystem, formulation: str) -> Pattern:
-    """Find the entries of dF/dw + cj dF/dwdot that can differ from zero, by tracing F.
-
-    Raises
-    ------
-    problems.sparsity.NoPattern
-        If F has an operation whose pattern is not known.
-    """
-    residual, n = (
-        packed_residual(template, formulation),
-        dae_layout(template.sizes, formulation).size,
-    )
+    """Find the entries of dF/dw + cj dF/dwdot that can differ from zero, by tracing F."""
+    residual = packed_residual(template, formulation)
+    n = dae_layout(template.sizes, formulation).size
     p = jnp.array(list(template.parameters().values()))
     # The pattern is the same for all w, wdot and cj; a zero or a one might hide an entry.
     w, wdot = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.5, (2, n)))
@@ -123,8 +104,11 @@ def dae_pattern(template: MechatronicSystem, formulation: str) -> Pattern:
 
 
 @cache
-def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJacobian:
-    """dF/dw + cj dF/dwdot on its `dae_pattern`."""
+def sparse_jacobian(
+    template: MechatronicSystem, formulation: str
+) -> tuple[PackedFunction, Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]]:
+    """dF/dw + cj dF/dwdot on its `dae_pattern`, as compressed columns: the values of the entries at
+    (p, t, w, wdot, cj), their rows, and the number of the first one of each column."""
     residual, found = packed_residual(template, formulation), dae_pattern(template, formulation)
     order = np.lexsort((found.rows, found.columns))
 
@@ -132,9 +116,7 @@ def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJaco
         return found.values(_along(residual, p, t, w, wdot, cj), jnp.zeros(found.size))[order]
 
     starts = np.searchsorted(found.columns[order], np.arange(found.size + 1)).astype(np.int32)
-    return SparseJacobian(
-        PackedFunction(values, *residual.lengths, None), found.rows[order], starts
-    )
+    return PackedFunction(values, *residual.lengths, None), found.rows[order], starts
 
 
 def _along(

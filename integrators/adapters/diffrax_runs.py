@@ -167,18 +167,12 @@ def _traced_once(kind: type) -> type:
         return kind
 
 
-class AdaptivePrograms(NamedTuple):
-    """Compiled solves: one to be timed; one that keeps all steps, for `run_counted`."""
-
-    timed: Callable
-    counted: Callable
-
-
 @cache
 def adaptive_programs(
     scheme: DiffraxScheme, template: MechatronicSystem, max_steps: int
-) -> AdaptivePrograms:
-    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending.
+) -> tuple[Callable, Callable]:
+    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending: one
+    to be timed, and one that keeps all steps, for `run_counted`.
 
     The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
     """
@@ -223,19 +217,11 @@ def adaptive_programs(
 
         return solve
 
-    def timed_solve(*at: Any) -> tuple:
-        return program(counts=False)(*at)
-
-    def counted_solve(*at: Any) -> tuple:
-        return program(counts=True)(*at)
-
-    about, calls = (
-        ("adaptive steps of diffrax", scheme, template, max_steps),
-        (EVALUATION, LINEARISATION),
-    )
-    return AdaptivePrograms(
-        timed=exported(timed_solve, (*about, "timed")),
-        counted=exported(counted_solve, (*about, "counted"), calls=calls),
+    about = "adaptive steps of diffrax", scheme, template, max_steps
+    calls = EVALUATION, LINEARISATION
+    return (
+        exported(lambda *at: program(counts=False)(*at), (*about, "timed")),
+        exported(lambda *at: program(counts=True)(*at), (*about, "counted"), calls=calls),
     )
 
 
@@ -253,7 +239,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
     ) -> None:
         super().__init__(scheme, scene, t_end, baumgarte)
         self._max_steps, self._t0 = max_steps, scene.interval[0]
-        self._programs = adaptive_programs(scheme, scene.template(), max_steps)
+        self._timed, self._counted = adaptive_programs(scheme, scene.template(), max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
         numbers = RateNumbers(scene.parameters(), baumgarte)
@@ -261,15 +247,15 @@ class DiffraxAdaptiveRun(DiffraxRun):
         self._arguments = jax.tree.map(jnp.asarray, arguments)
         # A solve over no time compiles the program and costs nothing else.
         p, s0, t0, _, *tolerances = self._arguments
-        jax.block_until_ready(self._programs.timed(p, s0, t0, t0, *tolerances))
+        jax.block_until_ready(self._timed(p, s0, t0, t0, *tolerances))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self._programs.timed(*self._arguments))
+        return jax.block_until_ready(self._timed(*self._arguments))
 
     def measure(self) -> Trajectory:
         try:
             self.execute()  # the warm-up
-            solution, counts = run_counted(self._programs.counted, *self._arguments)
+            solution, counts = run_counted(self._counted, *self._arguments)
         except jax.errors.JaxRuntimeError as error:
             reason = str(error).splitlines()[0]
             return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")

@@ -37,23 +37,16 @@ class ThreeStepState(NamedTuple):
     guess: Guess
 
 
-class Differences(NamedTuple):
-    """The rate at the end of a step by the polynomials through the last values of a function u.
-
-    With ``cubic`` = 0 it is BDF2, with 1 it is BDF3: ``u+ = known + tau udot+``.
-    """
-
-    tau: Scalar
-    known: Array
-
-
 def differences(
     now: Array, first: Array, second: Array, h: Scalar, past: Past, cubic: float
-) -> Differences:
-    """Return the formula of a step of size h: `Differences`, from u and its divided differences."""
+) -> tuple[Scalar, Array]:
+    """Return tau and known of u+ = known + tau udot+, from u and its divided differences.
+
+    It holds for the polynomials through the last values of u; with ``cubic`` = 0 it is BDF2, with 1 BDF3.
+    """
     two, three = h + past.h, h + past.h + past.h_before
     c = 1 + h / two + cubic * h / three
-    return Differences(h / c, now + h * ((c - 1) * first + cubic * h * two / three * second) / c)
+    return h / c, now + h * ((c - 1) * first + cubic * h * two / three * second) / c
 
 
 @dataclass(frozen=True)
@@ -125,9 +118,9 @@ class Houbolt(ThreeStepMethod):
         rate = d1 + two * k * d2 / (1 + k)
         c = 1 + h / two + h / three
         v = c * rate - (c - 1) * d1 - h * two / three * d2
-        x = differences(now.x, past.first.x, past.second.x, h, past, 1.0)
+        tau, x = differences(now.x, past.first.x, past.second.x, h, past, 1.0)
         q = advance(scene, now.q, h * rate)
-        return Base(q, v, x.known), Slopes(h * slope, c * slope, x.tau)
+        return Base(q, v, x), Slopes(h * slope, c * slope, tau)
 
 
 @dataclass(frozen=True)
@@ -142,12 +135,10 @@ class Park(ThreeStepMethod):
     def end(
         self, scene: MechatronicSystem, now: Base, h: Scalar, past: Past
     ) -> tuple[Base, Slopes]:
-        q, v, x = (
+        (tau, q), (_, v), (_, x) = (
             differences(*u, h, past, 0.5) for u in zip(now, past.first, past.second, strict=True)
         )
-        tau = q.tau
-        base = Base(advance(scene, q.known, tau * v.known), v.known, x.known)
-        return base, Slopes(tau**2, tau, tau)
+        return Base(advance(scene, q, tau * v), v, x), Slopes(tau**2, tau, tau)
 
 
 @dataclass(frozen=True)

@@ -93,13 +93,7 @@ def discrete_gradient(
     end: Float[Array, " n"],
     weights: Float[Array, " m"],
 ) -> Float[Array, " n"]:
-    """Multiply the transposed discrete gradient of a function between two points by weights.
-
-    Raises
-    ------
-    NoDiscreteGradient
-        If the function holds an operation that is not known here.
-    """
+    """Multiply the transposed discrete gradient of a function between two points by weights."""
 
     def change(direction: Array) -> Array:
         return discrete_derivative(function, start, end, direction)

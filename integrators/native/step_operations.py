@@ -35,11 +35,6 @@ def loop_costs(loop: Callable, program: StepProgram, about: Any, *given: Array) 
         All that decides it beside the method.
     given
         Its arguments, of which only shapes matter.
-
-    Raises
-    ------
-    integrators.program_costs.NotCounted
-        If the step has a loop of its own whose turns nobody counts.
     """
     if loop not in _costs:
         find = partial(costs_of, loop, *given, libraries=_of_klu(program))

@@ -146,13 +146,7 @@ class SparseTangents(NamedTuple):
 def sparse_tangents(
     functions: StepFunctions, numbers: Any, template: MechatronicSystem
 ) -> SparseTangents:
-    """Find the patterns of the equations that a method's step solves on a kind of scene.
-
-    Raises
-    ------
-    problems.sparsity.NoPattern
-        If the program of a residual cannot be followed, or KLU cannot be used.
-    """
+    """Find the patterns of the equations that a method's step solves on a kind of scene."""
     leaves, tree = jax.tree.flatten(numbers)
     return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)
 
