@@ -53,7 +53,7 @@ class Changed(Here):
 
 def test_a_shard_whose_budget_did_not_last_is_run_again(asked, tmp_path, monkeypatch):  # noqa: F811
     monkeypatch.setattr(batch, "_MOST_LANES", {"cpu": 8})  # blocks of 8 of the 13 members
-    short = replace(asked, sweep=replace(asked.sweep, budget=0.0))
+    short = replace(asked, budget=0.0)
     kept = KeptParts(tmp_path / "parts", {})
     run, results = run_all(short, kept)
     assert (kept.numbers(), run.lost.numbers()) == (set(), {0, 1, 2})

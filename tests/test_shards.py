@@ -22,7 +22,7 @@ from bench.plugins.registry import Registry
 from bench.running.worker import Worker
 from bench.sweeps import jobs, parts
 from bench.sweeps.ensemble import ensemble
-from bench.sweeps.jobs import EnsembleRequest, SweepRequest
+from bench.sweeps.jobs import EnsembleRequest
 from bench.sweeps.parts import EnsembleResults, KeptParts, TemporaryParts
 from bench.sweeps.shards import ShardRun
 from bench.sweeps.variation import drawn, find_range
@@ -65,8 +65,8 @@ def asked(monkeypatch):
     monkeypatch.setattr(jobs, "_OF_SHARD", {"cpu": 16})
     given = dict.fromkeys(("step", "pattern", "rtol", "atol"))
     # Undamped and explicit: some of the steps are too large, and their members diverge.
-    sweep = SweepRequest("spring_mass[b=0]", "newmark[beta=0]", given, END, 1e9)
-    return EnsembleRequest(sweep, COUNT, VARY, 7)
+    runs = "spring_mass[b=0]", "newmark[beta=0]", given, END, 1e9
+    return EnsembleRequest(*runs, COUNT, VARY, 7)
 
 
 def run_all(request, store, runner=None):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,17 @@ if TYPE_CHECKING:
 #: Newton's method. IDA's own switch (``suppress_algebraic``) keeps it in the latter; compiled
 #: callbacks alone reach it, and other solvers have none.
 _NOT_TESTED = 1e6
+
+
+class SparseJacobian(NamedTuple):
+    """The entries of dF/dw + cj dF/dwdot as compressed columns."""
+
+    #: Values of the entries at (p, t, w, wdot, cj), column by column.
+    values: PackedFunction
+    #: Rows of the entries.
+    rows: Int32[np.ndarray, " entries"]
+    #: Number of the first entry of each column, and the number of entries at the end.
+    starts: Int32[np.ndarray, " n+1"]
 
 
 def given_dae(
@@ -104,11 +115,8 @@ def dae_pattern(template: MechatronicSystem, formulation: str) -> Pattern:
 
 
 @cache
-def sparse_jacobian(
-    template: MechatronicSystem, formulation: str
-) -> tuple[PackedFunction, Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]]:
-    """dF/dw + cj dF/dwdot on its `dae_pattern`, as compressed columns: the values of the entries at
-    (p, t, w, wdot, cj), their rows, and the number of the first one of each column."""
+def sparse_jacobian(template: MechatronicSystem, formulation: str) -> SparseJacobian:
+    """dF/dw + cj dF/dwdot on its `dae_pattern`."""
     residual, found = packed_residual(template, formulation), dae_pattern(template, formulation)
     order = np.lexsort((found.rows, found.columns))
 
@@ -116,7 +124,9 @@ def sparse_jacobian(
         return found.values(_along(residual, p, t, w, wdot, cj), jnp.zeros(found.size))[order]
 
     starts = np.searchsorted(found.columns[order], np.arange(found.size + 1)).astype(np.int32)
-    return PackedFunction(values, *residual.lengths, None), found.rows[order], starts
+    return SparseJacobian(
+        PackedFunction(values, *residual.lengths, None), found.rows[order], starts
+    )
 
 
 def _along(

@@ -42,7 +42,7 @@ def differences(
 ) -> tuple[Scalar, Array]:
     """Return tau and known of u+ = known + tau udot+, from u and its divided differences.
 
-    It holds for the polynomials through the last values of u; with ``cubic`` = 0 it is BDF2, with 1 BDF3.
+    It holds for the polynomials through the last values of u: with ``cubic`` = 0 BDF2, with 1 BDF3.
     """
     two, three = h + past.h, h + past.h + past.h_before
     c = 1 + h / two + cubic * h / three
