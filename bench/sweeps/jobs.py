@@ -32,7 +32,7 @@ POINTS, POINTS_INTEGRATED = 100, 25
 _OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 16384
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
 class SweepRequest:
     """The runs of a sweep as far as they are all alike.
 
@@ -126,7 +126,7 @@ def map_job(
     )
 
 
-@dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
+@dataclass(frozen=True, eq=False)
 class EnsembleRequest(SweepRequest):
     """An ensemble of ``count`` members as the user asked for it; ``vary`` are texts."""
 
