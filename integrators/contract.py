@@ -178,7 +178,7 @@ class PreparedRun(ABC):
 
         They are all that its steps do: evaluations of equations, linear algebra, and arithmetic
         of the method itself (stages, predictors, tests of convergence, step control): numbers that
-        were counted in the run, times the operations of one (`integrators.operations`).
+        were counted in the run, times the operations of one (`integrators.program_costs`).
         """
         return {}
 

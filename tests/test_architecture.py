@@ -24,7 +24,6 @@ LAYERS = [
     {"integrators.programs"},
     {"integrators.lowering"},
     {"integrators.program_costs"},
-    {"integrators.operations"},
     {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need

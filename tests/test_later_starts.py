@@ -7,7 +7,7 @@ import pytest
 from planted import planted
 
 from bench.results.quantities import NORM
-from bench.running.later_starts import LATER, errors_from_later_starts
+from bench.running.measure import LATER, errors_from_later_starts
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.reference import Reference

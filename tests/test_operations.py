@@ -40,11 +40,9 @@ from integrators.methods.kr_alpha import KRAlpha
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rodas5p import Rodas5P
 from integrators.native import constant_steps
-from integrators.native.kernel import Form
-from integrators.native.step_operations import loop_costs
+from integrators.native.kernel import Form, loop_costs
 from integrators.native.step_program import _at_rest
-from integrators.operations import sparse
-from integrators.program_costs import NotCounted, costs_of, dense
+from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
 from problems.named_equations import equation, part, turns
 from problems.scenes.chain import Chain

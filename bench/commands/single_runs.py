@@ -11,7 +11,7 @@ import click
 
 from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
-from bench.results import summary
+from bench.results.orders import order_summary
 from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
@@ -93,11 +93,37 @@ def solve_(
     with RunProgress() as progress:
         ((record, rows),), names = solve_cells([cell], registry, 7, budget, progress=progress)
     if as_json:
-        click.echo(json.dumps(summary.solution(record, rows), indent=2))
+        click.echo(json.dumps(_solution(record, rows), indent=2))
     else:
         show(_end_values(record, rows, names), *_facts(record))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
+
+
+def _solution(record: Record, rows: Rows) -> dict[str, Any]:
+    """Return end values, errors, work and times of a run, for JSON."""
+    last = {name: values[-1] for name, values in rows.values.items()}
+    return {
+        "problem": record.problem,
+        "integrator": record.integrator,
+        "resolution": record.resolution,
+        "formulation": record.formulation,
+        "status": record.status,
+        "message": record.message,
+        "notes": record.notes,
+        "t": rows.t[-1] if rows.t else None,
+        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
+        "errors": record.errors,
+        "reference_error": record.reference_error,
+        "constraint": record.constraint,
+        "energy_drift": record.energy_drift,
+        "work": record.work,
+        "time": {
+            "compile_s": record.compile_s,
+            "run_s": record.run_s,
+            "run_s_median": record.seconds,
+        },
+    }
 
 
 def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
@@ -212,7 +238,7 @@ def order_(
     with RunProgress() as progress:
         results, _ = solve_cells(cells, registry, 0, budget, progress=progress)
     records = [record for record, _ in results]
-    orders = summary.orders(records)
+    orders = order_summary(records)
     failed = [record for record in records if record.status != "ok"]
     refused = all(record.status == UNSUPPORTED for record in records)
     if as_json:

@@ -13,7 +13,7 @@ from bench.commands.pages import write_reports
 from bench.commands.single_runs import order_cells
 from bench.commands.suite import run_suite
 from bench.notebook.answers import Orders, Results, Solution, pandas_module
-from bench.results import summary
+from bench.results.orders import order_summary
 from bench.results.quantities import GROUPS
 from bench.results.records import Rows, endings, flatten
 from bench.results.store import Store
@@ -140,7 +140,7 @@ def order(
     cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=OnStandardError())
     records = [record for record, _ in results]
-    return Orders(**summary.orders(records), _records=records)
+    return Orders(**order_summary(records), _records=records)
 
 
 def run(

@@ -109,17 +109,10 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
         spec=_own_spec(method),
         name=method.name,
         title=tidy(plugin.summary),
-        family=stated.family or method.name,
-        formulation=stated.formulation,
-        drift=stated.drift,
-        controls=stated.controls,
-        affinity=stated.affinity,
-        orders=dict(stated.orders),
-        source=stated.source,
-        calls=stated.calls,
         fingerprint=fingerprint(type(method)),
         sources=plugin.sources,
         fault=fault,
+        **stated._asdict() | {"family": stated.family or method.name, "orders": {**stated.orders}},
     )
 
 

@@ -155,7 +155,7 @@ COSTS = {
 }
 #: Names of the costs by which integrators are ranked.
 RANKED_COSTS = tuple(cost.name for cost in COSTS.values() if cost.ranked)
-#: Parts of a run's bill of operations; see `integrators.operations.bill`.
+#: Parts of a run's bill of operations; see `integrators.program_costs.bill`.
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.
 COST = "operations"

@@ -1,4 +1,4 @@
-"""Constraint residuals and invariants of a trajectory, and its rows as they are stored."""
+"""Constraint residuals, invariants and stored rows of a trajectory; errors from later starts."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, LEVELS, error_note
+from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
 from bench.results.records import Rows
-from bench.running.errors import finite
-from integrators.contract import Trajectory
+from bench.running.errors import constraint_errors, finite, relative_errors
+from integrators import answers
+from integrators.contract import Integrator, Trajectory
 from integrators.kept_rows import spread_rows
-from integrators.resolutions import Steps
+from integrators.resolutions import Steps, Tolerances
 from problems.answers import array
 from problems.compiled import compiled
+from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.runtime import Float
-from problems.system import INVARIANTS, MechatronicSystem
+from problems.system import INVARIANTS, MechatronicSystem, State
+from problems.usage import computed_seconds
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
 #: Units of constraints by those of their multipliers: lam Phi is an energy.
 _UNITS = {"N": "m", "N m": "rad", "N/m": "m²"}
+#: The later starts, in parts of the interval.
+LATER = (0.01, 0.02, 0.03)
+#: Processor time in s up to which a run is repeated.
+_LONGEST = 0.25
 
 
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -145,6 +152,39 @@ def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -
         f"It counts {run.work.steps} steps where the step pattern has {wanted}: it ignores "
         f"resolution.pattern; follow it, or refuse it by SpecError."
     )
+
+
+def errors_from_later_starts(
+    integrator: Integrator, resolution: Steps | Tolerances, reference: Reference
+) -> list[dict[str, float | None]]:
+    """Run from later starts; return the errors of all groups in the norm by which runs are judged.
+
+    So it is seen how much of an error is luck. The places of the steps, and the steps that are
+    rejected, change with the start, and errors with them: those of an adaptive method on a
+    sensitive scene by a factor of ten. A later start needs no reference of its own.
+
+    A run that does not reach the end has no errors. The list is empty if a start does not exist or
+    a run takes long.
+    """
+    scene, t_end, found = reference.scene, reference.t_end, []
+    for part in LATER:
+        t = scene.interval[0] + part * (t_end - scene.interval[0])
+        z = reference(np.array([t]))
+        later = scene.later(t, State(*(z[group][0] for group in ("q", "v", "x"))))
+        try:
+            run = answers.checked_run(integrator.prepare(later, t_end, resolution))
+        except (InconsistentStart, NoConsistentStart):
+            return []
+        begun = computed_seconds()
+        answer = answers.checked_trajectory(run.measure(), scene.sizes, t, t_end)
+        if computed_seconds() - begun > _LONGEST:
+            return []
+        errors = {}
+        if checked(answer, t_end).status == "ok":
+            tables = relative_errors(answer, reference), constraint_errors(answer, reference)
+            errors = {g: norms[NORM] for each in tables for g, norms in each.errors.items()}
+        found.append(errors)
+    return found
 
 
 #: Notes that are errors: three digits of them take half the room, and no chart shows more.

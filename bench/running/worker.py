@@ -25,7 +25,6 @@ from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import constraint_errors, finite, relative_errors
 from bench.running.inventory import load_registry
-from bench.running.later_starts import errors_from_later_starts
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
@@ -191,7 +190,8 @@ class Worker:
         ):
             integrator = self.registry.integrator(record.integrator)
             with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
-                record.later = errors_from_later_starts(integrator, cell.resolution, reference)
+                found = measure.errors_from_later_starts(integrator, cell.resolution, reference)
+                record.later = found
         record.claims = part("Its claimed orders are not known", claims, None)
         _add(record, part("Its cautions are not known", cautions, ""))
 

@@ -15,8 +15,7 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
-from integrators.operations import bill, of_calls
-from integrators.program_costs import OWN, Cost, dense
+from integrators.program_costs import OWN, Cost, bill, dense, of_calls
 from integrators.resolutions import Tolerances
 from problems.compiled import compiled
 from problems.exported_programs import exported

@@ -12,8 +12,7 @@ from integrators.adapters.library_runs import CountedEquations, LibrarySolver, c
 from integrators.adapters.sundials_native import NativeIDA
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Work, option
-from integrators.operations import sparse
-from integrators.program_costs import dense
+from integrators.program_costs import dense, sparse
 from integrators.resolutions import Tolerances
 from problems import sparsity
 from problems.dependence import states_follow_accelerations

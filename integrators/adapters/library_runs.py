@@ -18,8 +18,7 @@ from integrators.adapters.vector_work import VECTOR_WORK
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
-from integrators.operations import bill, of_calls
-from integrators.program_costs import OWN, Algebra, Cost
+from integrators.program_costs import OWN, Algebra, Cost, bill, of_calls
 from problems.runtime import slower
 from problems.system import MechatronicSystem
 

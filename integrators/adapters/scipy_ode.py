@@ -21,8 +21,7 @@ from integrators.adapters.library_runs import (
 )
 from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
 from integrators.contract import PreparedRun, Trajectory, Work, option
-from integrators.operations import of_calls
-from integrators.program_costs import Cost, NotCounted, dense
+from integrators.program_costs import Cost, NotCounted, dense, of_calls
 from integrators.resolutions import Tolerances
 from problems.runtime import Float
 from problems.system import MechatronicSystem

@@ -15,6 +15,7 @@ from integrators.contract import Trajectory, Work
 from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native.endings import Ending
 from integrators.native.kernel import (
+    STEPS,
     Form,
     KeptRows,
     Kernel,
@@ -26,7 +27,6 @@ from integrators.native.kernel import (
     rewritten_step,
 )
 from integrators.native.step_control import Span, StepControl
-from integrators.native.step_operations import STEPS
 from integrators.native.step_program import Carried, Numbers, StepProgram
 from integrators.native.step_records import (
     COUNTS,

@@ -16,6 +16,8 @@ from integrators.contract import Trajectory, Work
 from integrators.kept_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.native.endings import Ending
 from integrators.native.kernel import (
+    ROWS,
+    STEPS,
     Form,
     Kernel,
     LoopRun,
@@ -25,7 +27,6 @@ from integrators.native.kernel import (
     no_counts,
     rewritten_step,
 )
-from integrators.native.step_operations import ROWS, STEPS
 from integrators.native.step_program import Numbers, StepProgram
 from integrators.native.step_records import COUNTS, Scalar, Time
 from integrators.resolutions import Steps

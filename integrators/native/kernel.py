@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from math import prod
 from typing import Any, NamedTuple, Self
 
@@ -13,15 +13,19 @@ from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.kept_rows import most_rows, width_of
 from integrators.native import klu, small_matrices
 from integrators.native.endings import Ending
-from integrators.native.step_operations import loop_costs, run_bill
 from integrators.native.step_program import Carried, Numbers, StepProgram
-from integrators.native.step_records import Reading, StepReport, Time, largest
-from problems.exported_programs import exported
+from integrators.native.step_records import PIVOTS, Reading, StepReport, Time, largest
+from integrators.program_costs import Cost, bill, costs_of, sparse
+from integrators.programs import Step
+from problems.exported_programs import exported, found_once
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.layouts import row_layout
 from problems.runtime import Array, Bool, Float, Int, jax, jnp, known_options
 from problems.system import MechatronicSystem
+
+#: Names of the loops over steps, and over rows, which is no work of a method.
+STEPS, ROWS = "steps", "rows"
 
 
 class Form(NamedTuple):
@@ -206,7 +210,10 @@ class LoopRun(PreparedRun):
         loop, form = self.kernel.run, self.kernel.form
         about = type(self), self._scene.template(), str(form[:2]), form.types
         costs = loop_costs(loop, self._program, about, self.arguments, *self.end_only)
-        return run_bill(costs, self._scene, run, self._turns)
+        known = {STEPS: (run.work.steps or 0) + (run.work.rejected or 0), ROWS: 0, "": 0}
+        others = sorted({PIVOTS, *(cost.turns for cost in costs)} - known.keys())
+        turns = dict(zip(others, self._turns, strict=True))  # in the order of their names
+        return bill(costs, self._scene, run, known | turns)
 
     def _trajectory(
         self, rows: np.ndarray, end: np.ndarray, t_end: float, work: Work, max_steps: int = 0
@@ -216,6 +223,49 @@ class LoopRun(PreparedRun):
         ended = self._program.cause(Ending(int(end[0])), self._scene, values)
         status, message = ended.outcome(float(end[1]), t_end, max_steps)
         return Trajectory(**values, status=status, message=message, work=work)
+
+
+_costs: dict[Callable, list[Cost]] = {}
+
+
+def loop_costs(loop: Callable, program: StepProgram, about: Any, *given: Array) -> list[Cost]:
+    """Return the costs of a time loop by part, and by the turns in which they arise.
+
+    Parameters
+    ----------
+    loop, program
+        A traceable function, and the method of which it is made.
+    about
+        All that decides it beside the method.
+    given
+        Its arguments, of which only shapes matter.
+    """
+    if loop not in _costs:
+        find = partial(costs_of, loop, *given, libraries=_of_klu(program))
+        shapes = [x.shape for x in given]
+        _costs[loop] = found_once(find, (program, about, shapes), list[Cost])
+    return _costs[loop]
+
+
+def _of_klu(program: StepProgram) -> dict[str, Callable[[Step], float]]:
+    """Costs of calls of KLU, by the patterns of its matrices.
+
+    A pattern is known by the number of its entries, or of its unknowns.
+    """
+    algebras = {p.size: sparse(p.rows, p.columns, p.size) for p in program.patterns}
+    sizes = {len(p.rows): p.size for p in program.patterns}
+
+    def factorisation(step: Step) -> float:
+        return algebras[sizes[step.taken[0].size]].factorisation
+
+    def solve(step: Step) -> float:
+        return algebras[step.made[0].size].solve
+
+    return {
+        "factor_f64": factorisation,
+        "solve_with_numeric_f64": solve,
+        "solve_with_symbol_f64": lambda step: factorisation(step) + solve(step),
+    }
 
 
 def flat_row(reading: Reading) -> Float[Array, " n"]:
