@@ -71,7 +71,7 @@ BUILT_IN = {
     "radau_iia": BuiltIn("Radau IIA", 46, 11, 4),
     "rattle": BuiltIn("RATTLE", 95, 4, 3),
     "rho_inf_bathe": BuiltIn("ρ∞-Bathe", 180, 0, 6),
-    "rodas5p": BuiltIn("Rodas5P", 62, 12, 2),
+    "rodas5p": BuiltIn("Rodas5P", 62, 15, 2),
     "semi_implicit_euler": BuiltIn("Semi-implicit Euler", 0, 3, 3),
     "shake": BuiltIn("SHAKE", 89, 14, 1),
     "stormer_verlet": BuiltIn("Störmer-Verlet", 75, 10, 4),

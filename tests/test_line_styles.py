@@ -88,9 +88,13 @@ def oklab(color: str) -> list[float]:
     ]
 
 
+def distance(one: str, two: str) -> float:
+    return math.dist(oklab(one), oklab(two))
+
+
 def near(one: str, two: str) -> bool:
     """Whether colours are so near that a small mark may pass for the other."""
-    return math.dist(oklab(one), oklab(two)) < 0.06
+    return distance(one, two) < 0.06
 
 
 def test_the_distance_of_known_colours():
@@ -127,6 +131,17 @@ def test_lines_of_a_suite_with_near_colours_differ_in_mark_and_dash(name):
     pairs = alike(suite(name))
     assert pairs
     assert [(a, b) for a, b in pairs if a.shape == b.shape or a.dash == b.dash] == []
+
+
+@pytest.mark.parametrize("name", ["quick", "full", "families", "peers", "sizes"])
+def test_lines_of_a_suite_with_one_mark_have_colours_far_apart(name):
+    styles = line_styles(suite(name)).items()
+    shared = [
+        (a, b)
+        for (a, x), (b, y) in combinations(styles, 2)
+        if x.shape == y.shape and distance(x.color, y.color) < 0.12
+    ]
+    assert shared == []
 
 
 @pytest.mark.parametrize("name", ["methods", *long("paper")])

@@ -32,7 +32,7 @@ _STEPS = {
     ("gamma", "0.5"): (0, 0),
     ("delta_f", "0.375"): (2, 4),
     ("delta_m", "0.125"): (3, 3),
-    ("formulation", "index1"): (4, 7),
+    ("formulation", "index1"): (4, 9),
     ("formulation", "index3"): (2, 8),
     ("formulation", "stabilised_index2"): (0, 7),
     ("gamma", "guarded"): (4, 12),

@@ -12,7 +12,7 @@
     untried: ["", "not tried"],
     unjudged: ["·", "cannot be judged"],
   };
-  // The darkest cell is the cheapest; from this multiple on it is the lightest.
+  // The cell with most colour is the cheapest; from this multiple on it has the least.
   const MOST = 100;
 
   // Scenes in the order of the groups they belong to: the first filter that has them.
@@ -93,6 +93,6 @@
     const [sign, meaning] = STATES[state], reached = state === "reached";
     const sample = html("i", { class: state, "aria-hidden": "true" }, reached ? "1.0" : sign);
     sample.style.setProperty("--near", "100%");
-    return html("span", {}, sample, reached ? "multiple of the cheapest: the darker, the cheaper" : meaning);
+    return html("span", {}, sample, reached ? "multiple of the cheapest: the more colour, the cheaper" : meaning);
   }));
 })();

@@ -11,6 +11,27 @@
   // Errors that are so many times smaller than what the reference can judge are drawn at the lower one.
   const BELOW = 30;
 
+  // Methods that the reader has hidden, while the page is open. Nodes of a method, in charts and
+  // legends, have its place as data-method; the switch of several methods has all places.
+  const off = new Set();
+  const placesOf = (node) => node.dataset.method.split(" ").map(Number);
+  stepbench.hide = (root) => {
+    for (const node of root.querySelectorAll("[data-method]")) {
+      const hidden = placesOf(node).every((m) => off.has(m));
+      node.classList.toggle("off", hidden);
+      if (node.matches(".switch")) node.setAttribute("aria-pressed", !hidden);
+    }
+  };
+  // A click hides or shows; a second one at once, or one with Shift, shows these alone.
+  document.addEventListener("click", (event) => {
+    const node = event.target.closest(".switch");
+    if (!node) return;
+    const own = placesOf(node), alone = event.detail > 1 || event.shiftKey, show = alone || own.some((m) => off.has(m));
+    if (alone) data.methods.forEach((_, m) => off.add(m));
+    for (const m of own) off[show ? "delete" : "add"](m);
+    stepbench.hide(document);
+  });
+
   // Endings of runs that were not tried: nothing is known of their results.
   const NOT_TRIED = ["unsupported", "interrupted"];
 
@@ -101,10 +122,10 @@
     return [lines, texts];
   };
 
-  const curve = ({ method, points, kind }, size) => {
+  const curve = ({ method, index, points, kind }, size) => {
     const ok = points.filter((p) => p.shown && !p.failed), failed = points.filter((p) => p.shown && p.failed);
     const mark = size.mark * (kind === "first" ? 1.35 : 1);
-    const group = svg("g", { class: `curve ${kind}` });
+    const group = svg("g", { class: `curve ${kind}`, "data-method": index });
     group.style.setProperty("--own", stepbench.colour(method));
     const line = svg("path", { class: "line", d: ok.filter((p) => !p.banded).map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join("") });
     if (method.dash[1] > 0) line.setAttribute("stroke-dasharray", method.dash.join(" "));
@@ -155,17 +176,24 @@
     for (const item of [...shown].reverse()) least = (item.at = Math.min(item.at, least)) - step;
     const group = svg("g", { class: "legend" }), x = at.inside.x1 + 16;
     for (const item of shown) {
-      const node = svg("g", { class: "entry", tabindex: 0, role: "button", "aria-label": `show ${item.method.short} alone` });
+      const node = svg("g", { class: "entry switch", tabindex: 0, role: "button", "aria-label": `show ${item.method.short}`, "data-method": item.index });
       node.append(
         svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }),
         label(item.method, stepbench.cut(item.method.short), x, item.at + 4),
-        svg("title", {}, item.method.label));
+        svg("title", {}, `${item.method.label}: a click hides or shows it, a double click shows it alone`));
       const light = (on) => {
+        on &&= !off.has(item.index);
         group.parentNode.classList.toggle("one", on);
         item.node.classList.toggle("lit", on);
       };
       for (const [event, on] of [["pointerenter", true], ["pointerleave", false], ["focus", true], ["blur", false]])
         node.addEventListener(event, () => light(on));
+      node.addEventListener("click", () => light(false));
+      node.addEventListener("keydown", (event) => {
+        if (!["Enter", " "].includes(event.key)) return;
+        event.preventDefault();
+        node.dispatchEvent(new MouseEvent("click", { bubbles: true, shiftKey: event.shiftKey }));
+      });
       group.append(node);
     }
     if (shown.length < own.length) group.append(svg("text", { class: "more", x, y: at.inside.y1 + 16 }, `and ${own.length - shown.length} more`));
@@ -185,7 +213,7 @@
 
   // Pointer and keys find runs; a click opens the scene's page.
   const listen = (chart, curves, question, size, address) => {
-    const points = curves.flatMap((c) => c.points.filter((p) => p.shown).map((p) => ({ ...p, method: c.method })));
+    const points = curves.flatMap((c) => c.points.filter((p) => p.shown).map((p) => ({ ...p, method: c.method, index: c.index })));
     const ring = svg("circle", { class: "found", r: size.mark + 4, visibility: "hidden" });
     chart.append(ring);
     let now = -1;
@@ -212,6 +240,7 @@
       const x = (event.clientX - box.left) * scale, y = (event.clientY - box.top) * scale;
       let best = -1, least = 20 ** 2;
       points.forEach((p, k) => {
+        if (off.has(p.index)) return;
         const far = (p.x - x) ** 2 + (p.y - y) ** 2;
         if (far < least) [best, least] = [k, far];
       });
@@ -222,13 +251,15 @@
     chart.addEventListener("blur", hide);
     chart.addEventListener("keydown", (event) => {
       const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-      if (event.target !== chart || !points.length) return;
-      if (step) show((now + step + points.length) % points.length);
-      else if (["ArrowDown", "ArrowUp"].includes(event.key)) {
+      if (event.target !== chart || !points.some((p) => !off.has(p.index))) return;
+      if (step) {
+        do now = (now + step + points.length) % points.length; while (off.has(points[now].index));
+        show(now);
+      } else if (["ArrowDown", "ArrowUp"].includes(event.key)) {
         const way = event.key === "ArrowDown" ? 1 : -1, from = points[Math.max(now, 0)].method;
         let k = Math.max(now, 0);
-        while (k + way >= 0 && k + way < points.length && points[k].method === from) k += way;
-        show(k);
+        while (points[k + way] && (points[k].method === from || off.has(points[k].index))) k += way;
+        if (!off.has(points[k].index)) show(k);
       } else if (event.key === "Enter" && address) location.href = address;
       else return;
       event.preventDefault();
@@ -261,31 +292,35 @@
     const rank = { other: 0, first: 1, mine: 2 };
     const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
     for (const item of drawn) chart.append(item.node = curve(item, fits));
-    const all = curves.flatMap((c) => c.points.filter((p) => p.shown)), taken = [];
+    const all = curves.flatMap((c) => c.points.filter((p) => p.shown));
+    // On the left no line leads to a name; the name of the reference's floor may stand there.
+    const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
+    const taken = large ? [{ left: beside ? at.inside.x1 - 84 : at.inside.x0 + 6, top: y - 17, wide: 80, high: 14 }] : [];
     // Names keep away from lines and from the asked accuracy, too.
     const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.banded).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
       .concat(steps({ x: at.inside.x0, y }, { x: at.inside.x1, y }));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
     for (const item of named.slice(0, 3)) {
+      const own = svg("g", { "data-method": item.index });
+      chart.append(own);
       const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
       if (run?.shown) {
         const ring = svg("circle", { class: "winner", cx: run.x, cy: run.y, r: fits.mark + 4 });
         ring.style.stroke = stepbench.colour(item.method);
-        chart.append(ring);
+        own.append(ring);
       }
       const p = run?.shown ? run : item.points.filter((o) => o.shown && !o.banded).at(-1);
       if (!p || (names && !run)) continue;
       const spot = placed(item.method.short, p, at, busy, taken);
-      if (spot?.far > 20) chart.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
-      if (spot) chart.append(label(item.method, item.method.short, spot.left, spot.top + 12));
+      if (spot?.far > 20) own.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
+      if (spot) own.append(label(item.method, item.method.short, spot.left, spot.top + 12));
     }
     if (names) chart.append(legend(drawn, at, wide));
-    // On the left no line leads to a name; the name of the reference's floor may stand there.
-    const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
     if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
     if (!all.some((p) => !p.failed)) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
       curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
+    stepbench.hide(chart);
     place.replaceChildren(chart);
   };
 

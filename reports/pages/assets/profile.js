@@ -54,7 +54,8 @@
     let next = TOP;
     lines.forEach((line, rank) => {
       const kind = line.method.label === question.highlight ? "mine" : line === first || line === best ? "first" : "other";
-      const group = svg("g", { class: `curve ${kind}` });
+      const own = menu.value === "methods" ? { "data-method": data.methods.indexOf(line.method) } : {};
+      const group = svg("g", { class: `curve ${kind}`, ...own });
       group.style.setProperty("--own", stepbench.colour(line.method));
       const d = line.parts.map((part, k) => k ? `H${onX(multiples[k]).toFixed(1)}V${onY(part).toFixed(1)}` : `M${LEFT} ${onY(part)}`).join("");
       const marks = line.parts.map((part, k) => k % 6 === rank % 6 ? `M${onX(multiples[k])} ${onY(part)}${stepbench.shape(line.method, 3.2)}` : "").join("");
@@ -63,11 +64,12 @@
       const y = Math.max(next, onY(line.parts.at(-1)));
       if (narrow || y > HIGH - BOTTOM + 20) return;
       next = y + 14;
-      const name = svg("text", { class: "name", x: wide - right + 18, y: y + 4 }, stepbench.cut(line.name));
+      const name = svg("text", { class: "name", x: wide - right + 18, y: y + 4, ...own }, stepbench.cut(line.name));
       name.style.fill = stepbench.colour(line.method);
-      names.append(svg("path", { class: "leader", d: `M${wide - right + 1} ${onY(line.parts.at(-1))}L${wide - right + 14} ${y}` }), name);
+      names.append(svg("path", { class: "leader", ...own, d: `M${wide - right + 1} ${onY(line.parts.at(-1))}L${wide - right + 14} ${y}` }), name);
     });
     chart.append(names);
+    stepbench.hide(chart);
     place.replaceChildren(chart, html("p", { class: "note" }, said));
   };
   menu.addEventListener("change", () => draw(stepbench.question));
