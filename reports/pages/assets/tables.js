@@ -81,9 +81,18 @@
       target.scrollIntoView({ block: "center" });
     };
     window.addEventListener("hashchange", reveal);
+    window.addEventListener("beforeprint", () => {
+      open = true;
+      show();
+    });
     show();
     reveal();
   }
+
+  // Paper has no folds.
+  window.addEventListener("beforeprint", () => {
+    for (const fold of document.querySelectorAll("main details")) fold.open = true;
+  });
 
   const side = document.querySelector("nav.side");
   if (side) {

@@ -33,7 +33,7 @@
     const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
-    table.closest(".card").hidden = table.closest("section").hidden = !found.length;
+    table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint");
     const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];
     table.replaceChildren(

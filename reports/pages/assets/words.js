@@ -58,7 +58,6 @@
     }
   };
 
-  window.addEventListener("beforeprint", () => card.querySelector("details").open = true);
   stepbench.onChange((question) => {
     const own = stepbench.answer()?.filters[question.scenes];
     const title = `Which integrator, for an error in ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
