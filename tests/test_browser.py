@@ -316,6 +316,43 @@ def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, folder):
     assert browser.execute_script(shown) == ["scene-2-runs"]
 
 
+def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, folder):
+    browser.get(scene_page(folder))
+    verdict, bar = browser.execute_script(
+        """
+        const box = (name) => document.querySelector(name).getBoundingClientRect();
+        return [box(".beside").bottom, box(".tabbar").top];
+        """
+    )
+    assert 0 < bar - verdict < 50
+    place = chart(browser, EXPLORER)
+    lines, legend = browser.execute_script(
+        """
+        const box = (name) => arguments[0].querySelector(name).getBoundingClientRect();
+        return [box("g.mark-symbol.role-mark").right, box("g.role-legend").left];
+        """,
+        place,
+    )
+    assert lines <= legend
+
+
+def test_paper_has_all_tabs_all_rows_and_no_folds(browser, folder):
+    browser.get(scene_page(folder))
+    seen = """
+    const folds = "main details:not([open], .chart *)";
+    const own = (name) => [...document.querySelectorAll(name)].filter((n) => n.offsetParent).length;
+    return [own(".tab"), own("main table.sortable tbody tr"), own(folds)];
+    """
+    tabs, rows, _ = browser.execute_script(seen)
+    browser.execute_script("dispatchEvent(new Event('beforeprint'))")
+    printed, printed_rows, folds = browser.execute_script(seen)
+    everything = "return document.querySelectorAll('main table.sortable tbody tr').length"
+    assert (tabs, printed, folds) == (1, 5, 0)
+    assert rows < printed_rows == browser.execute_script(everything)
+    browser.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert browser.execute_script(seen)[0] == 1
+
+
 def test_an_animation_plays_and_nothing_is_complained_of(browser, tmp_path):
     from reports.pages.catalogue import write_animation
 

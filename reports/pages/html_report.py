@@ -28,7 +28,7 @@ LIBRARY = "vega.js"
 _QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 #: Scripts of all pages but the front page.
-_DRAWING_SCRIPTS = (LIBRARY, "charts.js", "tabs.js", "motion.js")
+_DRAWING_SCRIPTS = (LIBRARY, "tabs.js", "charts.js", "motion.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:

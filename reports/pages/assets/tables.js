@@ -91,7 +91,7 @@
 
   // Paper has no folds.
   window.addEventListener("beforeprint", () => {
-    for (const fold of document.querySelectorAll("main details")) fold.open = true;
+    for (const fold of document.querySelectorAll("main details:not(.chart *)")) fold.open = true;
   });
 
   const side = document.querySelector("nav.side");
