@@ -14,7 +14,7 @@ from operator import itemgetter
 
 from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, parts
 from bench.results.records import NOT_TRIED, Record
-from bench.results.timings import quotient
+from bench.results.timings import LEAST_OF_FEW, quotient
 from reports.formatting import times
 from reports.questions.question import Question, questions
 from reports.series import (
@@ -90,6 +90,21 @@ def told_apart(one: Record, two: Record, cost: str) -> bool:
     return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)
 
 
+def same_times(records: Sequence[Record]) -> list[list[int]]:
+    """The places of those behind each run whose times cannot be told from its own."""
+    timed = [(k, r) for k, r in enumerate(records) if r.status == "ok" and r.run_s]
+    found: list[list[int]] = [[] for _ in records]
+    for n, (k, one) in enumerate(timed):
+        for j, two in timed[n + 1 :]:
+            # Quotients of samples that lie clearly apart need not be computed.
+            (low, high), (least, most) = ((min(r.run_s), max(r.run_s)) for r in (one, two))
+            far = least > LEAST_OF_FEW * high or low > LEAST_OF_FEW * most
+            few = min(len(one.run_s), len(two.run_s)) < 2
+            if (few or not far) and not told_apart(one, two, "seconds"):
+                found[k].append(j)
+    return found
+
+
 def contestants(series: Sequence[Series]) -> dict[str, str]:
     """The integrators of one scene, each with the first one that does the same there.
 
@@ -134,7 +149,10 @@ def _same_error(one: float | None, two: float | None, trusted: float) -> bool:
 
 
 def rank(
-    all_series: Sequence[Series], groups: Sequence[str], targets: Sequence[float]
+    all_series: Sequence[Series],
+    groups: Sequence[str],
+    targets: Sequence[float],
+    norm: str = NORM,
 ) -> dict[Question, dict[str, RankEntry]]:
     """Rank the integrators of one scene, by label, for every question that can be judged there.
 
@@ -150,9 +168,9 @@ def rank(
     }
     found = {}
     for group in (g for g in groups if present.issuperset(parts(g))):
-        trusted = trusted_error(runs, group, NORM)
+        trusted = trusted_error(runs, group, norm)
         ladders, *later = [
-            {label: _Ladder(own, group, start) for label, own in costs.items()}
+            {label: _Ladder(own, group, start, norm) for label, own in costs.items()}
             for start in range(1 + max((len(r.later) for r in runs), default=0))
         ]
         for question in questions([group], [t for t in targets if t >= trusted]):
@@ -167,10 +185,14 @@ class _Ladder:
     """
 
     def __init__(
-        self, runs: Sequence[tuple[Record, Mapping[str, float | None]]], group: str, start: int
+        self,
+        runs: Sequence[tuple[Record, Mapping[str, float | None]]],
+        group: str,
+        start: int,
+        norm: str,
     ) -> None:
         judged = [
-            (e, r, costs) for r, costs in runs if (e := r.error(group, NORM, start)) is not None
+            (e, r, costs) for r, costs in runs if (e := r.error(group, norm, start)) is not None
         ]
         judged.sort(key=itemgetter(0))
         self.errors = [error for error, *_ in judged]

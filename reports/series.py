@@ -52,9 +52,9 @@ class Series:
         values = [step_or_tolerance(r) for r in self.records]
         return f"{name}={text_range(map(number, values))} ({len(values)})"
 
-    def nearest(self, group: str) -> tuple[float, Record] | None:
+    def nearest(self, group: str, norm: str = NORM) -> tuple[float, Record] | None:
         """The smallest error of its runs in a group, with the run."""
-        errors = with_values(self.ok, lambda r: r.error(group, NORM))
+        errors = with_values(self.ok, lambda r: r.error(group, norm))
         return min(errors, key=itemgetter(0), default=None)
 
     def never_right(self, group: str) -> bool:

@@ -5,26 +5,35 @@ Nothing of `reports` is used: what a page shows must follow from the records alo
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 from typing import Any
+
+from chromium import chromium, waited
 
 from bench.results.records import Record, median
 from bench.results.store import Store
 from bench.results.timings import quotient
 
 COSTS = ("operations", "seconds", "residuals")
+ALL = """
+const { failed, methods, scenes, filters, targets, profiles } = stepbench.data;
+const { group_names, cost_names } = stepbench.data;
+const answers = {};
+for (const group in group_names) for (const target of targets) for (const cost in cost_names) {
+  stepbench.ask({ group, target, cost });
+  answers[`${group}|${target}|${cost}`] = stepbench.answer();
+}
+return { failed, methods, scenes, filters, targets, profiles, answers };
+"""
 Run = tuple[float | None, float | None, Record]
 
 
 def page_data(folder: Path) -> dict[str, Any]:
-    """The data of all questions that the front page loads."""
-    (data,) = (folder / "report").glob("data-*.js")
-    text = data.read_text(encoding="utf-8")
-    first = (folder / "report.html").read_text(encoding="utf-8")
-    (start,) = re.findall(r'id="stepbench-data"[^>]*>(.*?)</script>', first, re.S)
-    return json.loads(start) | json.loads(text[text.index("(") + 1 : text.rindex(")")])
+    """What the front page finds for all questions of its menus, and its profiles."""
+    with chromium() as driver:
+        driver.get((folder / "report.html").as_uri())
+        waited(lambda: driver.execute_script("return stepbench.data.complete"))
+        return driver.execute_script(ALL)
 
 
 def faults(folder: Path, data: dict[str, Any]) -> list[str]:
@@ -54,13 +63,15 @@ def faults(folder: Path, data: dict[str, Any]) -> list[str]:
                 for k, s in enumerate(shown["states"])
                 if s is not None
             }
-            check(f"{at}: states", states, {k: _rounded(s) for k, s in own["states"].items()})
+            check(f"{at}: tried", states.keys(), own["states"].keys())
+            for k, state in own["states"].items():
+                check(f"{at}: state of {k}", _rounded(states[k], state), _rounded(state))
             check(f"{at}: first", sorted(names[k] for k in shown["first"]), sorted(own["first"]))
-            second = shown["second"] and f"{shown['second'][1]:.4g}"
-            check(f"{at}: second", second, own["second"])
+            second = shown["second"] and shown["second"][1]
+            check(f"{at}: second", _rounded(second, own["second"]), _rounded(own["second"]))
         for chosen in data["filters"]:
             said = answer["filters"][chosen["id"]]["headline"]
-            text = "".join(p if isinstance(p, str) else data["refs"][p]["text"] for p in said)
+            text = "".join(p if isinstance(p, str) else p["text"] for p in said)
             end = _headline([own for k in chosen["scenes"] if (own := counted[k])])
             check(f"{key} on {chosen['id']}: headline", text[-len(end) :], end)
             rows = {
@@ -117,7 +128,7 @@ def _scene(runs: list[Record], group: str, target: float, cost: str) -> dict[str
     return {
         "states": states,
         "first": [k for k in own if twin[k] in tied],
-        "second": f"{rest[0] / least:.4g}" if rest else None,
+        "second": rest[0] / least if rest else None,
         "alone": len(tied) == 1,
         "votes": len(distinct - {k for k in distinct if states[k] == "unknown"}) > 1,
         "several": len(distinct) > 1,
@@ -147,8 +158,12 @@ def _first_later(
     return firsts
 
 
-def _rounded(state: Any) -> Any:
-    return state if isinstance(state, str) else float(f"{state:.4g}")
+def _rounded(state: Any, near: Any = None) -> Any:
+    """A multiple to four digits; that of a page is taken as the one that it is near."""
+    if isinstance(state, float | int):
+        both = isinstance(near, float) and abs(state - near) <= 5e-5 * near
+        return float(f"{near if both else state:.4g}")
+    return state
 
 
 def _error(r: Record, group: str) -> float:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import copy
-import json
 
 import pytest
+from chromium import in_chromium
 from planted import planted
-from recount import faults
+from recount import faults, page_data
 
 from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
+from reports.pages.html_report import write_html_report
 from reports.pages.report import read_report
 from reports.pages.site import _command
-from reports.pages.site_data import SiteData
 from reports.questions.phrases import plain
 
 NONE = Rows(t=[])
@@ -55,10 +55,8 @@ def odd_runs():
     return records
 
 
-@pytest.fixture(scope="module")
-def odd(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("odd")
-    records = odd_runs()
+def write_odd(folder, records):
+    """A run folder with these records, their times and a plan."""
     with Store(folder, create=True) as store:
         for record in records:
             store.save(record, NONE)
@@ -70,16 +68,28 @@ def odd(tmp_path_factory):
             Study(title=k, problem=k, t_end=1.0, figures=[], cells=own) for k, own in cells.items()
         ]
         store.save_plan(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
-    report = read_report(folder, interactive=False)
-    return folder, json.loads(json.dumps(SiteData(report).everything()))
+    return folder
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_odd(tmp_path_factory.mktemp("odd"), odd_runs())
+
+
+@pytest.fixture(scope="module")
+def odd(folder):
+    write_html_report(folder)
+    return folder, page_data(folder)
+
+
+@in_chromium
 def test_all_numbers_of_the_front_page_are_those_of_the_records(odd):
     folder, data = odd
     assert len(data["answers"]) == 2 * 9 * 3
     assert faults(folder, data) == []
 
 
+@in_chromium
 @pytest.mark.parametrize("place", ["states", "first", "standings", "profile"])
 def test_a_wrong_number_is_found(odd, place):
     folder, data = odd[0], copy.deepcopy(odd[1])
@@ -95,6 +105,7 @@ def test_a_wrong_number_is_found(odd, place):
     assert len(faults(folder, data)) == 1
 
 
+@in_chromium
 def test_runs_that_were_not_tried_are_no_failures(odd):
     data = odd[1]
     names = [m["label"] for m in data["methods"]]
@@ -109,8 +120,8 @@ def test_runs_that_were_not_tried_are_no_failures(odd):
     assert data["failed"] == 1
 
 
-def test_a_method_s_page_tells_how_it_stands_on_each_scene(odd):
-    report = read_report(odd[0], interactive=False)
+def test_a_method_s_page_tells_how_it_stands_on_each_scene(folder):
+    report = read_report(folder, interactive=False)
     tables = {m.label: m.scenes for m in report.methods}
     states = {k: {row[0]: row[1] for row in table.rows} for k, table in tables.items()}
     assert states["cut"] == states["shy"] == {"broken": "not tried"}

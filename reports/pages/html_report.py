@@ -25,7 +25,7 @@ from reports.pages.templating import html
 FILE = FRONT
 LIBRARY = "vega.js"
 #: Scripts of a page with a question, in the order in which they are needed.
-_QUESTION_SCRIPTS = ("question.js", "marks.js", "plots.js", "words.js", "verdict.js")
+_QUESTION_SCRIPTS = ("question.js", "answers.js", "marks.js", "plots.js", "words.js", "verdict.js")
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 #: Scripts of all pages but the front page.
 _DRAWING_SCRIPTS = (LIBRARY, "tabs.js", "charts.js", "motion.js")
@@ -116,7 +116,7 @@ def _written(
         library=library,
         data=data,
         more=more,
-        programs=(*asking, "tables.js", *drawing),
+        programs=("kept.js", *asking, "tables.js", *drawing),
         pages_at=FOLDER if front and not site.single else "",
     )
 

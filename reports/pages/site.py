@@ -135,6 +135,7 @@ def _pages(report: Report) -> Iterator[Page]:
 def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     scene = report.stored.scenes.get(chapter.name)
     runs = [r for s in report.series[chapter.name] for r in s.records]
+    plugins = {m.label: m.plugins for m in report.methods}
     values = {
         "scene": chapter,
         "place": place,
@@ -142,9 +143,9 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
-        "command": _command(
-            runs, {m.label: m.plugins for m in report.methods}, report.stored.first
-        ),
+        "command": _command(runs, plugins, report.stored.first),
+        "end": f"{runs[0].t_end:g}" if runs and not any(map(_own_atol, runs)) else "",
+        "plugins": {label: option for label, option in plugins.items() if option},
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
@@ -152,6 +153,11 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     return Page(
         scene_page(name), "scene", scene_name(name), "Scenes", values=values, anchors=anchors
     )
+
+
+def _own_atol(run: Record) -> bool:
+    """Whether the absolute tolerance is another one than is usual for the relative one."""
+    return bool(run.rtol and run.atol and not math.isclose(run.atol, run.rtol / 100))
 
 
 def _command(runs: list[Record], plugins: Mapping[str, str], first: Question = FIRST) -> str:
@@ -162,7 +168,7 @@ def _command(runs: list[Record], plugins: Mapping[str, str], first: Question = F
     able = [r for r in good if reaches(r, first.group, first.target)] or good[:1]
     best = min(able, key=lambda r: r.cost(first.cost) or float("inf"))
     control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
-    if best.rtol and best.atol and not math.isclose(best.atol, best.rtol / 100):
+    if _own_atol(best):
         control += f" --atol {best.atol:g}"
     words = ["stepbench", "solve", best.problem, best.integrator]
     return f"{shlex.join(words)} {control} --t-end {best.t_end:g}{plugins[best.integrator]}"

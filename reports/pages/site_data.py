@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
-from bench.results.records import Record, SceneRecord
+from bench.results.records import NOT_TRIED, Record, SceneRecord
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
 from reports.names import family_name, form_name, scene_name
@@ -21,6 +23,7 @@ from reports.questions.profile import Profile, profiles
 from reports.questions.question import TARGETS, Filter, Question, filters, tag_name
 from reports.questions.sentences import scene_sentence, sentences
 from reports.questions.wrong import wrong_sentences
+from reports.ranking import contestants, same_times
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
 
 #: Columns hold log10 of a value in this range, in 24 bits.
@@ -31,6 +34,8 @@ _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _LETTERS = 4
 _NONE = "-" * _LETTERS
+#: An error or cost, its norm, and the number of the later start from which it is measured.
+_COLUMN = re.compile(r"(\w+)(?:\|(\w+))?(?:@(\d+))?")
 #: Multiples of the best cost at which a performance profile is stated.
 _MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
 
@@ -49,6 +54,8 @@ class SiteData:
         self.groups = groups_of(ok_runs(self.series), ASKED)
         self.wrong = {g: report.stored.wrong(g) for g in self.groups}
         self.resolutions: dict[str, int] = {}
+        records = [r for s in self.series for r in s.ok]
+        self.starts = max((len(r.later) for r in records), default=0)
         self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
         self.pages = {
             r.key: f"{scene_page(name)}#{report.run_ids[r.key]}"
@@ -59,7 +66,8 @@ class SiteData:
 
     def everything(self) -> dict[str, Any]:
         """Data of a page that holds all: a question has verdicts, a sentence per scene."""
-        return self._facts() | self._runs_of() | self._answers(self.found) | self._profiles()
+        own = self._facts() | self._runs_of() | self._rules_of
+        return own | self._answers(self.found, verdicts=True) | self._profiles()
 
     def first_question(self) -> dict[str, Any]:
         """Data of the front page for the first question.
@@ -86,13 +94,14 @@ class SiteData:
             **self._runs_of(),
             **cut,
             "runs_of": runs,
-            **self._answers(found, verdicts=False),
+            **self._answers(found, numbers=True),
             **self._profiles(found, self.filters[:1]),
         }
 
     def further_questions(self) -> dict[str, Any]:
         """Further data of the front page: runs, answers without verdicts on scenes, profiles."""
-        return self._runs_of() | self._profiles() | self._answers(self.found, verdicts=False)
+        own = self._runs_of() | self._rules_of | self._profiles()
+        return own | self._answers(self.found)
 
     def scene(self, name: str) -> dict[str, Any]:
         """Data of a scene's page."""
@@ -101,15 +110,18 @@ class SiteData:
         return {
             **self._facts(),
             **self._runs_of(),
+            "rules": [r if k == place else None for k, r in enumerate(self._rules_of["rules"])],
             "runs_of": runs,
-            **self._answers(self.found, only=name),
+            **self._answers(self.found, verdicts=True, only=name),
             "profiles": {},
         }
 
     @property
     def columns(self) -> list[str]:
-        """Errors and costs of a run."""
-        return [*self.groups, *RANKED_COSTS]
+        """Errors and costs of a run: "a", "operations", "a|rms"; "a@1" from a later start."""
+        norms = [f"{g}|{norm}" for norm in NORMS if norm != NORM for g in self.groups]
+        later = [f"{g}@{k + 1}" for k in range(self.starts) for g in self.groups]
+        return [*self.groups, *RANKED_COSTS, *norms, *later]
 
     def _facts(self) -> dict[str, Any]:
         report, names = self.report, list(self.report.series)
@@ -117,17 +129,21 @@ class SiteData:
             "title": report.title,
             "runs": len(report.run_ids),
             "failed": report.failed,
-            "norm": NORMS[NORM],
+            "norms": NORMS,
             "trust": TRUST,
+            "starts": self.starts,
+            "not_tried": sorted(NOT_TRIED),
             "group_names": {g: ERROR_NAMES[g] for g in self.groups},
             "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
             "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
             "units": {c: COSTS[c].unit for c in RANKED_COSTS},
             "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
+            "tie": {cost: COSTS[cost].tie for cost in RANKED_COSTS if not COSTS[cost].is_time},
             "targets": [replace(self.first, target=t).accuracy for t in TARGETS],
             "first": {
                 "group": self.first.group,
                 "target": self.first.accuracy,
+                "norm": NORM,
                 "cost": self.first.cost,
                 "highlight": report.mine,
             },
@@ -165,6 +181,27 @@ class SiteData:
             "runs_of": self.runs,
         }
 
+    @cached_property
+    def _rules_of(self) -> dict[str, Any]:
+        return {"rules": [self._rules(own) for own in self.report.series.values()]}
+
+    def _rules(self, series: Sequence[Series]) -> dict[str, Any]:
+        """Facts of a scene that its columns do not have, by which answers are found.
+
+        ``alike`` are pairs (method, the first that does the same); ``trusted`` has by norm and
+        group the least error that can be judged; ``same_times`` lists of every run those later in
+        the list of all runs whose time cannot be told from its own.
+        """
+        ok, alike = ok_runs(series), contestants(series)
+        return {
+            "alike": [(self.places[k], self.places[one]) for k, one in alike.items() if k != one],
+            "trusted": {
+                norm: {g: trusted_error(ok, g, norm) for g in groups_of(ok, ASKED)}
+                for norm in NORMS
+            },
+            "same_times": same_times([r for s in series for r in s.records]),
+        }
+
     def _runs(self, series: Series) -> tuple[Any, ...]:
         """The runs of one method on one scene, from coarse to fine.
 
@@ -174,7 +211,7 @@ class SiteData:
         """
         control = "h" if series.controls == "step" else "rtol"
         at = f"{control}{column(step_or_tolerance(r) for r in series.records)}"
-        texts = [column(_value(r, name) for r in series.records) for name in self.columns]
+        texts = [self._column(series, name) for name in self.columns]
         place = self.resolutions.setdefault(at, len(self.resolutions))
         found = self.places[series.label], place, texts
         endings = list(dict.fromkeys(r.status for r in series.records))
@@ -182,19 +219,31 @@ class SiteData:
             return found
         return *found, endings, [endings.index(r.status) for r in series.records]
 
+    def _column(self, series: Series, name: str) -> str:
+        """The numbers of a column; nothing where no run has one, or a start changes none."""
+        text = column(_value(r, name) for r in series.records)
+        first, _, start = name.partition("@")
+        usual = column(_value(r, first) for r in series.records if start)
+        return "" if text == (usual or _NONE * len(series.records)) else text
+
     # ---- answers -------------------------------------------------------------------------
     def _answers(
-        self, found: Mapping[Question, Answer], verdicts: bool = True, only: str = ""
+        self,
+        found: Mapping[Question, Answer],
+        verdicts: bool = False,
+        only: str = "",
+        numbers: bool = False,
     ) -> dict[str, Any]:
-        """Answers by question, on all scenes or one of them, and ``refs``.
+        """Sentences by question, on all scenes or one of them, and ``refs``.
 
         What many sentences refer to stands in ``refs`` once; sentences have its place instead.
-        An answer has per scene ``first`` (places of the methods that tie), ``second`` (a method and
-        its multiple) and ``states``, a list in the order of the methods: the multiple and the place
-        of the run, one of `reports.ranking.STATES`, or None of a method that was not tried. There
-        are ``verdicts``, a sentence per scene, and per filter ``headline``, ``sentences`` and
-        ``standings`` (method, alone, tied, reached, tried). ``wrong`` has by group the sentences on
-        runs that are wrong without warning, per filter and, with verdicts, per scene.
+        There are ``verdicts``, a sentence per scene, and per filter ``sentences``. ``wrong`` has by
+        group the sentences on runs that are wrong without warning, per filter and, with verdicts,
+        per scene. Numbers, which pages with all runs find by themselves (answers.js), are per scene
+        ``first`` (places of the methods that tie), ``second`` (a method and its multiple) and
+        ``states``, a list in the order of the methods: the multiple and the place of the run, one
+        of `reports.ranking.STATES`, or None of a method that was not tried; and per filter
+        ``headline`` and ``standings`` (method, alone, tied, reached, tried).
         """
         places: dict[Ref, int] = {}
 
@@ -202,14 +251,19 @@ class SiteData:
             return [p if isinstance(p, str) else places.setdefault(p, len(places)) for p in said]
 
         def part(answer: Answer) -> dict[str, Any]:
-            return {
-                "headline": plain(headline(answer, self.report.words)),
-                "sentences": [plain(said) for said in sentences(answer, self.report.words)],
-                "standings": [
-                    [self.places[s.label], s.alone, s.tied, int(s.reached), s.tried]
-                    for s in answer.standings
-                ],
-            }
+            said = {"sentences": [plain(said) for said in sentences(answer, self.report.words)]}
+            return (
+                said
+                if not numbers
+                else said
+                | {
+                    "headline": plain(headline(answer, self.report.words)),
+                    "standings": [
+                        [self.places[s.label], s.alone, s.tied, int(s.reached), s.tried]
+                        for s in answer.standings
+                    ],
+                }
+            )
 
         made = {}
         for question, answer in found.items():
@@ -217,7 +271,7 @@ class SiteData:
                 k: None if only not in ("", k) else answer.scenes.get(k) for k in self.report.series
             }
             made[question.key] = {
-                "scenes": [own and self._states(name, own) for name, own in on.items()],
+                "scenes": [own and self._states(name, own) for name, own in on.items() if numbers],
                 "verdicts": [
                     own and plain(scene_sentence(answer, name, self.report.words))
                     for name, own in (on if verdicts else {}).items()
@@ -325,15 +379,21 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
 
 # ---- numbers as text ---------------------------------------------------------------------
 def column(values: Iterable[float | None]) -> str:
-    """Positive numbers as text: four characters each, log10 to 3e-6; ``----`` for none."""
+    """Positive numbers as text: four characters each, log10 to 5e-6; ``----`` for none.
+
+    A number stays on its side of the nearest power of ten, which is an accuracy.
+    """
     return "".join(map(_four_characters, values))
 
 
 def _four_characters(value: float | None) -> str:
     if value is None or not 0 < value < math.inf:
         return _NONE
-    place = (math.log10(value) + _LARGEST) / (2 * _LARGEST)
-    bits = round(min(max(place, 0.0), 1.0) * _STEPS)
+    logarithm = min(max(math.log10(value), -_LARGEST), _LARGEST)
+    bits, power = round((logarithm + _LARGEST) / (2 * _LARGEST) * _STEPS), round(logarithm)
+    side = round(bits * 2 * _LARGEST - (power + _LARGEST) * _STEPS)
+    above = value > 10.0**power
+    bits = min(bits + (above and side <= 0) - (not above and side > 0), _STEPS)
     text = "".join(_ALPHABET[bits >> shift & 63] for shift in (18, 12, 6, 0))
     return text if text != _NONE else "---_"
 
@@ -342,6 +402,8 @@ def _value(record: Record, name: str) -> float | None:
     if name in RANKED_COSTS:
         value = record.cost(name)
     else:
-        value = record.error(name, NORM) if record.status == "ok" else None
+        group, norm, start = _COLUMN.fullmatch(name).groups()
+        found = record.error(group, norm or NORM, int(start or 0))
+        value = found if record.status == "ok" else None
     # A zero has no logarithm; it is drawn at the edge of the chart.
     return 1 / _MOST if value == 0 else value

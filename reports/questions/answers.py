@@ -183,9 +183,10 @@ def answers(
     scenes: Mapping[str, Sequence[Series]],
     groups: Sequence[str] = ASKED,
     targets: Sequence[float] = TARGETS,
+    norm: str = NORM,
 ) -> dict[Question, Answer]:
     """The answers to all questions about groups that a scene has, scenes in their order."""
-    ranked = {name: rank(series, groups, targets) for name, series in scenes.items()}
+    ranked = {name: rank(series, groups, targets, norm) for name, series in scenes.items()}
     found = {}
     for group in groups:
         having = {
@@ -193,11 +194,11 @@ def answers(
         }
         nearest = {
             name: min(
-                filter(None, (s.nearest(group) for s in own)), key=itemgetter(0), default=None
+                filter(None, (s.nearest(group, norm) for s in own)), key=itemgetter(0), default=None
             )
             for name, own in having.items()
         }
-        floors = {k: reference_error(ok_runs(s), group, NORM) for k, s in having.items()}
+        floors = {k: reference_error(ok_runs(s), group, norm) for k, s in having.items()}
         for question in questions([group], targets) if having else ():
             own = {name: ranked[name].get(question) for name in having}
             found[question] = Answer(

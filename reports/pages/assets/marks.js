@@ -98,7 +98,7 @@
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
 
   // The error of a scene's reference itself, of which errors must be a multiple to be judged.
-  const ownError = (scene, group) => number(stepbench.data.scenes[scene].floor[group] / stepbench.data.trust);
+  const ownError = (scene, group) => number(stepbench.floor(scene, { ...stepbench.question, group }) / stepbench.data.trust);
   // The reason for which a question has no answer on a scene.
   const unjudged = (scene, { group, target }) => stepbench.data.scenes[scene].groups.includes(group)
     ? `${target} cannot be judged on this scene: the reference's own error in ${stepbench.data.group_names[group]} is ` +

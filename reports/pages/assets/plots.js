@@ -32,16 +32,13 @@
     stepbench.hide(document);
   });
 
-  // Endings of runs that were not tried: nothing is known of their results.
-  const NOT_TRIED = ["unsupported", "interrupted"];
-
   // All runs of a scene as points; failed runs keep their cost only.
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
     const points = [];
-    for (let k = 0; k < runs.columns[0].length / data.letters; k++) {
+    for (let k = 0; k < stepbench.countOf(runs); k++) {
       const ending = stepbench.endingOf(runs, k);
-      if (!NOT_TRIED.includes(ending)) points.push({
+      if (!data.not_tried.includes(ending)) points.push({
         k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),
         error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN,
       });
@@ -205,7 +202,7 @@
     const failed = curves.reduce((n, c) => n + c.points.filter((p) => p.failed).length, 0);
     const reach = answer ? Object.values(answer.states).filter((state) => Array.isArray(state) || state === "unknown").length : 0;
     const first = answer?.first.map((m) => data.methods[m].short) || [];
-    return `${scene.name}: error in ${data.group_names[question.group]} (${data.norm}) against ${stepbench.costName(question)}, ` +
+    return `${scene.name}: error in ${data.group_names[question.group]} (${stepbench.norm()}) against ${stepbench.costName(question)}, ` +
       `${curves.length} methods, ${curves.reduce((n, c) => n + c.points.length, 0)} runs, ${failed} of them failed. ` +
       (!answer ? `${stepbench.unjudged(data.scenes.indexOf(scene), question)} ` : reach ? `${reach} reach ${question.target}; ` : `None reaches ${question.target}. `) +
       (first.length ? `cheapest: ${first.join(", ")}.` : "");
@@ -230,7 +227,7 @@
       stepbench.tip.show([
         [stepbench.badge(p.method), ` ${p.method.label}`],
         p.resolution,
-        p.failed ? `ended with ${p.ending}` : `error ${stepbench.number(p.error)} in ${data.group_names[question.group]}, ${data.norm}`,
+        p.failed ? `ended with ${p.ending}` : `error ${stepbench.number(p.error)} in ${data.group_names[question.group]}, ${stepbench.norm()}`,
         stepbench.costWithUnit(p.cost, question.cost),
         p.failed ? "it did not reach the end" : "it reached the end",
       ], box.left + scale * p.x, box.top + scale * p.y);
@@ -274,7 +271,7 @@
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
       : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
-    const answer = stepbench.answer()?.scenes[index], floor = scene.floor[question.group];
+    const answer = stepbench.answer()?.scenes[index], floor = stepbench.floor(index);
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
       class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,

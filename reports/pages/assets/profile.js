@@ -21,8 +21,9 @@
     const profile = data.profiles[`${question.group}|${question.cost}`]?.[question.scenes];
     menu.parentNode.hidden = !profile?.families;
     const wide = Math.max(320, place.clientWidth), narrow = wide < 520;
-    if (!profile || !profile.pairs) {
-      place.replaceChildren(html("p", {}, "No pair of scene and target can be judged."));
+    const usual = question.norm === data.first.norm;
+    if (!usual || !profile || !profile.pairs) {
+      place.replaceChildren(html("p", {}, usual ? "No pair of scene and target can be judged." : `Profiles are made of errors ${stepbench.norm(data.first)}.`));
       return;
     }
     const { multiples } = profile, top = Math.log(multiples.at(-1));

@@ -3,10 +3,10 @@
 (() => {
   const ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
   const VALUES = new Map([...ALPHABET].map((letter, k) => [letter, k]));
-  const NAMES = ["group", "target", "cost", "scenes", "highlight"];
+  const NAMES = ["group", "target", "norm", "cost", "scenes", "highlight"];
   const bar = document.getElementById("question");
   const followers = [];
-  const decoded = new Map();
+  const decoded = new Map(), found = new Map();
   const source = document.getElementById("stepbench-data");
   const data = JSON.parse(source.textContent);
   data.root = source.dataset.root || "";
@@ -37,22 +37,39 @@
     if (!decoded.has(key)) decoded.set(key, numbers(text, letters));
     return decoded.get(key);
   };
-  // The numbers of a column for the runs of one method on one scene, if the page has them.
-  const columnOf = (runs, name) => {
+  // How many runs a method has on a scene.
+  const countOf = (runs) => data.resolutions[runs.at].replace(/^(h|rtol)/, "").length / 4;
+  const stored = (runs, name) => {
     const k = data.columns.indexOf(name);
-    return k < 0 ? null : decode(runs.columns[k], data.letters);
+    if (k < 0) return null;
+    return runs.columns[k] ? decode(runs.columns[k], data.letters) : new Float64Array(countOf(runs)).fill(NaN);
+  };
+  // The numbers of a column for the runs of one method on one scene, if the page has them: a cost,
+  // or errors in the norm that is asked for.
+  const columnOf = (runs, name) =>
+    stored(runs, name in data.cost_names || stepbench.question.norm === data.first.norm ? name : `${name}|${stepbench.question.norm}`);
+  // Errors from a later start of the motion; the errors themselves where no start changes them.
+  const later = (runs, group, start) => {
+    const k = data.columns.indexOf(`${group}@${start}`);
+    return stored(runs, runs.columns[k] ? `${group}@${start}` : group);
   };
   const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
   // The step or tolerance of a run in words.
-  const resolutionOf = (runs, k) => {
+  const resolutionOf = (runs, k, digits = 4) => {
     const [, control, text] = data.resolutions[runs.at].match(/^(h|rtol)(.*)$/);
-    const value = Number(decode(text)[k].toPrecision(4));
+    const value = Number(decode(text)[k].toPrecision(digits));
     return `${control}=${value < 1e-3 ? value.toExponential() : value}`;
+  };
+
+  // An accuracy as addresses write it, such as "3e-4"; nothing if it is none.
+  const accuracy = (text) => {
+    const value = Number(text);
+    return value >= 1e-12 && value < 1 ? value.toExponential().replace("e+", "e") : "";
   };
 
   const choices = () => ({
     group: Object.keys(data.group_names),
-    target: data.targets,
+    norm: Object.keys(data.norms),
     cost: Object.keys(data.cost_names),
     scenes: data.filters.map((filter) => filter.id),
     highlight: ["", ...data.methods.map((method) => method.label)],
@@ -60,22 +77,28 @@
 
   // The question that the address asks; what it does not say is the first question's.
   const asked = () => {
-    const said = new URLSearchParams(location.hash.slice(1)), known = choices();
-    const first = { scenes: "all", ...data.first };
+    const said = new URLSearchParams(keptQuestion.said());
+    const known = choices(), first = { scenes: "all", ...data.first };
     const question = {};
     for (const name of NAMES) {
       const value = said.get(name);
+      if (name === "target") {
+        question.target = accuracy(value) || first.target;
+        continue;
+      }
       question[name] = known[name].includes(value) ? value
         : known[name].includes(first[name]) ? first[name] : known[name][0];
     }
     return question;
   };
 
+  // The norm is told where it is not the usual one.
+  const told = (question) => NAMES.filter((name) => name === "norm" ? question.norm !== data.first.norm : question[name] || data.first[name]);
   const address = (question = stepbench.question) =>
-    "#" + new URLSearchParams(NAMES.filter((name) => question[name] || data.first[name]).map((name) => [name, question[name]]));
+    "#" + new URLSearchParams(told(question).map((name) => [name, question[name]]));
 
   const stepbench = {
-    data, columnOf, endingOf, resolutionOf, address,
+    data, columnOf, countOf, later, endingOf, resolutionOf, address,
     question: asked(),
     // Call a function with the question, now and whenever it or the data change: soon if it
     // draws in a place that is out of sight.
@@ -85,16 +108,34 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["letters", "columns", "resolutions", "answers", "wrong", "refs", "profiles"]) data[name] = rest[name];
+      for (const name of ["letters", "columns", "resolutions", "rules", "answers", "wrong", "refs", "profiles"]) data[name] = rest[name];
       data.runs_of = named(rest.runs_of);
       data.complete = true;
+      found.clear();
       follow();
     },
     ask(change) {
       history.replaceState(null, "", address({ ...stepbench.question, ...change }));
       follow();
     },
-    answer: () => data.answers[["group", "target", "cost"].map((name) => stepbench.question[name]).join("|")],
+    // The answer to the question: written until all runs are here, found from them from then on.
+    answer() {
+      const { question } = stepbench;
+      if (!data.rules) return stepbench.said(question);
+      const key = ["group", "target", "norm", "cost"].map((name) => question[name]).join("|");
+      if (!found.has(key)) found.set(key, stepbench.computed(question));
+      return found.get(key);
+    },
+    // The sentences on a question, written for some accuracies in one norm.
+    said: (question = stepbench.question) => question.norm === data.first.norm
+      ? data.answers[["group", "target", "cost"].map((name) => question[name]).join("|")] : undefined,
+    methodRef(index) {
+      const { label, short, page } = data.methods[index];
+      return { kind: "method", key: label, text: short, page };
+    },
+    norm: ({ norm } = stepbench.question) => data.norms[norm],
+    // The error up to which the reference cannot judge.
+    floor: (scene, { group, norm } = stepbench.question) => norm === data.first.norm || !data.rules ? data.scenes[scene].floor[group] : data.rules[scene]?.trusted[norm][group],
     // Sentences on runs that reach the end and are wrong, as paragraphs.
     wrong: (of, which) => (stepbench.data.wrong[stepbench.question.group]?.[of][which] || []).map(
       (parts) => stepbench.html("p", { class: "wrong" }, ...parts.map(stepbench.part))),
@@ -109,12 +150,12 @@
 
   // Milliseconds that a reader may wait, and those that later pieces of work may take.
   const PATIENCE = 80, PIECE = 30;
-  let waiting = [], later = 0;
+  let waiting = [], soon = 0;
   const work = (milliseconds) => {
     const end = performance.now() + milliseconds;
     while (waiting.length && performance.now() < end) waiting.shift().draw(stepbench.question);
-    clearTimeout(later);
-    if (waiting.length) later = setTimeout(work, 0, PIECE);
+    clearTimeout(soon);
+    if (waiting.length) soon = setTimeout(work, 0, PIECE);
   };
   // How far a place is out of sight.
   const far = (place) => {
@@ -126,9 +167,7 @@
   const follow = () => {
     stepbench.question = asked();
     for (const name of NAMES) if (bar?.elements[name]) bar.elements[name].value = stepbench.question[name];
-    for (const link of document.querySelectorAll("a[data-question]")) {
-      link.hash = address();
-    }
+    keptQuestion.keep(address().slice(1));
     waiting = followers.map((follower) => [far(follower.place), follower])
       .sort(([one], [two]) => one - two).map(([, follower]) => follower);
     work(PATIENCE);
@@ -140,11 +179,17 @@
   if (bar) {
     const known = choices();
     fill(bar.elements.group, known.group, Object.values(data.group_names));
-    fill(bar.elements.target, known.target, known.target);
+    fill(document.getElementById("accuracies"), data.targets, data.targets);
+    fill(bar.elements.norm, known.norm, Object.values(data.norms));
     fill(bar.elements.cost, known.cost, Object.values(data.cost_words));
     if (bar.elements.scenes) fill(bar.elements.scenes, known.scenes, data.filters.map((f) => `${f.name} (${f.scenes.length})`));
     fill(bar.elements.highlight, known.highlight, ["no method", ...data.methods.map((m) => m.short)]);
-    bar.addEventListener("change", (event) => stepbench.ask({ [event.target.name]: event.target.value }));
+    bar.addEventListener("change", ({ target: place }) => {
+      const typed = place.name === "target", value = typed ? accuracy(place.value) : place.value;
+      const refused = typed && !value;
+      if (typed) bar.querySelector("output").textContent = refused ? `“${place.value}” is no accuracy: type a number from 1e-12 to 1, such as 3e-4.` : "";
+      if (!refused) stepbench.ask({ [place.name]: value });
+    });
     bar.addEventListener("submit", (event) => event.preventDefault());
     const copy = bar.querySelector("[data-copy]");
     copy?.addEventListener("click", async () => {

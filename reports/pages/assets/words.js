@@ -5,7 +5,7 @@
   // A part of a sentence is text, or the place of a reference to something in the report.
   const part = (place) => {
     if (typeof place === "string") return place;
-    const item = data.refs[place];
+    const item = typeof place === "object" ? place : data.refs[place];
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const text = item.text || item.key;
     const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
@@ -69,8 +69,10 @@
     if (wrong) card.append(wrong);
     const more = html("details", unfolded ? { open: "" } : {}, html("summary", {}, "costs, rivals, constraints, and where it fails"));
     card.append(more);
-    more.append(...which, ...(own?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
-    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${data.norm}. Tied: ${data.ties[question.cost]}.`));
+    const said = stepbench.said()?.filters[question.scenes];
+    if (!said && data.complete) more.append(html("p", {}, `Sentences are written for accuracies from ${data.targets[0]} to ${data.targets.at(-1)}, ${stepbench.norm(data.first)}; the tables and charts below answer this question.`));
+    more.append(...which, ...(said?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
+    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}.`));
     const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
     standings(own ? own.standings : [], judged);
   });
