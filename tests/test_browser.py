@@ -336,6 +336,21 @@ def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, f
     assert lines <= legend
 
 
+def test_contents_are_filtered(browser, folder):
+    browser.get(scene_page(folder))
+    links = """
+    const all = [...document.querySelectorAll("nav.side li")];
+    return all.filter((node) => node.offsetParent).map((node) => node.textContent);
+    """
+    before = browser.execute_script(links)
+    field = browser.find_element("css selector", "nav.side input.filter")
+    field.send_keys("PEND")
+    assert browser.execute_script(links) == ["pendulum"]
+    field.clear()
+    field.send_keys(" ")
+    assert browser.execute_script(links) == before
+
+
 def test_paper_has_all_tabs_all_rows_and_no_folds(browser, folder):
     browser.get(scene_page(folder))
     seen = """

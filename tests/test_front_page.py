@@ -366,6 +366,11 @@ def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
     )
     assert [len(set(own)) for own in tops] == [1, 1]
     assert min(map(len, tops)) > 1
+    heat, card = page.execute_script(
+        "const heat = document.getElementById('heat');"
+        "return [heat, heat.parentNode].map((node) => node.getBoundingClientRect().width)"
+    )
+    assert card - 40 < heat < card
     near = page.execute_script(
         """
         const plots = [...document.querySelectorAll("#panels .plot")];

@@ -1,7 +1,7 @@
-// Tables that sort, filter and begin folded; the menu of contents on narrow screens.
+// Tables that sort, filter and begin folded; contents that filter, and their menu on narrow screens.
 "use strict";
 (() => {
-  const FOLDED = 12, FILTERED = 8;
+  const FOLDED = 12, FILTERED = 8, FEW = 5;
   const make = (name, attributes, ...children) => {
     const node = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -105,5 +105,14 @@
     side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
     side.firstElementChild.after(button);
     side.classList.add("folds");
+    const links = [...side.querySelectorAll("li")];
+    if (links.length > FEW) {
+      const input = make("input", { type: "search", class: "filter", placeholder: "find a page", "aria-label": "filter the contents" });
+      input.addEventListener("input", () => {
+        const asked = input.value.trim().toLowerCase();
+        for (const link of links) link.hidden = !link.textContent.toLowerCase().includes(asked);
+      });
+      side.querySelector(".about").after(input);
+    }
   }
 })();
