@@ -36,7 +36,7 @@ A_LONG_RUN = LongRun(
     t=[5.35, 10.35],
     drifts={
         "energy": Drift(
-            largest=0.5, per_s=0.05, straight=1.0, apart=0.55, low=[0.0, 0.25], high=[0.25, 0.5]
+            largest=0.5, per_s=0.05, straight=1.0, apart=0.55, least=[0.0, 0.25], most=[0.25, 0.5]
         )
     },
 )

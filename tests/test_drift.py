@@ -25,7 +25,7 @@ from integrators.resolutions import Steps
 from problems.reference import Reference
 from problems.spec import SpecError
 from reports.charts.line_styles import style_of
-from reports.pages.drift import drift_sentences
+from reports.pages.drift import drift_chart, drift_sentences
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
@@ -43,7 +43,7 @@ def worker():
 @pytest.mark.parametrize(
     ("method", "energy", "within"),
     # A damping ratio of 1.572715e-4 over 1215.5 rad leaves exp(-0.3823) of the energy.
-    [("newmark", 0.0, 1e-11), *long(("generalized_alpha", 0.3177, 5e-3))],
+    [("newmark", 0.0, 1e-11), *long(("generalized_alpha", -0.3177, 5e-3))],
 )
 def test_phase_and_energy_of_the_oscillator_follow_the_spectrum(worker, method, energy, within):
     found = drift_job(worker, "oscillator", method, H, 2000)
@@ -55,7 +55,7 @@ def test_phase_and_energy_of_the_oscillator_follow_the_spectrum(worker, method, 
         wanted = 1 / (1 + PERIOD_ERROR) - 1
         assert (drifts["energy"].verdict, drifts["phase"].verdict) == ("none", "linear")
         assert drifts["phase"].per_s == pytest.approx(wanted, rel=1e-6)
-        assert drifts["phase"].largest == pytest.approx(-wanted * 2000 * H, rel=1e-3)
+        assert drifts["phase"].largest == pytest.approx(wanted * 2000 * H, rel=1e-3)
 
 
 def test_a_run_that_blows_up_says_so_and_is_not_measured_by_its_own_energy(worker):
@@ -103,7 +103,7 @@ def test_rows_do_not_grow_with_the_steps(worker):
     assert (found.steps, len(found.t)) == (40_000, 200)
     assert found.rows < 5000
     assert found.t[-1] == pytest.approx(4000.0)
-    assert {len(band) for d in found.drifts.values() for band in (d.low, d.high)} == {200}
+    assert {len(band) for d in found.drifts.values() for band in (d.least, d.most)} == {200}
 
 
 def test_a_method_without_constant_steps_is_refused(worker):
@@ -174,8 +174,10 @@ COURSES = {
 def test_the_rule_names_the_drift_of_known_courses(values, verdict):
     found = course(T, values)
     assert found.verdict == verdict
-    assert found.largest == np.abs(values).max() == max(found.high)
-    assert len(found.low) == len(found.high) == 200
+    assert abs(found.largest) == np.abs(values).max()
+    assert found.largest in values
+    assert (min(found.least), max(found.most)) == (min(values), max(values))
+    assert len(found.least) == len(found.most) == 200
     slope = np.polynomial.Polynomial.fit(T, values, 1).convert().coef[1]
     assert found.per_s == pytest.approx(slope, rel=1e-9, abs=1e-18)
 
@@ -215,17 +217,35 @@ def test_sentences_and_rows_say_the_numbers():
     first, second = drift_sentences(RUNS)
     assert first == (
         "The energy does not drift with Energy-momentum (at most 1e-13); it stays bounded with "
-        "RATTLE (at most 0.1); it drifts linearly with Newmark (0.001 per s)."
+        "RATTLE (at most 0.1 gained); it drifts linearly with Newmark (0.001 per s gained)."
     )
     assert second == (
-        "The phase drifts linearly with RATTLE (0.001 s per s) and Energy-momentum "
-        "(-0.001 s per s)."
+        "The phase drifts linearly with RATTLE (0.001 s per s ahead) and Energy-momentum "
+        "(0.001 s per s behind)."
     )
     failed = msgspec.structs.replace(RUNS[2], status="diverged", message="It is gone.", steps=9)
     assert list(drift_sentences([failed]))[-1] == "Newmark ended as diverged: It is gone."
     rows = {tuple(row[:2]): row[2:] for row in drift_table([*RUNS, failed]).rows}
     assert rows["rattle", "phase [s]"] == ["100", "0.1", "0.001", "1", "0.556", "linear"]
     assert rows["newmark", "energy [1]"][0] == "9 (diverged)"
+
+
+def test_gain_and_loss_are_on_both_sides_of_zero():
+    gains, loses = (a_run(n, energy=k * T) for n, k in (("newmark", 1e-3), ("bdf2", -1e-3)))
+    (said,) = drift_sentences([gains, loses])
+    assert "Newmark (0.001 per s gained)" in said
+    assert "BDF2 (0.001 per s lost)" in said
+    (said,) = drift_sentences([a_run("newmark", energy=COURSES["growing swing"][0])])
+    assert said == "The energy drifts otherwise with Newmark (from -0.0989 to 0.0958)."
+    assert {row[3] for row in drift_table([gains, loses]).rows} == {"0.1", "-0.1"}
+    chart = drift_chart([gains, loses], interactive=False)
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["long_runs"]))
+    ends = {(row["series"], float(row[name]) >= 0) for row in rows if float(row["t"]) > 1
+            for name in ("energy", "energy_low")}  # fmt: skip
+    assert ends == {("newmark", True), ("bdf2", False)}
+    scale, ticks = (chart["concat"][0]["layer"][-1]["encoding"]["y"][k] for k in ("scale", "axis"))
+    assert (scale["type"], scale["constant"]) == ("symlog", pytest.approx(1e-2))
+    assert ticks["values"] == pytest.approx([-0.1, -0.01, 0, 0.01, 0.1])
 
 
 def test_runs_with_other_steps_are_not_compared():

@@ -95,10 +95,10 @@ def drift(
 
     It measures: the energy, relative to the motion's largest kinetic energy; conserved momenta;
     residuals of the constraints and of their rates; and the phase (the time by which a run is
-    ahead), where a conservative motion has a closed form. The table gives the largest absolute
-    value of each, the slope of a straight line through all rows, and whether the drift is none,
-    linear, bounded or neither. A run that blows up ends there, and says when. The folder keeps long
-    runs beside other results, whose report has a chapter on them.
+    ahead), where a conservative motion has a closed form. The table gives the value of each
+    furthest from zero (negative: lost, behind), the slope of a straight line through all rows, and
+    whether the drift is none, linear, bounded or neither. A run that blows up ends there, and says
+    when. The folder keeps long runs beside other results, whose report has a chapter on them.
 
     \b
     Examples:

@@ -25,40 +25,41 @@ STRAIGHT = 0.9
 #: The bands of both halves of a bounded quantity end within this part of the whole band.
 APART = 0.2
 RULE = (
-    f"Blew up: the run diverged. None: no value above {NO_DRIFT:g}. Linear: a straight line "
+    f"Blew up: the run diverged. None: no value beyond {NO_DRIFT:g}. Linear: a straight line "
     f"through all rows explains at least {STRAIGHT:.0%} of the variance. Bounded: the bands of the "
     f"first and second half, which hold 90% of the rows each, end within {APART:.0%} of the whole "
     f"band of each other. Else neither."
 )
 _NOTE = (
-    "Largest: absolute value, over the rows. Per s: slope of a straight line through all rows. "
-    "Line: part of the variance that it explains. Halves: distance between the bands of both "
-    f"halves, as a part of the whole band. Φ: the unit of the constraints. {RULE}"
+    "Largest: the value furthest from zero; above it energy is gained and a run is ahead of the "
+    "closed form, below it energy is lost and a run is behind. Per s: slope of a straight line "
+    "through all rows. Line: part of the variance that it explains. Halves: distance between the "
+    "bands of both halves, as a part of the whole band. Φ: the unit of the constraints. " + RULE
 )
 
 
 class Drift(msgspec.Struct, kw_only=True):
     """Course of one quantity over a long run; None where there is no number.
 
-    ``largest`` is its largest absolute value, ``per_s`` the slope of a straight line through all
+    ``largest`` is the value furthest from zero, ``per_s`` the slope of a straight line through all
     rows in 1/s, ``straight`` the part of the variance that this line explains, and ``apart`` the
-    distance of the bands of both halves as a part of the whole band. ``low`` and ``high`` are the
-    least and largest absolute values of each part of the run.
+    distance of the bands of both halves as a part of the whole band. ``least`` and ``most`` are the
+    ends of the values in each part of the run.
     """
 
-    largest: NotNegative | None
+    largest: float | None
     per_s: float | None
     straight: float | None
     apart: NotNegative | None
-    low: list[NotNegative | None]
-    high: list[NotNegative | None]
+    least: list[float | None]
+    most: list[float | None]
 
     @property
     def verdict(self) -> str:
         """Return "none", "linear", "bounded" or "neither", by `RULE`, of a run that goes on."""
         if self.largest is None:
             return "neither"
-        if self.largest <= NO_DRIFT:
+        if abs(self.largest) <= NO_DRIFT:
             return "none"
         if self.straight is not None and self.straight >= STRAIGHT:
             return "linear"

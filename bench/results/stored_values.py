@@ -164,7 +164,7 @@ def _flaw(value: object) -> str:
         pairs = [(case.x, case.y) for case in cases] + [c.history for c in cases if c.history]
         return next(filter(None, (_unequal({"x": x, "y": y}) for x, y in pairs)), "")
     if isinstance(value, LongRun):
-        ends = [(n, band) for n, d in value.drifts.items() for band in (d.low, d.high)]
+        ends = [(n, band) for n, d in value.drifts.items() for band in (d.least, d.most)]
         return next(filter(None, (_unequal({"t": value.t, n: band}) for n, band in ends)), "")
     return ""
 

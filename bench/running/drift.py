@@ -87,14 +87,14 @@ def course(t: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> Drift
     halves = [_band(half) for half in np.array_split(values, 2)]
     low, high = _band(values)
     distance = np.abs(np.subtract(*halves)).max()
-    parts = _parts(np.abs(values))
+    parts = _parts(values)
     return Drift(
-        largest=finite(float(np.abs(values).max())),
+        largest=finite(float(values[np.abs(values).argmax()])),
         per_s=finite(slope),
         straight=finite(float(1 - left / whole)) if whole > 0 else None,
         apart=finite(float(distance / (high - low))) if high > low else 0.0,
-        low=[finite(part.min()) for part in parts],
-        high=[finite(part.max()) for part in parts],
+        least=[finite(part.min()) for part in parts],
+        most=[finite(part.max()) for part in parts],
     )
 
 

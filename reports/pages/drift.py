@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench.results.drift import DRIFTS, Drift, LongRun, comparable_runs, drift_table
+from bench.results.drift import DRIFTS, NO_DRIFT, LongRun, comparable_runs, drift_table
 from problems.system import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
@@ -21,12 +22,17 @@ _CHANGES = {
     False: "the change of the one that changes most, relative to its value at the start",
 }
 _CAPTION = (
-    "Absolute values over time, from the least (or the end of the axis) to the largest in each of "
-    "up to 200 parts of the run. "
+    "The band of values in each of up to 200 parts of the run. Energy, momentum and phase have "
+    "their sign: above zero a method gains or is ahead, below it loses or is behind; the axis is "
+    "logarithmic on both sides of the small values around zero. "
     + "".join(f"{name.capitalize()}: {_CHANGES[i.kinetic]}. " for name, i in INVARIANTS.items())
     + "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
     "run is ahead of the closed form or behind it."
 )
+#: Words for values above and below zero, of quantities that have both.
+_SIDES = dict.fromkeys(INVARIANTS, ("gained", "lost")) | {"phase": ("ahead", "behind")}
+#: A run that has this part of its largest value on the other side of zero, too, swings.
+_SWINGS = 0.1
 #: Verdicts in the order in which a sentence tells them, with its words.
 _VERDICTS = {
     "none": "does not drift with",
@@ -71,12 +77,12 @@ def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
 def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
     """A sentence for each quantity: which methods hold it, and how others drift."""
     names = short_names(run.integrator for run in runs)
-    for quantity, (name, unit) in DRIFTS.items():
-        found = [(run, run.drifts[quantity]) for run in runs if quantity in run.drifts]
+    for quantity, (name, _) in DRIFTS.items():
+        found = [run for run in runs if quantity in run.drifts]
         parts = [
-            f"{said} {words(f'{names[r.integrator]} ({_size(r, d, unit)})' for r, d in own)}"
+            f"{said} {words(f'{names[r.integrator]} ({_size(r, quantity)})' for r in own)}"
             for verdict, said in _VERDICTS.items()
-            if (own := [(run, drift) for run, drift in found if run.verdict(drift) == verdict])
+            if (own := [run for run in found if run.verdict(run.drifts[quantity]) == verdict])
         ]
         if parts:
             yield f"The {name} {'; it '.join(parts)}."
@@ -85,47 +91,90 @@ def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
             yield f"{names[run.integrator]} ended as {run.status}: {run.message}"
 
 
-def _size(run: LongRun, drift: Drift, unit: str) -> str:
+def _size(run: LongRun, quantity: str) -> str:
+    """How far a quantity drifts, and to which side of zero."""
+    drift, unit = run.drifts[quantity], DRIFTS[quantity][1]
     unit = "" if unit == "1" else f" {unit}"
     if run.verdict(drift) == "blew up":
         return f"at t = {number(run.t_end)} s"
-    if drift.verdict == "linear":
-        return f"{number(drift.per_s)}{unit} per s"
-    return f"at most {number(drift.largest)}{unit}"
+    linear = drift.verdict == "linear"
+    size = drift.per_s if linear else drift.largest
+    if size is None or quantity not in _SIDES or drift.verdict == "none":
+        shown = f"{number(size if linear else size and abs(size))}{unit}"
+        return f"{shown} per s" if linear else f"at most {shown}"
+    above, below = max(_known(drift.most), default=0.0), min(_known(drift.least), default=0.0)
+    if not linear and min(above, -below) > _SWINGS * max(above, -below):
+        return f"from {number(below)} to {number(above)}{unit}"
+    shown, side = f"{number(abs(size))}{unit}", _SIDES[quantity][size < 0]
+    return f"{shown} per s {side}" if linear else f"at most {shown} {side}"
+
+
+def _known(values: Sequence[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
 
 
 # ---- the chart ---------------------------------------------------------------------------
 def drift_chart(runs: Sequence[LongRun], interactive: bool) -> vl.Spec | None:
-    """Draw a panel per quantity: absolute values in each part of the run, a band per integrator.
+    """Draw a panel per quantity: the band of values in each part of the run, per integrator.
 
-    Its upper edge, the largest value, is a line in the integrator's colour and dashes; the lower
-    one is the least value, or the end of the axis.
+    Ends of the band are lines in the integrator's colour and dashes: both of quantities with a
+    sign, the upper one of others, whose band ends at the end of the logarithmic axis.
     """
     options = vl.ChartOptions(line_styles(r.integrator for r in runs), interactive=interactive)
-    quantities = [name for name in DRIFTS if any(map(len, _highs(runs, name)))]
-    ends = {name: min(map(min, filter(None, _highs(runs, name)))) for name in quantities}
+    quantities = [name for name in DRIFTS if any(map(len, _sizes(runs, name)))]
+    ends = {name: min(map(min, filter(None, _sizes(runs, name)))) for name in quantities}
     data = vl.Dataset("long_runs", [row for run in runs for row in _rows(run, ends)])
     panels = []
     for name in quantities:
         line = note_lines(data, name, options, first=not panels)
+        encoding = line["encoding"]
         for channel in ("color", "strokeDash"):  # the legend shows lines, not the faint bands
-            line["encoding"][channel]["legend"] |= {"symbolOpacity": 1, "symbolStrokeWidth": 1.4}
-        encoding = {key: line["encoding"][key] for key in ("x", "y", "color")}
+            encoding[channel]["legend"] |= {"symbolOpacity": 1, "symbolStrokeWidth": 1.4}
+        signed = name in _SIDES
+        title, more = DRIFTS[name][0].capitalize(), []
+        if signed:
+            line.pop("transform")
+            scale, axis = _both_sides(_sizes(runs, name))
+            encoding["y"] |= {"scale": scale, "axis": axis}
+            title += ": {} above zero, {} below".format(*_SIDES[name])
+            low = line | {"encoding": encoding | {"y": encoding["y"] | {"field": f"{name}_low"}}}
+            low.pop("params", None)
+            zero = {"mark": {"type": "rule", "color": vl.GREY}, "encoding": {"y": {"datum": 0}}}
+            more = [zero | {"data": {"values": [{}]}}, low]
         band = {
             "data": data.source,
-            "transform": line["transform"],
+            "transform": line.get("transform", []),
             "mark": {"type": "area", "clip": True},
-            "encoding": encoding
+            "encoding": {key: encoding[key] for key in ("x", "y", "color")}
             | {"y2": {"field": f"{name}_low"}, "opacity": options.opacity(0.15)},
         }
-        panels.append({"layer": [band, line]})
+        heading = {"text": title, "color": vl.GREY, "fontSize": 12, "anchor": "start"}
+        panels.append({"title": heading, "layer": [band, *more, line]})
     return vl.arrange(panels, [data], min(2, len(panels)), height=210)
 
 
-def _highs(runs: Sequence[LongRun], name: str) -> list[list[float]]:
-    """The largest values that a logarithmic axis can show, of each run."""
-    known = [run.drifts[name].high for run in runs if name in run.drifts]
-    return [[shown for value in high if (shown := vl.short(value))] for high in known]
+def _both_sides(sizes: Sequence[Sequence[float]]) -> tuple[vl.Spec, vl.Spec]:
+    """Scale and axis, logarithmic above and below zero, linear up to a tenth of the least drift."""
+    largest = [max(own) for own in sizes if own]
+    least = min([size for size in largest if size > NO_DRIFT], default=NO_DRIFT)
+    first = max(math.floor(math.log10(least)) - 1, math.floor(math.log10(NO_DRIFT)))
+    decades = range(first, max(math.ceil(math.log10(max(largest))), first) + 1)
+    ticks = [10.0**k for k in decades]
+    axis = {
+        "values": [*(-t for t in reversed(ticks)), 0, *ticks],
+        "labelExpr": "datum.value ? format(datum.value, '+.0e') : '0'",
+        "labelOverlap": "greedy",
+    }
+    return {"type": "symlog", "constant": ticks[0], "nice": False}, axis
+
+
+def _sizes(runs: Sequence[LongRun], name: str) -> list[list[float]]:
+    """Absolute values at the ends of the bands that a logarithmic axis can show, of each run."""
+    bands = [(run.drifts[name].least, run.drifts[name].most) for run in runs if name in run.drifts]
+    if name not in _SIDES:
+        bands = [((), most) for _, most in bands]
+    shown = [[vl.short(value) for band in own for value in band] for own in bands]
+    return [[abs(value) for value in own if value] for own in shown]
 
 
 def _rows(run: LongRun, ends: dict[str, float]) -> list[dict[str, float | str | None]]:
@@ -135,7 +184,8 @@ def _rows(run: LongRun, ends: dict[str, float]) -> list[dict[str, float | str | 
         row: dict[str, float | str | None] = {"series": run.integrator, TIME[0]: vl.short(t)}
         for name, end in ends.items():
             if name in run.drifts:
-                low, high = run.drifts[name].low[k], run.drifts[name].high[k]
-                row |= {name: vl.short(high), f"{name}_low": vl.short(max(low or end, end))}
+                low, high = run.drifts[name].least[k], run.drifts[name].most[k]
+                low = low if name in _SIDES else max(low or end, end)
+                row |= {name: vl.short(high), f"{name}_low": vl.short(low)}
         rows.append(row)
     return rows
