@@ -33,13 +33,7 @@ def constraint_force(
     t: Float[Array, ""],
     lam: Float[Array, " nl"],
 ) -> Float[Array, " nv"]:
-    """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts from the applied forces.
-
-    Returns
-    -------
-    Array
-        Generalised force in N (or N m), shape ``(nv,)``.
-    """
+    """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts, in N (or N m), shape ``(nv,)``."""
     return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
 
 
@@ -47,13 +41,7 @@ def constraint_force(
 def constraint_velocity(
     scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
 ) -> Float[Array, " nl"]:
-    """Compute d/dt Phi = Phi_q v + Phi_t.
-
-    Returns
-    -------
-    Array
-        Units of the constraint per s, shape ``(nl,)``.
-    """
+    """Compute d/dt Phi = Phi_q v + Phi_t, in units of Phi per s, shape ``(nl,)``."""
     return jax.jvp(scene.constraint, (q, t), (q_rate(scene, q, v), jnp.ones_like(t)))[1]
 
 
@@ -65,13 +53,7 @@ def constraint_acceleration(
     a: Float[Array, " nv"],
     t: Float[Array, ""],
 ) -> Float[Array, " nl"]:
-    """Compute d2/dt2 Phi, which is linear in a.
-
-    Returns
-    -------
-    Array
-        Units of the constraint per s^2, shape ``(nl,)``.
-    """
+    """Compute d2/dt2 Phi, linear in a, in units of Phi per s^2, shape ``(nl,)``."""
     rates = q_rate(scene, q, v), a, jnp.ones_like(t)
     return jax.jvp(lambda q, v, t: constraint_velocity(scene, q, v, t), (q, v, t), rates)[1]
 
@@ -87,10 +69,7 @@ def inertia(
 def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[Array, ""]:
     """Estimate the size of M(q) in kg (or kg m^2), a scalar.
 
-    Returns
-    -------
-    Array
-        The largest entry of M, or the largest row sum if the scene states ``mass_product``.
+    It is the largest entry of M, or the largest row sum if the scene states ``mass_product``.
     """
     if scene.has("mass_product"):
         return jnp.max(jnp.abs(scene.mass_product(q, jnp.ones_like(q))))
@@ -99,13 +78,7 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
 
 @equation
 def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nv"]:
-    """Compute M a - g + Phi_q^T lam - L y, the residual of eq. (1).
-
-    Returns
-    -------
-    Array
-        Generalised force in N (or N m), shape ``(nv,)``; zero on a solution.
-    """
+    """Compute M a - g + Phi_q^T lam - L y of eq. (1), in N (or N m), shape ``(nv,)``."""
     r = inertia(scene, z.q, z.a) - scene.force(z.q, z.v, z.t)
     if scene.has("constraint"):
         r = r + constraint_force(scene, z.q, z.t, z.lam)
@@ -118,13 +91,7 @@ def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " 
 def control_residuals(
     scene: MechatronicSystem, z: Variables, xdot: Float[Array, " nx"]
 ) -> list[Array]:
-    """Compute the residuals of eqs (3) and (4).
-
-    Returns
-    -------
-    list of Array
-        xdot - f ``(nx,)`` and y - h ``(ny,)``; a part that the scene does not have is left out.
-    """
+    """Compute xdot - f ``(nx,)``, eq. (3), and y - h ``(ny,)``, eq. (4), where there are such."""
     residuals = []
     if scene.has("state_rate"):
         residuals.append(xdot - scene.state_rate(z))
@@ -171,7 +138,9 @@ def algebraic_residual(
     t: Float[Array, ""],
     baumgarte: Baumgarte | None = None,
 ) -> Float[Array, " n"]:
-    """Compute the residual of the index-1 equations at given q, v, x, t.
+    """Compute the residual ``(n,)`` of the index-1 equations at given q, v, x, t.
+
+    Its rows are those of eq. (1), of d2/dt2 Phi = 0 and of eq. (4).
 
     Parameters
     ----------
@@ -180,11 +149,6 @@ def algebraic_residual(
     baumgarte
         If given, d2/dt2 Phi + 2 alpha d/dt Phi + beta^2 Phi = 0 takes the place of d2/dt2 Phi = 0
         (Baumgarte 1972, doi:10.1016/0045-7825(72)90018-7).
-
-    Returns
-    -------
-    Array
-        Residuals of eq. (1), of d2/dt2 Phi = 0 and of eq. (4), shape ``(n,)``.
     """
     a, lam, y = algebraic_layout(scene.sizes).split(u)
     z = Variables(q, v, a, lam, x, y, t)
@@ -271,17 +235,12 @@ def complete(
     baumgarte: Baumgarte | None = None,
     solve: Callable | None = None,
 ) -> tuple[Variables, Float[Array, " nx"]]:
-    """Solve for all other variables at a state.
+    """Solve for all variables at a state, NaN where there is no solution, and xdot ``(nx,)``.
 
     Parameters
     ----------
     solve
         Solver of linear equations, by default that of `jnp.linalg`.
-
-    Returns
-    -------
-    Variables, Array
-        The variables, NaN where there is no solution, and xdot ``(nx,)``.
     """
     layout = algebraic_layout(scene.sizes)
 
@@ -301,7 +260,7 @@ def ode_rate(
     s: Float[Array, " n"],
     baumgarte: Baumgarte | None = None,
 ) -> Float[Array, " n"]:
-    """Compute the right-hand side of the explicit ODE.
+    """Compute the right-hand side of the explicit ODE, the derivative ``(n,)`` of s by time.
 
     Parameters
     ----------
@@ -309,11 +268,6 @@ def ode_rate(
         The state [q, v, x], n = nq + nv + nx.
     baumgarte
         If given, violated constraints are pulled back.
-
-    Returns
-    -------
-    Array
-        Derivative of s by time, shape ``(n,)``.
     """
     q, v, x = state_layout(scene.sizes).split(s)
     z, xdot = complete(scene, q, v, x, t, baumgarte)
@@ -330,11 +284,7 @@ def with_rates(
     """Solve for all other variables and the next derivatives along the motion.
 
     The derivatives are one Jacobian-vector product of `complete` in the direction of the motion.
-
-    Returns
-    -------
-    Start
-        Without ``constrained_jerk``; NaN where there is no solution.
+    ``constrained_jerk`` is left out; values are NaN where there is no solution.
     """
     z, xdot = complete(scene, q, v, x, t)
     _, (dz, xddot) = jax.jvp(

@@ -32,13 +32,7 @@ def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Arr
 def constrained_part(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
 ) -> Float[Array, " nv"]:
-    """Project w on the range of M^-1 Phi_q^T, the directions in which constraints act.
-
-    Returns
-    -------
-    Array
-        Units of w, shape ``(nv,)``.
-    """
+    """Project w on the range of M^-1 Phi_q^T, the directions of constraint forces; ``(nv,)``."""
     along = jax.jvp(lambda q: scene.constraint(q, t), (q,), (q_rate(scene, q, w),))[1]
     return _least_change(scene, q, t, along)
 

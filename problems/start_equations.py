@@ -35,11 +35,8 @@ _MOST_COORDINATES = 1000
 def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     """Compute `formulations.with_rates` and the constrained part of the jerk.
 
-    Returns
-    -------
-    Start
-        ``constrained_jerk`` is None for a scene without constraints; a and the jerk are NaN where
-        there is no solution.
+    The latter is None for a scene without constraints; a and the jerk are NaN where there is no
+    solution.
     """
     equations, (nv, nl) = _equations(scene.template(), True), (scene.sizes.nv, scene.sizes.nl)
     z, xdot, factors = _complete(scene, state, t, equations)
@@ -59,10 +56,7 @@ def sparse_complete(
 ) -> tuple[Variables, Float[Array, " nx"]]:
     """Compute `formulations.complete` by Newton's method, one factorisation per iteration.
 
-    Returns
-    -------
-    Variables, Array
-        The variables and xdot ``(nx,)``; a is NaN where there is no solution.
+    a is NaN where there is no solution.
     """
     return _complete(scene, state, t, _equations(scene.template(), True))[:2]
 
@@ -70,10 +64,7 @@ def sparse_complete(
 def least_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     """Compute a start with the least multipliers, where a and y are unique although lam is not.
 
-    Returns
-    -------
-    Start
-        Values at time t (s); a is NaN if there are none, or more than one a or y.
+    At time t (s); a is NaN if there are none, or more than one a or y.
     """
     equations = _equations(scene.template(), False)
     z, xdot, factors = _complete(scene, state, t, equations)

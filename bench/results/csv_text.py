@@ -11,7 +11,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None) -> str:
-    """Write rows as CSV with a header line.
+    """Write rows as CSV with a header line; return the table, every line ended by a line feed.
 
     Parameters
     ----------
@@ -19,11 +19,6 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
         One mapping per row; a column that a row lacks stays empty.
     columns
         Names of the columns; all names of the rows, in order of first appearance, if None.
-
-    Returns
-    -------
-    str
-        The table, every line ended by a line feed.
     """
     if columns is None:
         columns = list(dict.fromkeys(name for row in rows for name in row))

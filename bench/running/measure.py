@@ -36,11 +36,8 @@ _LONGEST = 0.25
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure the largest absolute residuals of Phi and of its first two time derivatives.
 
-    Returns
-    -------
-    dict
-        "position", "velocity" and "acceleration" in each of the k rows of a run; empty if the
-        scene has no constraints.
+    "position", "velocity" and "acceleration" in each of the k rows of a run; nothing if the scene
+    has no constraints.
     """
     if not scene.has("constraint"):
         return {}

@@ -141,11 +141,8 @@ def frames(scene: MechatronicSystem, reference: Reference) -> list[dict[str, Any
 def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list[dict[str, Any]]:
     """Draw a scene at ``count`` equally spaced times of its reference.
 
-    Returns
-    -------
-    list
-        ``{"t": s, "lines": [[[x, y], ...], ...]}`` for each time, lengths in m; empty if the
-        scene has no drawing.
+    Each is ``{"t": s, "lines": [[[x, y], ...], ...]}`` in m; there is none if the scene has
+    no drawing.
     """
     if not scene.has("draw"):
         return []

@@ -63,14 +63,9 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
 
 
 def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> int:
-    """Measure every cell and describe every scene that the store lacks.
+    """Measure every cell and describe every scene that the store lacks; return how many cells.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
-
-    Returns
-    -------
-    int
-        How many cells were measured.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.save_plan(suite.plan)
@@ -142,10 +137,7 @@ def solve_cells(
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
-    Returns
-    -------
-    tuple
-        The results, and the names of the components of each group of the scene, if they are known.
+    Returns the results, and the names of the components of each group of the scene if known.
     """
     results, names = {}, {}
     sources = cells[0].sources(registry)

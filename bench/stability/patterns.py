@@ -71,7 +71,7 @@ def step_words(longest: int = _LONGEST) -> tuple[_Word, ...]:
 def worst(
     method: Integrator, pattern: Sequence[float], system: LinearSystem | None = None
 ) -> tuple[float, float]:
-    """Find the largest radius over a period and its omega H.
+    """Find the largest radius over a period; return it and its omega H.
 
     Growth is often a resonance: a pair of eigenvalues meets on the real axis, and one of the two
     leaves the unit circle, in a range of omega H that may be a thousandth wide. Such ranges lie
@@ -85,11 +85,6 @@ def worst(
         Fractions of the macro step, which sum to 1.
     system
         The test system; the undamped oscillator if not given.
-
-    Returns
-    -------
-    tuple of float
-        The radius and omega H.
     """
     system = system or Oscillator()
     at = np.append(_OMEGA_H, INFINITY)

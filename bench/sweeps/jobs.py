@@ -57,7 +57,7 @@ class SweepRequest:
     def prepared(
         self, worker: Worker, spans: Mapping[str, tuple[float, float] | None]
     ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
-        """Make what the runs are made of, and say that compiling begins.
+        """Make scene, integrator, ranges and the step or tolerances of all runs; compiling begins.
 
         Parameters
         ----------
@@ -65,11 +65,6 @@ class SweepRequest:
             The process that runs them.
         spans
             Ends of the range of each quantity that varies, by name; None for those of `find_range`.
-
-        Returns
-        -------
-        tuple
-            Scene, integrator, the ranges, and the step or tolerances that are the same in all runs.
 
         Raises
         ------

@@ -73,12 +73,7 @@ def _counted(function: Callable, linearised: Callable[[tuple, tuple], tuple]) ->
 
 
 def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
-    """Call a program made of watched functions.
-
-    Returns
-    -------
-    The finished result of ``program(*arguments)``, and the counts of the call.
-    """
+    """Call a program of watched functions; return its finished result and the counts."""
     # Here, at the latest: the one thread cannot wait for a trial in itself.
     _check_counting()
     return _run_counted(program, *arguments)

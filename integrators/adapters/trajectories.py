@@ -26,16 +26,14 @@ def trajectory_from_states(
 ) -> Trajectory:
     """Solve the equations of motion for a, lam, y and xdot at k states (index 1).
 
+    It has the status "ok" and no counts; its entries are NaN where there is no solution.
+
     Parameters
     ----------
     scene
         Scene with its parameters.
     t, q, v, x
         Times in s and the states there.
-
-    Returns
-    -------
-    A trajectory with status "ok" and no counts; its entries are NaN where there is no solution.
     """
     found = None
     if prefers_sparse(scene):  # many dense systems side by side would not fit into memory

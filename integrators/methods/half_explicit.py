@@ -41,15 +41,12 @@ def stage(
 ) -> tuple[Variables, Array]:
     """Solve the equations of motion at z.q, z.v, z.x, z.t with the velocity constraint ahead.
 
+    Returns z with a, lam and y of the stage, and xdot.
+
     Parameters
     ----------
     z
         Its a, lam and y are where an iteration for y begins.
-
-    Returns
-    -------
-    Variables, Array
-        z with a, lam and y of the stage, and xdot.
     """
     layout, (_, nl, nx, ny) = algebraic_layout(scene.sizes), scene.sizes
     guess = jnp.concatenate([z.a, z.lam, z.y])

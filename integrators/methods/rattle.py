@@ -116,10 +116,7 @@ class KickMethod(OwnValues, ImplicitStepMethod):
     ) -> Variables:
         """Solve the first half of a step that begins at q, v, t.
 
-        Returns
-        -------
-        Variables
-            a, lam, the velocity w as v, and q and t at the end of the step.
+        Its variables are a, lam, the velocity w as v, and q and t at the end of the step.
         """
         q, v, t = at
 

@@ -164,6 +164,8 @@ def newton(
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
+    Returns the solution, the tangent to keep for the next call, and the report.
+
     Parameters
     ----------
     residual
@@ -184,11 +186,6 @@ def newton(
         the guess is one, 1 for linear equations.
     call
         Number of the call in its step.
-
-    Returns
-    -------
-    tuple
-        The solution, the tangent to keep for the next call, and the report.
     """
     modified, tol = kept is not None, bounds.tol
 

@@ -118,6 +118,8 @@ class StepWork:
     def scan(self, stage: Stage, carry: Any, xs: Any) -> tuple[Any, Any]:
         """Solve stages whose equations differ in numbers alone: `jax.lax.scan`, compiled once.
 
+        Returns what the last stage leaves, and the values, stacked.
+
         Parameters
         ----------
         stage
@@ -125,11 +127,6 @@ class StepWork:
             and returns what it leaves and a value. Stages share the tangents that are kept.
         carry, xs
             What the first stage gets, and arrays whose first axis counts the stages.
-
-        Returns
-        -------
-        tuple
-            What the last stage leaves, and the values, stacked.
         """
         calls, outer, kept = self._calls, self._report, self.kept
 
