@@ -33,7 +33,13 @@ def norms_apart():
     records = odd_runs()
     records += [run("edge", f"m{k}", 100 - k, 1e-4 * (1 + 1e-7 * k)) for k in (-1, 0, 1)]
     records += [run("free", name, cost) for name, cost in (("one", 0), ("two", 7), ("three", 0))]
-    records.append(run("single", "one", 100, run_s=[1e-4]))
+    # Two runs at one cost, of which the coarser counts; two with a time each, which tell nothing.
+    records += [
+        run("same", "one", 50, 1e-6, h=0.005),
+        run("same", "one", 50),
+        run("same", "two", 9),
+    ]
+    records += [run("single", f"timed once {k}", 100**k) for k in (1, 2)]
     for record in records:
         if record.problem != "twins":
             for k, group in enumerate(record.errors):

@@ -60,7 +60,8 @@ def write_odd(folder, records):
     with Store(folder, create=True) as store:
         for record in records:
             store.save(record, NONE)
-            for k in range(7 if record.work["residuals"] and record.status == "ok" else 0):
+            samples = 1 if "once" in record.integrator else 7
+            for k in range(samples if record.work["residuals"] and record.status == "ok" else 0):
                 store.add_sample(record.key, k, 1e-6 * record.work["residuals"] * (1 + 0.001 * k))
         names = dict.fromkeys(r.problem for r in records)
         cells = {name: [r.key for r in records if r.problem == name] for name in names}

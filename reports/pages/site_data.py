@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -34,8 +33,6 @@ _STEPS = (1 << 24) - 1
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
 _LETTERS = 4
 _NONE = "-" * _LETTERS
-#: An error or cost, its norm, and the number of the later start from which it is measured.
-_COLUMN = re.compile(r"(\w+)(?:\|(\w+))?(?:@(\d+))?")
 #: Multiples of the best cost at which a performance profile is stated.
 _MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
 
@@ -402,7 +399,8 @@ def _value(record: Record, name: str) -> float | None:
     if name in RANKED_COSTS:
         value = record.cost(name)
     else:
-        group, norm, start = _COLUMN.fullmatch(name).groups()
+        rest, _, start = name.partition("@")
+        group, _, norm = rest.partition("|")
         found = record.error(group, norm or NORM, int(start or 0))
         value = found if record.status == "ok" else None
     # A zero has no logarithm; it is drawn at the edge of the chart.
