@@ -54,16 +54,19 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     folder = Path(folder)
     site = Site(read_report(folder, interactive=True), folder, single_file)
     data = SiteData(site.report)
+    data = data if data.groups else None  # without errors there is nothing to ask
     more = ""  # the file with the answers to all questions but the first, which report.html holds
     if single_file:
-        text = _written(site, site.pages, data.everything(), library=javascript_library())
+        everything = data.everything() if data else None
+        text = _written(site, site.pages, everything, library=javascript_library())
     else:
         _write_others(site, data, folder / FOLDER)
-        rest = chart_json(data.further_questions(), separators=(",", ":"))
-        rest = f"stepbench.more({rest});\n"
-        more = f"{FOLDER}data-{hashlib.sha256(rest.encode()).hexdigest()[:8]}.js"
-        put(folder / more, rest)
-        text = _written(site, site.pages[:1], data.first_question(), more)
+        if data:
+            rest = chart_json(data.further_questions(), separators=(",", ":"))
+            rest = f"stepbench.more({rest});\n"
+            more = f"{FOLDER}data-{hashlib.sha256(rest.encode()).hexdigest()[:8]}.js"
+            put(folder / more, rest)
+        text = _written(site, site.pages[:1], data and data.first_question(), more)
     put(folder / FILE, text)
     for old in folder.glob(f"{FOLDER}data*.js"):
         if old != folder / more:
@@ -71,11 +74,12 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     return folder / FILE
 
 
-def _write_others(site: Site, data: SiteData, folder: Path) -> None:
+def _write_others(site: Site, data: SiteData | None, folder: Path) -> None:
     """Write all pages but the first, and what they share."""
     folder.mkdir(parents=True, exist_ok=True)
     for page in site.pages[1:]:
-        own = data.scene(page.values["scene"].name) if page.kind == "scene" else None
+        asked = data and page.kind == "scene" and page.values["place"] is not None
+        own = data.scene(page.values["scene"].name) if asked else None
         put(folder / page.file, _written(site, [page], own))
     kept_files = {page.file for page in site.pages}
     for old in (*folder.glob("scene-*.html"), *folder.glob("method-*.html")):

@@ -40,8 +40,8 @@ class Report:
     """The content of a report, the same for HTML and Markdown.
 
     ``stored`` are the runs that it is made of; ``run_ids`` are the anchors of records by key,
-    ``names`` short names by label. ``mine`` is the label of the integrator that is put in the
-    foreground.
+    ``names`` short names by label, ``measured`` the series of scenes with runs. ``mine`` is the
+    label of the integrator that is put in the foreground.
 
     Parameters
     ----------
@@ -55,6 +55,7 @@ class Report:
         self.stored = stored = StoredRuns.of(store)
         plan, runs = stored.plan, list(stored.records.values())
         self.series = series = stored.series
+        self.measured = {name: own for name, own in series.items() if own}
         facts = plan.integrators if plan else {}
         self.title, self.mine = stored.title, stored.mine
         self.styles = line_styles(map(label_of, runs))

@@ -68,7 +68,8 @@ class Site:
     def contents(self, here: str) -> list[tuple[str, list[Link]]]:
         """The contents at the side of a page: headings, and the links below each."""
         root = "../" * here.count("/")  # the way to the run folder
-        below: dict[str, list[Link]] = {heading: [] for heading in ("Answer", "Scenes", "Why")}
+        headings = "Answer", "Scenes", "Not measured yet", "Why"
+        below: dict[str, list[Link]] = {heading: [] for heading in headings}
         for p in self.pages:
             if p.heading:
                 now = p.path == here and not self.single
@@ -115,8 +116,8 @@ class Site:
 
 def _pages(report: Report) -> Iterator[Page]:
     yield Page(FRONT, "front", "Overview", "Answer")
-    for i, chapter in enumerate(report.scenes):
-        yield _scene(report, i, chapter)
+    for chapter in report.scenes:
+        yield _scene(report, chapter)
     for m in report.methods:
         yield Page(method_page(m.label), "method", report.names[m.label], values={"method": m})
     yield Page("methods.html", "methods", "Methods", "Answer", len(report.methods))
@@ -132,13 +133,13 @@ def _pages(report: Report) -> Iterator[Page]:
     yield Page("glossary.html", "glossary", "Glossary", "Why", values=terms, anchors=anchors)
 
 
-def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
+def _scene(report: Report, chapter: SceneChapter) -> Page:
     scene = report.stored.scenes.get(chapter.name)
     runs = [r for s in report.series[chapter.name] for r in s.records]
     plugins = {m.label: m.plugins for m in report.methods}
     values = {
         "scene": chapter,
-        "place": place,
+        "place": list(report.measured).index(chapter.name) if runs else None,
         "tabs": TABS,
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
@@ -150,8 +151,9 @@ def _scene(report: Report, place: int, chapter: SceneChapter) -> Page:
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
     anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
     name = chapter.name
+    heading = "Scenes" if runs else "Not measured yet"
     return Page(
-        scene_page(name), "scene", scene_name(name), "Scenes", values=values, anchors=anchors
+        scene_page(name), "scene", scene_name(name), heading, values=values, anchors=anchors
     )
 
 

@@ -42,10 +42,10 @@ class SiteData:
 
     def __init__(self, report: Report) -> None:
         self.report, self.first = report, report.stored.first
-        self.found = answers(report.series)
-        names = list(report.series)
+        self.found = answers(report.measured)
+        names = list(report.measured)
         self.filters = filters({name: report.words.tags.get(name, ()) for name in names})
-        self.series = [s for own in report.series.values() for s in own]
+        self.series = [s for own in report.measured.values() for s in own]
         self.families = {s.label: s.family for s in self.series}
         self.places = {label: k for k, label in enumerate(self.families)}
         self.groups = groups_of(ok_runs(self.series), ASKED)
@@ -53,10 +53,10 @@ class SiteData:
         self.resolutions: dict[str, int] = {}
         records = [r for s in self.series for r in s.ok]
         self.starts = max((len(r.later) for r in records), default=0)
-        self.runs = [[self._runs(s) for s in own] for own in report.series.values()]
+        self.runs = [[self._runs(s) for s in own] for own in report.measured.values()]
         self.pages = {
             r.key: f"{scene_page(name)}#{report.run_ids[r.key]}"
-            for name, own in report.series.items()
+            for name, own in report.measured.items()
             for s in own
             for r in s.records
         }
@@ -102,7 +102,7 @@ class SiteData:
 
     def scene(self, name: str) -> dict[str, Any]:
         """Data of a scene's page."""
-        place = list(self.report.series).index(name)
+        place = list(self.report.measured).index(name)
         runs = [own if k == place else [] for k, own in enumerate(self.runs)]
         return {
             **self._facts(),
@@ -121,7 +121,7 @@ class SiteData:
         return [*self.groups, *RANKED_COSTS, *norms, *later]
 
     def _facts(self) -> dict[str, Any]:
-        report, names = self.report, list(self.report.series)
+        report, names = self.report, list(self.report.measured)
         return {
             "title": report.title,
             "runs": len(report.run_ids),
@@ -151,7 +151,7 @@ class SiteData:
             "methods": [self._method(label, family) for label, family in self.families.items()],
             "scenes": [
                 _scene(name, series, report.stored.scenes.get(name))
-                for name, series in report.series.items()
+                for name, series in report.measured.items()
             ],
         }
 
@@ -180,7 +180,7 @@ class SiteData:
 
     @cached_property
     def _rules_of(self) -> dict[str, Any]:
-        return {"rules": [self._rules(own) for own in self.report.series.values()]}
+        return {"rules": [self._rules(own) for own in self.report.measured.values()]}
 
     def _rules(self, series: Sequence[Series]) -> dict[str, Any]:
         """Facts of a scene that its columns do not have, by which answers are found.
@@ -265,7 +265,8 @@ class SiteData:
         made = {}
         for question, answer in found.items():
             on = {
-                k: None if only not in ("", k) else answer.scenes.get(k) for k in self.report.series
+                k: None if only not in ("", k) else answer.scenes.get(k)
+                for k in self.report.measured
             }
             made[question.key] = {
                 "scenes": [own and self._states(name, own) for name, own in on.items() if numbers],
@@ -285,7 +286,7 @@ class SiteData:
                 "filters": {} if only else {f.key: wrong(group, f.scenes) for f in self.filters},
                 "scenes": [
                     wrong(group, [k] if only in ("", k) else [])
-                    for k in (self.report.series if verdicts else ())
+                    for k in (self.report.measured if verdicts else ())
                 ],
             }
             for group in dict.fromkeys(q.group for q in found)
@@ -293,7 +294,7 @@ class SiteData:
         return {"answers": made, "wrong": told, "refs": [self._reference(ref) for ref in places]}
 
     def _states(self, scene: str, answer: SceneAnswer) -> dict[str, Any]:
-        own, second = {s.label: s for s in self.report.series[scene]}, answer.second
+        own, second = {s.label: s for s in self.report.measured[scene]}, answer.second
         states: list[Any] = [None] * (1 + max((self.places[k] for k in answer.entries), default=-1))
         for label, entry in answer.entries.items():
             state = entry.state
