@@ -19,6 +19,7 @@ from hand_counts import (
     AlphaByHand,
     noh_bathe_by_hand,
     operations,
+    phem56_by_hand,
     semi_implicit_euler_by_hand,
     sorted_out,
 )
@@ -62,6 +63,7 @@ WITHIN = 0.1  # of a hand count
         ("generalized_alpha[newton=modified]", Pendulum(), partial(AlphaByHand.total, "modified")),
         ("semi_implicit_euler", Pendulum(), semi_implicit_euler_by_hand),
         ("noh_bathe", Duffing(), noh_bathe_by_hand),
+        ("phem56[steps=constant]", Pendulum(), phem56_by_hand),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

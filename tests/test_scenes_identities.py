@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
+from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.duffing import Duffing
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
@@ -256,6 +257,22 @@ def check_chain(scene):
     assert along == pytest.approx(-(scene.length**2) * w**2, rel=1e-10)
 
 
+def check_double_pendulum_controlled(scene):
+    """Forces that Newton's law leaves for the joints, at any accelerations of both masses."""
+    random = rng()
+    assembled(scene)
+    q, v, a = random.normal(size=(3, 3))
+    along, across = (np.array([np.sin(p), -np.cos(p)]) for p in (q[2], q[2] + np.pi / 2))
+    swung = scene.l2 * (a[2] * across - v[2] ** 2 * along)
+    weight = np.array([0.0, -scene.g])
+    second = scene.m2 * (a[:2] + swung - weight)
+    first = scene.m1 * (a[:2] - weight)
+    found, lam, y = scene.at(q, v), random.normal(size=1), random.normal(size=1)
+    residual = found["mass"] @ a - found["force"] + found["jacobian"].T @ lam
+    wanted = [*(first + second + lam * q[:2] - [y[0], 0.0]), scene.l2 * across @ second]
+    assert residual - scene.actuation() @ y == pytest.approx(wanted, rel=1e-12)
+
+
 #: Scenes with their own parameters, and with others, which the long tests take.
 CHECKS = [
     (Duffing(), check_duffing),
@@ -275,6 +292,8 @@ CHECKS = [
     (HeavyTop(m=2.0, length=0.3, j=0.05, j_axis=0.02, g=4.0), check_heavy_top),
     (Chain(), check_chain),
     (Chain(links=3, m=0.7, length=1.3, g=2.0), check_chain),
+    (DoublePendulumControlled(), check_double_pendulum_controlled),
+    (DoublePendulumControlled(m1=2.0, l1=0.6, g=3.0), check_double_pendulum_controlled),
 ]
 
 # Names whose sign is flipped in a block; each stands for the terms that contain it. (j_axis in the
@@ -302,6 +321,9 @@ MUTANTS = {
         "momentum": ["m", "j", "j_axis", *(f"{g}{k}" for g in "qv" for k in (0, 1, 3, 4, 5, 6))],
     },
     Chain: {"force": ["m", "g"], "constraint": ["q0", "q5"]},
+    DoublePendulumControlled: {
+        "force": ["m1", "m2", "l2", "g", "q2"], "mass": ["m1", "m2", "l2", "q2"],
+    },
 }  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from helpers import long
@@ -9,11 +11,12 @@ from scipy.integrate import solve_ivp
 
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
-from problems import formulations, jax
+from problems import formulations, jax, jnp, parameter
 from problems.compiled import compiled
 from problems.reference import Reference
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
+from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.duffing import Duffing
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
@@ -215,6 +218,30 @@ def test_a_chain_of_two_links_is_the_double_pendulum():
     first = scene.length * np.column_stack([np.sin(s[0]), -np.cos(s[0])])
     second = first + scene.length * np.column_stack([np.sin(s[1]), -np.cos(s[1])])
     assert z["q"] == pytest.approx(np.hstack([first, second]), abs=1e-11)
+
+
+@dataclass(frozen=True)
+class Braked(DoublePendulum):
+    """The double pendulum in Cartesian coordinates, with a damper that moves as its first mass
+    does at the start."""
+
+    b: float = parameter(1.0, "N s/m", "damping")
+
+    def force(self, q, v, t):
+        speed = v[0] - self.l1 * self.rate1 * jnp.cos(self.angle1)
+        return super().force(q, v, t) - self.b * speed * jnp.array([1.0, 0.0, 0.0, 0.0])
+
+
+def test_a_sensor_of_accelerations_without_leak_or_saturation_makes_the_motor_a_damper():
+    t = np.linspace(0.0, 1.0, 6)
+    ours = Reference(DoublePendulumControlled(sigma=0.0, f_max=1e9), 1.0)(t)
+    braked = Reference(Braked(), 1.0)(t)
+    assert ours["q"][:, :2] == pytest.approx(braked["q"][:, :2], abs=1e-12)
+    second = 0.8 * np.column_stack([np.sin(ours["q"][:, 2]), -np.cos(ours["q"][:, 2])])
+    assert ours["q"][:, :2] + second == pytest.approx(braked["q"][:, 2:], abs=1e-12)
+    assert ours["a"][:, :2] == pytest.approx(braked["a"][:, :2], abs=1e-10)
+    assert ours["lam"] == pytest.approx(braked["lam"][:, :1], abs=1e-10)
+    assert ours["y"] == pytest.approx(np.cos(1.0) - ours["v"][:, :1], abs=1e-12)
 
 
 def test_a_long_chain_is_no_larger_a_program():

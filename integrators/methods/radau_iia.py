@@ -48,6 +48,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
@@ -158,7 +159,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         if self.values == "equations":
             of_lam = of_v
         # A controller that sees a or lam of index 3 costs x its order; none can be told by blocks.
-        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": of_v, "y": of_lam}
+        of_y = of_lam if output_takes(scene, "a", "lam") else of_v
+        return {"q": p, "v": of_v, "a": of_lam, "lam": of_lam, "x": of_v, "y": of_y}
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RadauState:
         z = start.z

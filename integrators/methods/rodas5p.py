@@ -34,6 +34,7 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.runtime import Array, jax, jnp
@@ -112,7 +113,8 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         if self.formulation == "index1" or not scene.has("constraint"):
             return self.orders
         of_lam = 3 if self.values == "equations" else 2
-        return {"q": 3, "v": 3, "a": of_lam, "lam": of_lam, "x": 3, "y": of_lam}
+        of_y = of_lam if output_takes(scene, "a", "lam") else 3
+        return {"q": 3, "v": 3, "a": of_lam, "lam": of_lam, "x": 3, "y": of_y}
 
     @property
     def order_of_estimate(self) -> int:
