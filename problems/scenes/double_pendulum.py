@@ -99,7 +99,7 @@ class DoublePendulumControlled(TwoRods):
     outputs = ("force [N]",)
     source = "Standard planar mechanism with the control law of Bruels & Arnold (2008), section 6"
 
-    sigma: float = parameter(2.0, "1/s", "leak of the filter")
+    sigma: float = parameter(4.0, "1/s", "leak of the filter")
     b: float = parameter(1.0, "N s/m", "feedback gain on the acceleration")
     f_max: float = parameter(4.0, "N", "saturation of the motor", low=1e-12)
 
