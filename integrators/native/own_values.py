@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, cast
 
 from integrators.contract import Integrator, option
 from integrators.native import small_matrices
@@ -84,7 +84,7 @@ class RatesState(NamedTuple):
     shown: Reading
     a: Array
     xdot: Array
-    guess: Guess | None = None
+    guess: Guess = cast(Guess, None)  # explicit methods have none
 
 
 @dataclass(frozen=True)

@@ -78,8 +78,9 @@ def _write_others(site: Site, data: SiteData | None, folder: Path) -> None:
     """Write all pages but the first, and what they share."""
     folder.mkdir(parents=True, exist_ok=True)
     for page in site.pages[1:]:
-        asked = data and page.kind == "scene" and page.values["place"] is not None
-        own = data.scene(page.values["scene"].name) if asked else None
+        own = None
+        if data and page.kind == "scene" and page.values["place"] is not None:
+            own = data.scene(page.values["scene"].name)
         put(folder / page.file, _written(site, [page], own))
     kept_files = {page.file for page in site.pages}
     for old in (*folder.glob("scene-*.html"), *folder.glob("method-*.html")):

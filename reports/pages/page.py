@@ -15,11 +15,11 @@ FRONT, FOLDER = "report.html", "report/"
 
 
 class Link(NamedTuple):
-    """An entry of the contents at the side, with ``count`` small behind it."""
+    """An entry of the contents at the side, with ``number`` small behind it."""
 
     address: str
     title: str
-    count: int | None = None
+    number: int | None = None
     here: bool = False
 
 
