@@ -12,6 +12,7 @@ from bench.commands import (
     completion,
     listing,
     plugins,
+    ratings,
     results,
     single_runs,
     studies,
@@ -23,7 +24,7 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 
-_MODULES = listing, plugins, single_runs, suite, results, studies, sweeps
+_MODULES = listing, plugins, single_runs, suite, ratings, results, studies, sweeps
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 

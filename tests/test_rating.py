@@ -1,0 +1,140 @@
+"""The search for the coarsest resolution that meets a rule, and `stepbench rate`."""
+
+import json
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.results.records import Record
+from bench.running.rating import demand
+from bench.running.search import MOST_RUNS, RESOLVED, Sizes, bracket
+from problems.spec import SpecError
+
+STEPS = Sizes(length=10.0, start=0.1, finest=1e-7, coarsest=10.0)
+RTOL = Sizes(length=None, start=1e-4, finest=1e-13, coarsest=0.1)
+
+
+def search(sizes, error, limit):
+    tried = {}
+    while (size := sizes.next(tried, limit)) is not None:
+        assert size not in tried
+        assert sizes.finest <= size <= sizes.coarsest
+        tried[size] = error(size)
+    return tried
+
+
+@settings(deadline=None)
+@given(
+    st.floats(0.7, 6.0), st.floats(-2.0, 4.0), st.floats(-6.0, -1.0), st.sampled_from([STEPS, RTOL])
+)
+def test_the_coarsest_good_size_of_a_power_law_is_found_in_few_runs(order, factor, limit, sizes):
+    limit = 10**limit
+    exact = (limit / 10**factor) ** (1 / order)
+    tried = search(sizes, lambda size: 10**factor * size**order, limit)
+    assert len(tried) <= 12
+    good, bad = bracket(tried, limit)
+    if sizes.finest * 2 < exact < sizes.coarsest / 2:
+        assert good <= exact * 1.001 <= bad * 1.002
+        neighbours = sizes.length is not None and sizes.length / good - sizes.length / bad < 1.5
+        assert bad <= good * RESOLVED or neighbours
+
+
+def test_a_size_above_the_limit_of_stability_fails_and_is_bracketed():
+    tried = search(STEPS, lambda h: 1e-9 * h if h < 0.0123 else math.inf, 1e-3)
+    good, bad = bracket(tried, 1e-3)
+    assert good < 0.0123 <= bad <= good * RESOLVED
+
+
+def test_a_size_that_is_good_by_accident_is_not_taken():
+    tried = {0.4: 1.0, 0.2: 1e-9, 0.1: 0.5, 0.05: 1e-4, 0.02: 1e-5}
+    assert bracket(tried, 1e-3) == (0.05, 0.1)
+
+
+def test_errors_that_do_not_fall_end_the_search_soon():
+    tried = search(STEPS, lambda h: max(h**2, 1e-6), 1e-8)
+    assert bracket(tried, 1e-8).good is None
+    assert len(tried) <= 8
+    assert len(search(STEPS, lambda h: math.inf, 1e-3)) <= 4
+
+
+def test_the_coarsest_size_of_all_may_be_good():
+    assert bracket(search(STEPS, lambda h: 1e-9, 1e-3), 1e-3) == (10.0, None)
+
+
+def test_an_interval_has_a_whole_number_of_steps_and_tolerances_have_two_digits():
+    for size in (0.03, 0.7, 9.0):
+        count = STEPS.length / STEPS.allowed(size)
+        assert count == pytest.approx(round(count))
+    assert RTOL.allowed(1.23456e-5) == 1.2e-5
+
+
+def test_no_search_goes_on_for_ever():
+    wild = iter([10.0 ** ((-1) ** k * k) for k in range(100)])
+    assert len(search(STEPS, lambda h: next(wild), 1e-3)) <= MOST_RUNS
+
+
+def test_demands_are_read_and_judged():
+    run = Record(
+        key="", problem="", integrator="", family="", formulation="", controls="step", t0=0.0,
+        t_end=1.0, status="ok", errors={"q": {"max": 0.2, "end": 0.1}}, energy_drift=0.3,
+    )  # fmt: skip
+    found = [demand(text).of(run) for text in ("q:1", "q:end:1", "energy:1", "a:1")]
+    assert found == [0.2, 0.1, 0.3, math.inf]
+    run.status = "diverged"
+    assert demand("q:1").of(run) == math.inf
+
+
+@pytest.mark.parametrize("text", ["a", "a:", "a:0", "a:-1", "a:nan", "a:inf", ":1", "z:1", "a:b:1"])
+def test_what_is_no_demand_is_refused(text):
+    with pytest.raises(SpecError):
+        demand(text)
+
+
+def test_rate_finds_sizes_and_keeps_runs(stepbench, tmp_path):
+    rate = "rate", "pendulum", "rattle", "ida", "--t-end", "0.5", "--out", tmp_path, "--json"
+    result = stepbench(*rate, "--error", "q:1e-3")
+    assert result.exit_code == 0, result.output
+    told = json.loads((tmp_path / "rating.json").read_text())
+    assert json.loads(result.stdout) == told
+    for own in told["ratings"]:
+        assert own["met"]
+        assert own["error"] <= 1e-3
+        assert own["seconds"] > 0
+        assert own["operations"] > 0
+    again = stepbench(*rate, "--error", "q:1e-3")
+    assert "measuring" not in again.stderr
+    assert json.loads(again.stdout)["ratings"] == told["ratings"]
+
+
+def test_a_rule_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
+    result = stepbench(
+        "rate", "pendulum", "half_explicit_euler", "stormer_verlet", "--out", tmp_path,
+        "--t-end", "0.4", "--error", "q:1e-14", "--budget", "2", "--json",
+    )  # fmt: skip
+    assert result.exit_code == 1
+    assert "No integrator meets" in result.stderr
+    first, second = json.loads((tmp_path / "rating.json").read_text())["ratings"]
+    assert not first["met"]
+    assert not second["met"]
+    assert first["obstacle"].startswith(("Errors do not fall", "budget_exceeded"))
+    assert second["obstacle"].startswith("unsupported")
+    assert 1e-14 < first["error"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pendulum"], "No integrator is named"),
+        (["quick", "--t-end", "1"], "belong to one scene"),
+        (["pendulum", "ida", "--error", "a"], "is no demand"),
+        (["nothing.toml", "ida"], "nothing.toml"),
+        (["pendulun", "ida"], "did you mean 'pendulum'"),
+    ],
+)
+def test_a_rating_that_cannot_be_made_is_refused_in_a_sentence(stepbench, arguments, words):
+    result = stepbench("rate", *arguments)
+    assert result.exit_code == 1
+    assert words in result.output
+    assert "Traceback" not in result.output
