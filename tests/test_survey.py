@@ -6,10 +6,13 @@ from importlib.metadata import entry_points
 
 import pytest
 
+from bench.guard.limits import Limits
 from bench.plugins.registry import Registry
 from bench.results.quantities import WRONG
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell, resolution_of
-from bench.running.worker import Worker
+from bench.running.runner import Runner, measure_task
+from bench.running.session import result_of
 
 INTEGRATORS, PROBLEMS = (
     sorted(entry.name for entry in entry_points(group=f"stepbench.{kind}"))
@@ -23,21 +26,30 @@ MISSES = {
 
 
 @pytest.fixture(scope="module")
-def worker() -> Worker:
-    return Worker(Registry())
+def inventory() -> Inventory:
+    return Inventory(())
+
+
+@pytest.fixture(scope="module")
+def runner():
+    """A worker process with a budget: some methods need minutes at the default tolerance."""
+    with Runner(1, Limits(60.0, 8.0)) as runner:
+        yield runner
 
 
 @pytest.mark.survey
 @pytest.mark.parametrize("problem", PROBLEMS)
 @pytest.mark.parametrize("name", INTEGRATORS)
-def test_no_default_run_ends_well_and_is_wrong_without_a_note(worker, name, problem):
+def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, inventory, name, problem):
     """Default options, and the scene's own step or the default tolerance."""
-    method, scene = worker.registry.integrator(name), worker.problem(problem)
+    registry = Registry()
+    method, scene = registry.integrator(name), registry.problem(problem)
     if reason := method.supports(scene):
         pytest.skip(reason)
     resolution = resolution_of(scene, method, None, None, None, None)
     cell = Cell(scene.spec, method.spec, scene.interval[1], resolution)
-    record = worker.measure(cell).record
+    ((_, answer),) = runner.run([[measure_task(cell, cell.sources(inventory))]])
+    record = result_of(cell, answer, inventory).record
     if record.status != "ok":
         assert record.message
         return
