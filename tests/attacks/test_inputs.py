@@ -45,6 +45,7 @@ RIGHT = {
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
     "orders-table": ["newmark"],
+    "rate": ["pendulum", "newmark"],
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
