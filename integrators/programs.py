@@ -156,7 +156,10 @@ class _Reader:
         attributes, value = {}, None
         if name == "constant":
             try:
-                value = np.array(operation.attributes["value"])
+                given = operation.attributes["value"]
+                value = np.array(given)
+                if given.is_splat and value.size:  # jaxlib 0.9 reads masks past their end
+                    value = np.full(value.shape, value.flat[0])
             except TypeError as error:  # MLIR's bindings read no complex numbers
                 attributes["value"] = str(error)
         else:  # of releases of MLIR one gives attributes there, another one their names

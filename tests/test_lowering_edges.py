@@ -110,11 +110,12 @@ FOLDED = {
         lambda x, key: (x + jax.random.normal(key), x), u, jax.random.split(KEY)
     )[0],
     "rounded": lambda u: jax.lax.reduce_precision(u, 11, 52),
+    "mask": lambda u: jnp.where(np.zeros(500, bool), u[0], u[1]),
 }
 
 
 #: Whole numbers that wrap, other types, and random keys.
-SHORT = ("bytes", "converted", "own key")
+SHORT = ("bytes", "converted", "own key", "mask")
 
 
 @pytest.mark.parametrize("name", [*SHORT, *long(*(name for name in FOLDED if name not in SHORT))])
