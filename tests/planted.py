@@ -110,6 +110,9 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
     names["pendulum"] = {"q": 2, "v": 2, "a": 2, "lam": 1}
     sizes = {"spring_mass": {"nq": 1, "nl": 0, "nx": 1, "ny": 2}}
     sizes["pendulum"] = {"nq": 2, "nl": 1, "nx": 0, "ny": 0}
+    for record in records:  # other scenes are like the mass
+        names.setdefault(record.problem, names["spring_mass"])
+        sizes.setdefault(record.problem, sizes["spring_mass"])
     with Store(folder, create=True) as store:
         store.save_environment(
             Environment(

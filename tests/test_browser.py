@@ -328,6 +328,18 @@ def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, f
         """
     )
     assert 0 < bar - verdict < 50
+    verdict, command, *ends = browser.execute_script(
+        """
+        const all = (name) => [...document.querySelectorAll(name)];
+        const ends = all(".beside > *").map((column) => column.lastElementChild);
+        const [verdict, command] = all(".beside > .stack > .card");
+        return [verdict.getBoundingClientRect().bottom, command.getBoundingClientRect().top,
+          ...ends.map((node) => node.getBoundingClientRect().bottom)];
+        """
+    )
+    assert 0 < command - verdict < 50
+    assert len(ends) == 2
+    assert ends[0] == pytest.approx(ends[1], abs=1)
     place = chart(browser, EXPLORER)
     lines, legend = browser.execute_script(
         """

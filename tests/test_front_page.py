@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import contextmanager
 
 import pytest
 from chromium import chromium, in_chromium, waited
@@ -388,24 +389,58 @@ def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
     assert min(near) > 0
 
 
-@in_chromium
-def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(page, folder):
-    size = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
+@contextmanager
+def screen(page, width, height):
+    """A screen of this size, in pixels of CSS."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
-        visit(page, folder)
-        top, bottom, wide, right = page.execute_script(
-            'document.getElementById("heat-head").scrollIntoView();'
-            'const bar = document.getElementById("question").getBoundingClientRect();'
-            "const ends = [...document.querySelectorAll('#question select')].map("
-            "(node) => node.getBoundingClientRect().right);"
-            "return [bar.top, bar.bottom, document.documentElement.scrollWidth, Math.max(...ends)];"
-        )
+        yield
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@in_chromium
+def test_the_first_row_of_charts_is_in_sight_four_in_a_row(page, tmp_path):
+    scenes = ("duffing", "oscillator", "friction")
+    more = [planted(scene, "poor", {"a": (1.0, 1)}, h=0.1) for scene in scenes]
+    write_html_report(plant(tmp_path, everything() + more))
+    with screen(page, 1400, 900):
+        visit(page, tmp_path)
+        tops = page.execute_script(
+            "return [...document.querySelectorAll('#panels > .panel')].map("
+            "(panel) => panel.getBoundingClientRect().top)"
+        )
+    assert len(tops) == 5
+    assert len(set(tops[:4])) == 1
+    assert 0 < tops[0] < 450 < tops[4]
+
+
+@in_chromium
+def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(page, folder):
+    with screen(page, 420, 900):
+        visit(page, folder)
+        top, bottom, wide, room = page.execute_script(
+            """
+            document.getElementById("heat-head").scrollIntoView();
+            const bar = document.getElementById("question"), box = bar.getBoundingClientRect();
+            const pen = document.createElement("canvas").getContext("2d");
+            const room = [...bar.querySelectorAll("select, input")].map((node) => {
+              const { left, right, width } = node.getBoundingClientRect();
+              pen.font = getComputedStyle(node).font;
+              const text = node.selectedOptions?.[0].text ?? node.value;
+              return [node.name, left, right, width - pen.measureText(text).width];
+            });
+            return [box.top, box.bottom, document.documentElement.scrollWidth, room];
+            """
+        )
     assert (top, wide) == (0, 420)
     assert 30 < bottom < 100
-    assert right < 420
+    assert [own[0] for own in room] == ["group", "target", "norm", "cost", "scenes", "highlight"]
+    for name, left, right, beside in room:
+        assert left >= 0, name
+        assert right <= 420, name
+        assert beside > 0, name
 
 
 HIDDEN = """
