@@ -15,25 +15,36 @@ from bench.results.store import Store
 from bench.results.timings import quotient
 
 COSTS = ("operations", "seconds", "residuals")
-ALL = """
-const { failed, methods, scenes, filters, targets, profiles } = stepbench.data;
-const { group_names, cost_names } = stepbench.data;
-const answers = {};
-for (const group in group_names) for (const target of targets) for (const cost in cost_names) {
+FACTS = """
+const { failed, methods, scenes, filters, targets, profiles, group_names } = stepbench.data;
+return { failed, methods, scenes, filters, targets, profiles, groups: Object.keys(group_names) };
+"""
+ANSWERS = """
+const [group] = arguments, { targets, cost_names } = stepbench.data, answers = {};
+for (const target of targets) for (const cost in cost_names) {
   stepbench.ask({ group, target, cost });
   answers[`${group}|${target}|${cost}`] = stepbench.answer();
 }
-return { failed, methods, scenes, filters, targets, profiles, answers };
+return answers;
 """
 Run = tuple[float | None, float | None, Record]
 
 
 def page_data(folder: Path) -> dict[str, Any]:
     """What the front page finds for all questions of its menus, and its profiles."""
+    address = (folder / "report.html").as_uri()
     with chromium() as driver:
-        driver.get((folder / "report.html").as_uri())
-        waited(lambda: driver.execute_script("return stepbench.data.complete"))
-        return driver.execute_script(ALL)
+
+        def run(script: str, *values: str) -> Any:
+            # A new page each time: Chromium refuses the 201st address of one page within 30 s.
+            driver.get("about:blank")
+            driver.get(address)
+            waited(lambda: driver.execute_script("return stepbench.data.complete"))
+            return driver.execute_script(script, *values)
+
+        data = run(FACTS)
+        answers = [run(ANSWERS, group) for group in data["groups"]]
+    return data | {"answers": {key: own for part in answers for key, own in part.items()}}
 
 
 def faults(folder: Path, data: dict[str, Any]) -> list[str]:
