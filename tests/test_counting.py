@@ -126,15 +126,14 @@ def test_a_counted_solve_comes_out_of_the_cache_in_the_next_process_and_counts(t
     }
 
     def measure() -> tuple[int, int, set[str]]:
-        """Linearisations, programs that were not in the cache, and solves that now are."""
+        """Linearisations, programs that were not in the cache, and those that now are."""
         run = subprocess.run(
             [sys.executable, "-c", MEASURE], env=os.environ | places, capture_output=True, text=True
         )
         assert run.returncode == 0, run.stderr
-        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_*_solve-*-cache")}
+        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_*-cache")}
 
-    linearisations, missed, solves = measure()
+    linearisations, missed, programs = measure()
     assert linearisations > 0
-    assert missed > 0
-    assert len(solves) == 2  # the timed one and the counted one
-    assert measure() == (linearisations, 0, solves)
+    assert missed == len(programs) > 2  # the timed solve and the counted one among them
+    assert measure() == (linearisations, 0, programs)

@@ -282,7 +282,7 @@ def test_the_report_has_a_chapter_on_long_runs(tmp_path):
     assert len(page.rows("Largest drift, and its trend")) == 5
     (chart,) = page.charts.values()
     assert len(chart["concat"]) == 2
-    colors = chart["concat"][0]["layer"][1]["encoding"]["color"]["scale"]
+    colors = chart["concat"][0]["layer"][-1]["encoding"]["color"]["scale"]
     assert colors["range"] == [style_of(run.integrator).color for run in RUNS]
     text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
     assert "## Long runs" in text

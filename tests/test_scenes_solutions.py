@@ -9,11 +9,14 @@ import pytest
 from helpers import long
 from scipy.integrate import solve_ivp
 
-from integrators import Steps
+from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
-from problems import formulations, jax, jnp, parameter
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.rodas5p import Rodas5P
+from problems import formulations, jax, jnp, lagrange, parameter
 from problems.compiled import compiled
 from problems.reference import Reference
+from problems.scenes.andrews import Andrews
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
@@ -57,6 +60,45 @@ def test_the_car_axis_reference_has_the_published_digits():
     lam = [-0.00473688659084893324729, -0.00110468033125734368808]
     assert z["lam"][1] == pytest.approx(lam, rel=1e-9)
     assert max(drift(scene, z, t)) < 1e-11
+
+
+def test_the_squeezing_mechanism_starts_with_the_published_accelerations_and_multipliers():
+    scene = Andrews()
+    z, _ = jax.jit(lambda q, v: formulations.complete(scene, q, v, jnp.zeros(0), 0.0))(
+        *scene.initial_state()[:2]
+    )
+    a = [14222.4439199541138705911625887, -10666.8329399655854029433719415, 0, 0, 0, 0, 0]
+    lam = [98.5668703962410896057654982170, -6.12268834425566265503114393122, 0, 0, 0, 0]
+    assert np.asarray(z.a) == pytest.approx(a, abs=1e-8)
+    assert np.asarray(z.lam) == pytest.approx(lam, abs=1e-11)
+
+
+def test_the_squeezing_mechanism_has_the_forces_of_its_energies():
+    scene = Andrews()
+    q, v = np.random.default_rng(0).normal(size=(2, 7))
+
+    def kinetic(q, v):
+        return 0.5 * v @ scene.mass(q) @ v
+
+    def potential(q):
+        return scene.energy(q, jnp.zeros(7))
+
+    right = jax.jit(lambda q, v: lagrange.force(kinetic, potential, q, v))(q, v)
+    assert np.asarray(scene.force(q, v, 0.0)) == pytest.approx(np.asarray(right), rel=1e-11)
+
+
+@pytest.mark.long
+def test_the_squeezing_mechanism_has_the_published_digits_by_three_families():
+    # Test Set for IVP Solvers, problem andrews, t = 0.03, by PSIDE at 1e-14.
+    q = [15.81077119629904, -15.75637105984298, 0.04082224013073101, -0.5347301163226948,
+         0.5244099658805304, 0.5347301163226948, 1.048080741042263]  # fmt: skip
+    scene = Andrews()
+    z = Reference(scene, 0.03)(np.array([0.03]))
+    # They belong to a time 1 ps later.
+    assert z["q"][-1] + 1.0e-12 * z["v"][-1] == pytest.approx(q, abs=1e-11)
+    for method in (PHEM56(), Rodas5P()):
+        run = method.prepare(scene, 0.03, Tolerances(1e-11)).measure()
+        assert run.q[-1] == pytest.approx(z["q"][-1], abs=3e-10)
 
 
 @pytest.mark.long
