@@ -88,17 +88,17 @@ def test_the_squeezing_mechanism_has_the_forces_of_its_energies():
 
 
 @pytest.mark.long
-def test_the_squeezing_mechanism_has_the_published_digits_by_three_families():
+def test_the_squeezing_mechanism_has_the_published_digits():
     # Test Set for IVP Solvers, problem andrews, t = 0.03, by PSIDE at 1e-14.
     q = [15.81077119629904, -15.75637105984298, 0.04082224013073101, -0.5347301163226948,
          0.5244099658805304, 0.5347301163226948, 1.048080741042263]  # fmt: skip
     scene = Andrews()
     z = Reference(scene, 0.03)(np.array([0.03]))
-    # They belong to a time 1 ps later.
+    # They differ as if they were taken 1 ps later.
     assert z["q"][-1] + 1.0e-12 * z["v"][-1] == pytest.approx(q, abs=1e-11)
     for method in (PHEM56(), Rodas5P()):
-        run = method.prepare(scene, 0.03, Tolerances(1e-11)).measure()
-        assert run.q[-1] == pytest.approx(z["q"][-1], abs=3e-10)
+        run = method.prepare(scene, 0.03, Tolerances(1e-9)).measure()
+        assert run.q[-1] == pytest.approx(z["q"][-1], abs=1e-7)
 
 
 @pytest.mark.long
